@@ -10,16 +10,24 @@ from typing import Any
 
 import can
 import canopen
+import numpy as np
+from device_orders import say, tell
+from rigid_plate import Plate
+
+from plate_core.serial_protocol import Heartbeat
 
 PDO_COMMUNICATION = {0: ("NumberOfEntries", 5, 2), 1: ("COB-ID", 7, None), 2: ("Type", 5, 255)}
 MASTER = 127
+REFUSED = 0x08000020  # data cannot be stored
 
 STATUS = {
+    "not ready": 0x200,
     "switch on disabled": 0x250,
     "ready": 0x231,
     "switched on": 0x233,
     "enabled": 0x237,
     "quick stop": 0x217,
+    "fault reaction": 0x21F,
     "fault": 0x218,
 }
 
@@ -145,18 +153,17 @@ class Drive(canopen.LocalNode):
         file.name = "drive.eds"
         super().__init__(node, canopen.import_od(file, node))
         self.state, self.position, self.start, self.goal = "switch on disabled", 0.0, 0.0, 0.0
-        self.into, self.lag_ms, self.jammed, self.mute, self.stuck = (
-            0.0,
-            lag_ms,
-            False,
-            False,
-            False,
-        )
+        self.into, self.lag_ms, self.jammed, self.mute = 0.0, lag_ms, False, False
+        self.keeps = False  # its current, whatever the controlword
+        self.holds = ""  # a state which only "disable voltage" ends, if it is not fault
         self.word, self.heard, self.enables = 0, math.inf, 0
         self.deaf = True  # its supply is off
         self.stuck_mode, self.remote = False, True
+        self.slip = 0.0  # counts that it has lost
         self.wrong_once: tuple[str, int] | None = None  # a state, and how far [counts]
         self.history: list[str] = []
+        self.asked: list[tuple[str, str, int]] = []  # transitions by a controlword
+        self.refuses: tuple[int, int] | None = None  # an object
         self.add_write_callback(self.on_write)
         network.create_node(self)
         network.subscribe(0, self.on_nmt)
@@ -172,6 +179,10 @@ class Drive(canopen.LocalNode):
         other = Drive(self.network, self.id, **of_eds)
         other.position = self.position
         return other
+
+    @property
+    def enabled(self) -> bool:
+        return self.state == "enabled"
 
     def value(self, index: int, sub: int = 0) -> int:
         obj = self._find_object(index, sub)
@@ -199,6 +210,20 @@ class Drive(canopen.LocalNode):
                     pdo.read()
                 self.heard = self.network.now
 
+    def get_data(self, index, subindex, check_readable=False):
+        self.refuse(check_readable and (index, subindex))
+        return super().get_data(index, subindex, check_readable)
+
+    def set_data(self, index, subindex, data, check_writable=False):
+        self.refuse(check_writable and (index, subindex))
+        if index >> 8 == 0x18 and subindex == 1 and not data[3] & 0x40:
+            raise canopen.SdoAbortedError(0x06090030)  # as one that answers no requests for it
+        super().set_data(index, subindex, data, check_writable)
+
+    def refuse(self, by_sdo: Any) -> None:
+        if by_sdo and by_sdo == self.refuses:
+            raise canopen.SdoAbortedError(REFUSED)
+
     def on_write(self, index, data, **_) -> None:
         if index == 0x6040:
             self.controlled(int.from_bytes(data, "little"))
@@ -220,7 +245,7 @@ class Drive(canopen.LocalNode):
         wrong = 0
         if self.wrong_once and self.wrong_once[0] == self.state:
             wrong, self.wrong_once = self.wrong_once[1], None
-        place = round(self.position + wrong).to_bytes(4, "little", signed=True)
+        place = round(self.position + self.slip + wrong).to_bytes(4, "little", signed=True)
         self.data_store.setdefault(0x6064, {})[0] = place
         for each in tpdo.map:
             each.set_data(self.get_data(each.index, each.subindex))
@@ -239,11 +264,21 @@ class Drive(canopen.LocalNode):
         self.enables += state == "enabled"
 
     def controlled(self, word: int) -> None:
+        before = self.state
+        if not self.keeps and (before != self.holds or not word & 0x82):
+            self.switch(word)
+        if self.state != before:
+            self.asked.append((before, self.state, word))
+        self.word = word
+
+    def switch(self, word: int) -> None:
         """The transitions of CiA 402 that a controlword asks for; one a time."""
-        reset, self.word = word & ~self.word & 0x80, word
+        reset = word & ~self.word & 0x80
         low = word & 0xF
+        if self.state in ("not ready", "fault reaction"):
+            return
         if self.state == "fault":
-            if reset and not self.stuck:
+            if reset:
                 self.enter("switch on disabled")
         elif not word & 2:  # disable voltage
             if self.state != "switch on disabled":
@@ -254,7 +289,7 @@ class Drive(canopen.LocalNode):
             self.enter("ready")
         elif self.state == "ready" and low & 7 == 7:
             self.enter("switched on")
-        elif self.state == "switched on" and low == 15 and not self.stuck:
+        elif self.state == "switched on" and low == 15:
             assert self.value(0x6060) == 8
             self.enter("enabled")
             self.start = self.goal = self.value(0x607A)
@@ -273,14 +308,14 @@ class Drive(canopen.LocalNode):
             return
         silent = self.network.now - self.heard > (self.value(0x1016, 1) & 0xFFFF)
         if silent and self.value(0x1016, 1) and self.state == "enabled":
-            assert self.value(0x6007) == 3  # quick stop, which ends without current
             self.emcy.send(0x8130, 0x11)
-            self.enter("quick stop")
+            self.enter({2: "switch on disabled", 3: "quick stop"}[self.value(0x6007)])
         if self.state == "enabled" and not self.jammed:
             period = self.value(0x60C2, 1) * 10.0 ** (self.value(0x60C2, 2) + 3)
             self.into = min(self.into + 1, period)
             wanted = self.start + (self.goal - self.start) * self.into / period
-            self.position += (wanted - self.position) * -math.expm1(-1 / self.lag_ms)
+            miss = wanted - self.slip - self.position
+            self.position += miss * -math.expm1(-1 / self.lag_ms)
 
 
 @dataclass
@@ -297,6 +332,7 @@ class CanBench:
     faults: int = 0
     stop: int = 0
     cut: bool = False  # the firmware's wire
+    plate: Plate | None = None  # that all drives move
 
     def __post_init__(self) -> None:
         self.network = self.network or SteppedNetwork(self.channel)
@@ -318,6 +354,8 @@ class CanBench:
             self.network.pass_ms()
             for drive in self.drives:
                 drive.pass_ms()
+            if self.plate:
+                self.plate.hold(self.drives)
             while (message := self.own.recv(0)) is not None:
                 now = round(self.network.now)
                 self.both.append((now, message.arbitration_id, bytes(message.data)))
@@ -346,6 +384,19 @@ class CanBench:
             else:
                 raise AssertionError("the firmware has ended")
             self.network.take()
+
+    def disturb(self, count: int, known: np.ndarray) -> None:
+        """Send the firmware frames of noise too, most of them of a known identifier."""
+        rng = np.random.default_rng(5)
+        chosen, others = rng.choice(known, count), rng.integers(0x800, size=count)
+        identifiers = np.where(rng.random(count) < 0.8, chosen, others).tolist()
+        noise, sizes = rng.bytes(8 * count).hex(), (2 * rng.integers(9, size=count)).tolist()
+        for k, (identifier, size) in enumerate(zip(identifiers, sizes, strict=True)):
+            self.order(f"can {identifier:x} {noise[16 * k : 16 * k + size]}")
+            if k % 600 == 0:
+                tell(self, say(1, Heartbeat(1)))
+            if k % 15 == 0:  # with what the drives say, no more than a tick reads
+                self.run(1)
 
     def end(self) -> None:
         assert self.process.stdin is not None

@@ -64,6 +64,10 @@ class ODrive:
         bus.drives.append(self)
 
     @property
+    def enabled(self) -> bool:
+        return self.state == CLOSED_LOOP
+
+    @property
     def enables(self) -> int:
         return self.history.count("CLOSED_LOOP_CONTROL")
 

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import closed_loop
 import numpy as np
@@ -17,7 +18,7 @@ from short_task import short_task
 
 from harness import MEASUREMENTS, of_median, of_share, share
 from harness.measurements import MOST_CORES, busy_cores
-from plate_core import load_rig
+from plate_core import PlateCycle, load_rig
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {
@@ -206,6 +207,29 @@ def test_no_motion_that_is_found_beats_the_bounds():
     rig = load_rig()
     rest, free = (fastest(rig, 1, 0.1, at_rest, 0, quick=True) for at_rest in (True, False))
     assert 0.05 < rest < free < speed_bounds(rig, 0.1).least
+
+
+@pytest.mark.parametrize(
+    ("drive", "late_ms"),
+    [("interpolated", 2), ("held, with its speed", 1), ("held", 1 + 2e3 / (2 * np.pi * 150))],
+)
+def test_a_drive_on_a_bus_is_as_late_as_its_setpoints(drive, late_ms):
+    """Of a slow motion, beside the bus's latency: a line takes 2 ms, a step half of it in the mean,
+    and without feed-forward the loop lags by 2 over its rate."""
+    from tasks.drives import Driven
+
+    line = Driven(drive, 1, latency_ms=3, jitter_ms=0, loop_hz=150)
+    wave = 0.005 * np.sin(np.pi * np.arange(40) / 40) ** 4
+    cycle = PlateCycle.from_samples(0.5, np.outer(wave, [1, 0, 0]))
+    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
+    twist[[0, -1]] = accel[[0, -1]] = 0  # from rest to rest
+    cycle = PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
+    line.send(SimpleNamespace(cycle=cycle))
+    for _ in range(2):
+        [motion] = line.play(np.inf)
+    at = np.linspace(0.1, 0.4, 500)
+    wanted = cycle.pose(at - 1e-3 * (3 + late_ms))[:, 0]
+    assert np.sqrt(np.mean((motion.pose(at)[:, 0] - wanted) ** 2)) < 3e-5
 
 
 def test_feasible_is_held_against_what_happened():

@@ -2,23 +2,20 @@
 and by what is on the bus."""
 
 import struct
-import subprocess
 
 import numpy as np
 import pytest
 from device_orders import (
-    ENABLE,
     HELLO,
     enable,
     live,
-    ordered,
     said_by,
     say,
     spline,
     tell,
     uploaded,
-    wave,
 )
+from rigid_plate import Plate
 from simulated_firmware import compiled
 
 from plate_core import load_rig
@@ -47,6 +44,8 @@ DRIVES = [RigDrive(node, SCALE, sign) for node, sign in zip(NODES, SIGNS, strict
 DRIVES[3] = RigDrive(5, SCALE, 1, absolute=True, serial=705)
 HOMES = (5000, -70_000, 2**31 - 20_000, 0)
 """Where the drives stand at home [counts]: the third one near the end of its range."""
+
+PLATE = Plate(RIG, HOMES, SCALE * np.array(SIGNS))
 
 RPDO, SYNC = 0x200, 0x80
 FOLLOWED_MS = 12
@@ -90,9 +89,10 @@ def ready(bench):
     assert (bench.state, bench.faults) == (State.READY, 0)
 
 
-def playing(bench, size=0.004):
+def playing(bench, size=0.004, plate=PLATE):
     ready(bench)
-    for data in uploaded(7, wave(size), 200, 90):
+    bench.plate = plate
+    for data in uploaded(7, PLATE.wave(size), 200, 90):
         tell(bench, data)
     live(bench, 150)
     assert bench.state == State.PLAYING
@@ -157,6 +157,53 @@ def test_current_comes_by_the_states_of_the_standard_and_without_a_jump(bench):
     check_bus(bench)
 
 
+TRANSITIONS = [  # number, from, to; by this controlword, or by the drive itself; where that ends
+    (0, "start", "not ready", None, "not ready"),
+    (1, "not ready", "switch on disabled", None, "switch on disabled"),
+    (2, "switch on disabled", "ready", 6, "enabled"),
+    (3, "ready", "switched on", 7, "enabled"),
+    (4, "switched on", "enabled", 15, "enabled"),
+    (5, "enabled", "switched on", None, "switch on disabled"),
+    (6, "switched on", "ready", None, "switched on"),
+    (7, "ready", "switch on disabled", 0, "switch on disabled"),
+    (8, "enabled", "ready", None, "switch on disabled"),
+    (9, "enabled", "switch on disabled", 0, "switch on disabled"),
+    (10, "switched on", "switch on disabled", 0, "switch on disabled"),
+    (11, "enabled", "quick stop", None, "switch on disabled"),
+    (12, "quick stop", "switch on disabled", 0, "switch on disabled"),
+    (13, "enabled", "fault reaction", None, "fault reaction"),
+    (14, "fault reaction", "fault", None, "fault"),
+    (15, "fault", "switch on disabled", 0x80, "switch on disabled"),
+    (16, "quick stop", "enabled", None, "switch on disabled"),
+]
+
+
+@pytest.mark.parametrize(("number", "before", "after", "word", "ends"), TRANSITIONS)
+def test_each_transition_of_the_state_machine(bench, number, before, after, word, ends):
+    drive = bench.drives[1]
+    boot(bench)
+    places = [each.position for each in bench.drives]
+    drive.holds = before
+    if number in (2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13):
+        enable(bench, ms=450)
+    elif number:
+        drive.enter(before)
+    assert drive.state == before or not number
+    if word is None:
+        drive.enter(after)
+    elif word:
+        drive.holds = ""
+    else:
+        tell(bench, say(300, Stop(1)))
+    live(bench, 1200 if number == 15 else 50)
+    assert drive.state == ends
+    assert word is None or (before, after, word) in drive.asked
+    others = {each.state for each in bench.drives if each is not drive}
+    assert others == {"enabled" if ends in ("enabled", "switched on") else "switch on disabled"}
+    assert [each.position for each in bench.drives] == places
+    check_bus(bench)
+
+
 def test_an_enable_waits_for_drives_that_are_not_there_yet(bench):
     bench.run(5)
     tell(bench, HELLO)
@@ -187,7 +234,7 @@ def test_the_drives_are_told_the_table_and_follow(bench):
     live(bench, 500)
     check_bus(bench)
     rows = led(bench)
-    curve = spline(wave(0.004))
+    curve = spline(PLATE.wave(0.004))
     moving = [travel(rows, m) for m in range(4)]
     began = min(at[np.flatnonzero(np.abs(place) > 2e-6)[0]] for at, place in moving)
     late = []
@@ -304,19 +351,25 @@ def low_voltage(bench, drive):
 
 
 def jam(bench, drive):
-    drive.jammed = True
+    for each in bench.drives:  # the plate itself
+        each.jammed = True
 
 
 def mute(bench, drive):
     drive.mute = True
 
 
-def leave(bench, drive):
-    drive.enter("quick stop")
+def entered(state):
+    def enter(bench, drive):
+        drive.enter(state)
+
+    return enter
 
 
-def silent_fault(bench, drive):
-    drive.enter("fault")
+def doubled(bench, drive):
+    """A second drive of its number wakes up."""
+    cob, data = 0x180 + drive.id, bytes.fromhex("3702efbeadde")
+    bench.network.subscribe(SYNC, lambda *_: bench.network.send_message(cob, data))
 
 
 def pre_operational(bench, drive):
@@ -355,8 +408,10 @@ FAULTS = [
     (low_voltage, Trouble.EMERGENCY, 0x3220, Fault.SUPPLY),
     (jam, None, 0, Fault.FOLLOWING),
     (mute, Trouble.NO_POSITION, 0, Fault.HARDWARE),
-    (leave, Trouble.LEFT, 0x217, Fault.HARDWARE),
-    (silent_fault, Trouble.FAULT, 0x218, Fault.HARDWARE),
+    (doubled, Trouble.TWICE, 0, Fault.HARDWARE),
+    (entered("switched on"), Trouble.LEFT, 0x233, Fault.HARDWARE),
+    (entered("quick stop"), Trouble.LEFT, 0x217, Fault.HARDWARE),
+    (entered("fault reaction"), Trouble.FAULT, 0x21F, Fault.HARDWARE),
     (pre_operational, Trouble.NOT_OPERATIONAL, 127, Fault.HARDWARE),
     (second_master, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
     (other_client, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
@@ -481,7 +536,7 @@ def test_stops_in_each_tick_do_not_silence_our_heartbeat(bench):
 
 def test_a_drive_whose_fault_stays_is_not_enabled(bench):
     playing(bench)
-    bench.drives[2].stuck = True
+    bench.drives[2].holds = "fault"
     bench.drives[2].fail(0x4210)
     live(bench, 2500)
     enable(bench, 400)
@@ -490,9 +545,19 @@ def test_a_drive_whose_fault_stays_is_not_enabled(bench):
     assert said_by(bench, DriveTrouble)[-1].words == "motor_3: emergency 4210h, error register 01h"
 
 
+def test_a_drive_that_keeps_its_current_is_reset(bench):
+    ready(bench)
+    bench.drives[0].keeps = True
+    tell(bench, say(300, Stop(1)))
+    live(bench, 150)
+    assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
+    assert (0, bytes([0x81, NODES[0]])) in [frame[1:] for frame in bench.sent]
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(1, Trouble.KEEPS, 0, 0x237)
+
+
 def test_a_drive_that_does_not_go_into_operation_is_named(bench):
     boot(bench)
-    bench.drives[3].stuck = True
+    bench.drives[3].holds = "switched on"
     enable(bench)
     assert bench.state == State.HOMING
     live(bench, 4700)
@@ -535,6 +600,77 @@ def test_two_drives_of_one_number_get_no_current(bench):
     network.bus.shutdown()
 
 
+def test_each_object_that_a_drive_refuses_is_named(bench):
+    boot(bench)
+    requests = [data[1:4] for _, identifier, data in bench.sent if identifier == 0x600 + NODES[3]]
+    objects = {(int.from_bytes(data[:2], "little"), data[2]) for data in requests}
+    assert len(objects) == 28
+    objects.remove((0x605A, 0))  # there is another way
+    drive = bench.drives[3]
+    for each in bench.drives[:3]:
+        each.deaf = True
+    for number, sub in sorted(objects):
+        drive.refuses, bench.said = (number, sub), b""
+        bench.order("reset")
+        bench.run(100)
+        told = said_by(bench, DriveTrouble)[-1]
+        assert told == DriveTrouble(4, Trouble.REFUSED, number, 0x08000020)
+        assert drive.nmt.state != "OPERATIONAL"
+    assert drive.history == []
+
+
+@pytest.mark.parametrize(("first", "second", "turns"), [(0, 1, True), (2, 3, True), (0, 2, False)])
+def test_swapped_drives_are_noticed_once_their_motors_differ(bench, first, second, turns):
+    order = [0, 1, 2, 3]
+    order[first], order[second] = second, first
+    bench.drives = [bench.drives[k] for k in order]
+    ready(bench)
+    bench.plate = Plate(RIG, PLATE.homes[order], PLATE.counts[order])
+    for data in uploaded(7, PLATE.wave(0.006 if turns else 0.009, turns), 200, 90):
+        tell(bench, data)
+    live(bench, 150)
+    assert bench.state == State.OFF
+    if turns:
+        assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(0, Trouble.CROOKED, 0, 0)
+    else:
+        assert Fault(bench.faults) == Fault.FOLLOWING
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_drive_that_loses_counts_is_noticed_by_the_others(bench, stopped):
+    ready(bench)
+    bench.plate = PLATE
+    if stopped:
+        tell(bench, say(300, Stop(1)))
+        live(bench, 50)
+    drive, stop = bench.drives[0], bench.stop
+    while bench.stop == stop and drive.slip < 5000:
+        drive.slip += 40
+        live(bench, 5)
+    assert 2900 < drive.slip < 3600  # following_error_m of the rig is 3 mm
+    live(bench, 50)
+    assert bench.state == State.OFF
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(0, Trouble.CROOKED, 0, 0)
+    live(bench, 1200)
+    enable(bench, 400)
+    assert bench.state == State.OFF
+    assert said_by(bench, DriveTrouble)[-1].kind == Trouble.HOME_LOST
+    tell(bench, say(500, Home()))
+    bench.run(5)
+    enable(bench, 501)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+    check_bus(bench)
+
+
+def test_an_absolute_zero_that_cannot_be_is_refused(bench):
+    bench.drives[3].position = 7000.0  # where the other three say home
+    boot(bench)
+    enable(bench)
+    assert bench.state == State.OFF
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(0, Trouble.CROOKED, 0, 0)
+    assert {row[3] for row in led(bench) if row[1] == 3 and row[2] == 15} <= {7000}
+
+
 def test_a_drive_that_does_not_take_the_mode_on_is_refused(bench):
     bench.drives[3].stuck_mode = True
     boot(bench)
@@ -543,16 +679,22 @@ def test_a_drive_that_does_not_take_the_mode_on_is_refused(bench):
     assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.WRONG_DRIVE, 0x6061, 0)
 
 
-def test_a_drive_without_what_may_be_missing_will_do(bench):
-    bench.drives[0] = bench.drives[0].swap(without=(0x605A,))
+@pytest.mark.parametrize("without", [(), (0x605A,)])
+def test_a_drive_that_cannot_end_its_quick_stop_lets_go_at_once(bench, without):
+    bench.drives[0] = bench.drives[0].swap(without=without)
+    bench.drives[0].refuses = (0x605A, 0)
     ready(bench)
+    bench.cut = True
+    bench.run(200)
+    states = [drive.state for drive in bench.drives]
+    assert states == ["switch on disabled", *["quick stop"] * 3]
 
 
 UNDOING = {  # the first ones while nothing else is wrong
     "the same enable again": lambda b: tell(b, say(101, Enable(b.old))),
     "an enable for the stop before": lambda b: tell(b, say(420, Enable(b.old))),
     "a new session": lambda b: tell(b, say(99, Hello(VERSION, 78))),
-    "a table": lambda b: [tell(b, data) for data in uploaded(8, wave(0.002), 430, 9)],
+    "a table": lambda b: [tell(b, data) for data in uploaded(8, PLATE.wave(0.002), 430, 9)],
     "home": lambda b: tell(b, say(440, Home())),
     "a drive's reset": lambda b: b.drives[0].boot(),
     "all drives' reset": lambda b: [drive.boot() for drive in b.drives],
@@ -579,22 +721,16 @@ def test_nothing_undoes_a_stop(bench):
         assert all(drive.state != "enabled" for drive in bench.drives)
 
 
-def test_100_000_frames_of_noise_enable_nobody(leader):
-    rng, count = np.random.default_rng(5), 100_000
-    kinds = np.array([0, 0x80, 0x180, 0x200, 0x580, 0x600, 0x700])
-    known = rng.choice(kinds, count) + rng.choice(NODES, count)
-    identifiers = np.where(rng.random(count) < 0.8, known, rng.integers(0x800, size=count))
-    noise, sizes = rng.bytes(8 * count).hex(), 2 * rng.integers(9, size=count)
-    text = [ordered(HELLO, ENABLE)]
-    for k, (identifier, size) in enumerate(zip(identifiers.tolist(), sizes.tolist(), strict=True)):
-        text.append(f"can {identifier:x} {noise[16 * k : 16 * k + size]}")
-        if k % 20 == 0:
-            text.append("run 1000")
-    done = subprocess.run([leader], input="\n".join([*text, ""]), capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    sent = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("can ")]
-    words = {data[0][:4] for name, *data in sent if int(name, 16) - RPDO in NODES}
-    assert words <= {"0000", "8000"}
+def test_100_000_frames_of_noise_enable_nobody(bench):
+    playing(bench, 0.008)
+    since = bench.network.now
+    kinds = [0, SYNC, 0x180, RPDO, 0x580, 0x600, 0x700]
+    bench.disturb(100_000, np.add.outer(kinds, NODES).ravel())
+    words = led(bench, since)
+    off = words[words[:, 2] == 0][0, 0]
+    assert set(words[words[:, 0] > off, 2]) <= {0, 0x80}
+    assert all(drive.enables == 1 and drive.state != "enabled" for drive in bench.drives)
+    check_bus(bench)
 
 
 # What the host says of it

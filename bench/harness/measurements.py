@@ -53,6 +53,7 @@ ABOUT = {
         "sizing": "Number of parts: time, parts dropped",
         "sameness": "One seed, one answer: what changes a run, to the last bit",
         "free_running": "Cameras that run free: error against rate, exposure, latency and scatter",
+        "drives": "Drives on a bus: error against latency, jitter and the drives' own loop",
         "control": "The closed loop with more and less time for the solver",
         "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
         "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",
@@ -77,7 +78,7 @@ EXPECTED_S = {
     "sim": 160.0, "bodies": 3.0, "force_map": 20.0, "solver": 15.0, "rotations": 40.0,
     "inversion": 250.0, "model": 28.0, "trust": 170.0, "stability": 200.0,
     "steering": 320.0, "options": 150.0, "vision": 23.0, "stages": 70.0, "control": 200.0,
-    "tracking": 53.0, "free_running": 280.0, "sizing": 90.0, "learning": 10.0,
+    "tracking": 53.0, "free_running": 280.0, "drives": 260.0, "sizing": 90.0, "learning": 10.0,
     "bound": 350.0, "rigs": 800.0, "feeding": 640.0, "closed_loop": 750.0,
     "latency": 120.0, "stop_latency": 120.0, "graph": 1200.0,
 }  # fmt: skip

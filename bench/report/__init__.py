@@ -25,7 +25,7 @@ from report.forces import (
     rotations,
     rotations_rows,
 )  # fmt: skip
-from report.loop import bound, cameras, control, crowds, rigs, tracking
+from report.loop import bound, cameras, control, crowds, drives, rigs, tracking
 from report.model import model
 from report.page import write_report
 from report.results import read_facts, write_results
@@ -67,6 +67,7 @@ CHARTS: tuple[Entry, ...] = (
     Entry(
         "cameras", cameras, lambda data: table(data, "free_running", "cameras"), ("free_running",)
     ),
+    of_table(drives, "drives"),
     of_table(bound, "bound"),
     of_table(rigs, "rigs"),
     Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),

@@ -158,6 +158,47 @@ def cameras(rows: list[Row]) -> Chart:
     )  # fmt: skip
 
 
+ON_A_BUS = {
+    "latency_ms": ("Latency", "latency of the bus [ms]"),
+    "jitter_ms": ("Jitter", "jitter, up to [ms]"),
+    "loop_hz": ("The drives' loop", "bandwidth [Hz]"),
+}
+"""What is changed of drives on a bus -> title and label."""
+
+
+def drives(rows: list[Row]) -> Chart:
+    """Return the tracking error against what bus and drives are like."""
+    panels = Panels()
+    bridges = next(r for r in rows if not r["changed"])
+    for changed, (title, label) in ON_A_BUS.items():
+        panel = panels.add(title, Axis(label), Axis("tracking error, RMS, median [mm]", log=True))
+        mine = by([r for r in rows if r["changed"] == changed], "drive")
+        for colour, (name, these) in zip(COUNT_COLOURS, mine.items(), strict=False):
+            panel.points(
+                name, column(these, "value"), column(these, "rms_mm"), colour, "o", "-",
+                hollow=[not all_well(r) for r in these],
+                notes=[f"{r['succeeded']} ended well" for r in these],
+            )  # fmt: skip
+        panel.rule("bridges", y=bridges["rms_mm"], colour=LIMIT)
+    told = {
+        (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
+    }
+    words = {
+        ("latency_ms", 1): "drives that interpolate", ("latency_ms", 4): "with 4 ms of latency",
+        ("jitter_ms", 5): "with up to 5 ms of jitter", ("loop_hz", 75): "with loops of 75 Hz",
+        ("loop_hz", 300): "with loops of 300 Hz",
+    }  # fmt: skip
+    found = ", ".join(f"{word} {told[case]} mm" for case, word in words.items())
+    return Chart(
+        "drives", "", "Drives on a bus: latency, jitter and their own loop",
+        "Two parts along rectangles at 40 mm/s, uneven friction, setpoints each 2 ms, 1 ms late, "
+        "no jitter, loops of 150 Hz, one of these changed at a time; the red line is of bridges, "
+        "which follow exactly. Hollow: not all runs ended well.",
+        f"Bridges {shown(bridges['rms_mm'])} mm; {found}.",
+        "", panels,
+    )  # fmt: skip
+
+
 def rigs(rows: list[Row]) -> Chart:
     """Return success, time and error on small and weak rigs, and what `feasible` said of them."""
     names, panels = tuple(by(rows, "rig"))[::-1], Panels()

@@ -11,8 +11,8 @@ Axis axes[MOTORS];
 float led[3][MOTORS];
 bool wanted, was_ready, follows, hurry;
 static bool home_known, home_lost;
-const float (*loads)[MOTORS];
-static float stroke; /* [m] */
+const Limits *limits;
+static uint8_t crooked; /* cycles */
 static uint8_t phase; /* ticks since the last cycle */
 static uint16_t bus_alarm;
 static Trouble trouble;
@@ -142,6 +142,37 @@ static void count_answers(int m)
         lose(m, TROUBLE_TWICE, 0, 0);
 }
 
+/* How far a motor is from where it is led, or else from home; where it only holds, it is where it was
+   told to be. [m] */
+static float off_m(int m)
+{
+    const Axis *axis = &axes[m];
+    int32_t held = enabled(axis) ? axis->target : axis->actual;
+    int32_t place = (int32_t)((uint32_t)held - (uint32_t)axis->home);
+    return (float)(follows ? axis->error : place) * drives[m].sign / drives[m].counts_per_m;
+}
+
+/* Whether the motors tell positions that a rigid plate cannot have: one has lost counts, or two are
+   swapped. */
+static bool is_crooked(void)
+{
+    float sum = 0;
+    for (int m = 0; m < MOTORS; m++)
+        sum += drives[m].fit * off_m(m);
+    return limits->following_m > 0 && fabsf(sum) > limits->following_m;
+}
+
+static void compare(void)
+{
+    crooked = home_known && all_up() && is_crooked() ? (uint8_t)(crooked + 1) : 0;
+    if (crooked < CROOKED_CYCLES)
+        return;
+    crooked = 0;
+    bus_trouble(TROUBLE_CROOKED);
+    for (int m = 0; m < MOTORS; m++)
+        lose_home(m);
+}
+
 /* What becomes of an axis with time */
 static void age(int m)
 {
@@ -197,21 +228,21 @@ void drives_end(void)
     for (int m = 0; m < MOTORS; m++)
         if (axes[m].stage == UP && !hurry)
             count_answers(m);
+    compare();
     cycle();
     if (hurry) /* the next tick may be as hurried */
         between();
     hurry = false;
 }
 
-void drives_start(const Drive of[MOTORS], const float load[MOTORS][MOTORS], float stroke_m)
+void drives_start(const Drive of[MOTORS], const Limits *its_limits)
 {
     memcpy(drives, of, sizeof drives);
     memset(axes, 0, sizeof axes);
     memset(&trouble, 0, sizeof trouble);
-    loads = load;
-    stroke = stroke_m;
+    limits = its_limits;
     wanted = was_ready = follows = hurry = home_known = home_lost = false;
-    phase = 0;
+    phase = crooked = 0;
     bus_alarm = 0;
 }
 
@@ -242,15 +273,17 @@ bool hal_home(void)
 {
     for (int m = 0; m < MOTORS; m++) {
         int32_t home = drives[m].absolute ? 0 : axes[m].target;
-        float most = fabsf((float)home) + 1.01f * stroke * drives[m].counts_per_m;
+        float most = fabsf((float)home) + 1.01f * limits->stroke_m * drives[m].counts_per_m;
         if (most > 0x1p31f - 512) { /* of rounding */
             alarm(m, TROUBLE_RANGE, 0, (uint32_t)home, FAULT_HARDWARE);
             return false;
         }
         axes[m].home = home;
     }
-    home_known = true;
-    return true;
+    home_known = !is_crooked();
+    if (!home_known)
+        bus_trouble(TROUBLE_CROOKED);
+    return home_known;
 }
 
 void hal_forget(void) { home_known = home_lost = false; }
@@ -269,16 +302,11 @@ void hal_command(const float position[MOTORS], const float velocity[MOTORS],
 }
 
 /* A position is as old as the bus: while it is led, the answer is where it would be now, with the
-   following error that it had then; while it only holds, where it was told to be. The drives tell no
-   acceleration. */
+   following error that it had then. The drives tell no acceleration. */
 void hal_measure(float position[MOTORS], float acceleration[MOTORS])
 {
     for (int m = 0; m < MOTORS; m++) {
-        const Axis *axis = &axes[m];
-        int32_t held = enabled(axis) ? axis->target : axis->actual;
-        int32_t place = (int32_t)((uint32_t)held - (uint32_t)axis->home);
-        float counts = (float)(follows ? axis->error : place);
-        position[m] = (follows ? led[0][m] : 0) + counts * drives[m].sign / drives[m].counts_per_m;
+        position[m] = (follows ? led[0][m] : 0) + off_m(m);
         acceleration[m] = 0;
     }
 }

@@ -14,6 +14,7 @@
 #define START_TICKS 100     /* for a start; also until a drive that is up may be enabled */
 #define STARTS 10           /* tries */
 #define KEEPS_TICKS 100     /* for a drive to take its current away */
+#define CROOKED_CYCLES 5    /* on end with positions that are not of one rigid plate */
 #define STILL_CYCLES 150    /* for which an axis must stand before it gets current, */
 #define STILL_M 0.0005f     /* within this [m] */
 
@@ -45,7 +46,7 @@ typedef struct {
 
 extern Drive drives[MOTORS];
 extern Axis axes[MOTORS];
-extern const float (*loads)[MOTORS]; /* forces for accelerations of all motors [kg] */
+extern const Limits *limits;
 extern float led[3][MOTORS]; /* what was commanded last [m], [m/s], [m/s2] */
 extern bool wanted, was_ready, follows; /* current; and that it came; and that it is led */
 extern bool hurry; /* current off, in this tick */

@@ -22,7 +22,7 @@ enum { BOOT_UP = 0, OPERATIONAL = 5 };
 enum { DISABLE = 0x00, SHUTDOWN = 0x06, SWITCH_ON = 0x07, OPERATE = 0x0F, FAULT_RESET = 0x80 };
 
 /* What is set up before a node is started. Until it is done its PDOs are not used. */
-enum { PLUS_NODE = 1, OPTIONAL = 2, READ = 4, SERIAL = 8 };
+enum { PLUS_NODE = 1, OPTIONAL = 2, READ = 4, SERIAL = 8, OR_NEXT = 16, INSTEAD = 32 };
 typedef struct {
     uint16_t object;
     uint8_t sub, bytes, how;
@@ -30,6 +30,7 @@ typedef struct {
 } Step;
 
 #define PDO_OFF 0x80000000u
+#define NO_RTR 0x40000000u /* of a TPDO: a drive that cannot be asked for it refuses less */
 static const Step STEPS[] = {
     {0x1000, 0, 4, READ, 402, 0xFFFF},            /* a drive, */
     {0x6040, 0, 2, 0, DISABLE, 0},                /* without current whatever it did before, */
@@ -38,7 +39,8 @@ static const Step STEPS[] = {
     {0x1017, 0, 2, 0, HEARTBEAT_MS, 0},
     {0x1016, 1, 4, 0, (uint32_t)MASTER << 16 | SILENT_MS, 0},
     {0x6007, 0, 2, 0, 3, 0},          /* quick stop where the bus or we are gone, */
-    {0x605A, 0, 2, OPTIONAL, 2, 0},   /* by its ramp, then without current */
+    {0x605A, 0, 2, OR_NEXT, 2, 0},    /* by its ramp, then without current, */
+    {0x6007, 0, 2, INSTEAD, 2, 0},    /* or else without current at once */
     {0x60C2, 1, 1, 0, CYCLE_MS, 0},   /* interpolation: this many */
     {0x60C2, 2, 1, 0, 0xFD, 0},       /* times 10^-3 s */
     {0x6060, 0, 1, 0, 8, 0},          /* cyclic synchronous position */
@@ -48,7 +50,7 @@ static const Step STEPS[] = {
     {0x1600, 2, 4, 0, 0x607A0020, 0}, /* target position */
     {0x1600, 0, 1, 0, 2, 0},
     {0x1400, 2, 1, 0, 1, 0},          /* at each SYNC */
-    {0x1800, 1, 4, PLUS_NODE, PDO_OFF | TPDO, 0},
+    {0x1800, 1, 4, PLUS_NODE, PDO_OFF | NO_RTR | TPDO, 0},
     {0x1A00, 0, 1, 0, 0, 0},
     {0x1A00, 1, 4, 0, 0x60410010, 0}, /* statusword */
     {0x1A00, 2, 4, 0, 0x60640020, 0}, /* actual position */
@@ -57,12 +59,12 @@ static const Step STEPS[] = {
     {0x1401, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x300, 0}, /* no others */
     {0x1402, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x400, 0},
     {0x1403, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x500, 0},
-    {0x1801, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x280, 0},
-    {0x1802, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x380, 0},
-    {0x1803, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x480, 0},
+    {0x1801, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x280, 0},
+    {0x1802, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x380, 0},
+    {0x1803, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x480, 0},
     {0x6061, 0, 1, READ, 8, 0xFF},    /* it has taken the mode on */
     {0x1400, 1, 4, PLUS_NODE, RPDO, 0},
-    {0x1800, 1, 4, PLUS_NODE, TPDO, 0},
+    {0x1800, 1, 4, PLUS_NODE, NO_RTR | TPDO, 0},
 };
 #define STEP_COUNT (sizeof STEPS / sizeof *STEPS)
 
@@ -95,7 +97,7 @@ void break_off(int m) { command(m, NMT_RESET); }
 
 static bool skipped(int m, const Step *step)
 {
-    return step->how & SERIAL && drives[m].serial == 0;
+    return step->how & INSTEAD || (step->how & SERIAL && drives[m].serial == 0);
 }
 
 static void next_step(int m)
@@ -138,7 +140,10 @@ static void answered(int m, const uint8_t data[8])
     if (get_u16(data + 1) != step->object || data[3] != step->sub)
         return;
     if (data[0] == 0x80) {
-        if (step->how & OPTIONAL && (value == NO_OBJECT || value == NO_SUBINDEX))
+        if (step->how & OR_NEXT) {
+            axis->asked = false;
+            axis->step++;
+        } else if (step->how & OPTIONAL && (value == NO_OBJECT || value == NO_SUBINDEX))
             next_step(m);
         else
             lose(m, TROUBLE_REFUSED, step->object, value);

@@ -4,6 +4,7 @@
 #define PLATE_DRIVES_H
 
 #include "../hal.h"
+#include "../piece.h"
 
 /* Of one motor; from the rig file, compiled in like its limits. */
 typedef struct {
@@ -12,11 +13,11 @@ typedef struct {
     float sign;         /* 1, or -1 where the drive counts against the motor's direction */
     bool absolute;      /* its position is 0 at home; else home is where the plate hangs */
     uint32_t serial;    /* object 1018h:04; 0: any */
+    float fit;          /* times its travel, summed over the motors of a rigid plate, is 0 */
 } Drive;
 
-/* `load`: forces that the motors need for accelerations of all of them [kg]; it must stay. `stroke_m`:
-   how far they go from home. */
-void drives_start(const Drive drives[MOTORS], const float load[MOTORS][MOTORS], float stroke_m);
+/* `limits` must stay. */
+void drives_start(const Drive drives[MOTORS], const Limits *limits);
 void drives_begin(void); /* before each controller_tick: take what came */
 void drives_end(void);   /* after it: send what is due */
 

@@ -124,9 +124,8 @@ static int16_t thousandths(float value)
 static void set_position(int m)
 {
     const Axis *axis = &axes[m];
-    float turns_per_m = drives[m].sign * drives[m].counts_per_m / COUNTS, force = 0;
-    for (int k = 0; k < MOTORS; k++)
-        force += loads[m][k] * led[2][k];
+    float turns_per_m = drives[m].sign * drives[m].counts_per_m / COUNTS;
+    float force = force_of(limits, m, led[2]);
     uint8_t data[8];
     put_f32(data, (float)axis->target / COUNTS);
     put_u16(data + 4, follows ? (uint16_t)thousandths(led[1][m] * turns_per_m) : 0);

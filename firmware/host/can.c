@@ -47,7 +47,7 @@ bool can_off(void)
 
 Limits motors_start(void)
 {
-    drives_start(DRIVES, LIMITS.load, LIMITS.stroke_m);
+    drives_start(DRIVES, &LIMITS);
     return LIMITS;
 }
 

@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from io import TextIOWrapper
@@ -229,6 +230,8 @@ def serve(modules: Iterable[str]) -> None:
     sys.stdout.flush()  # or each node would say it again
     gc.collect()
     gc.freeze()  # or a node's first collection copies all pages
+    # Of rclpy's own threads, which nodes start anew. Python 3.12 warns of any thread.
+    warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.signal(signal.SIGCHLD, lambda *_: None)

@@ -133,7 +133,7 @@ int main(int argc, char **argv)
     mlockall(MCL_CURRENT); /* where the system allows it, as the next one */
     sched_setscheduler(0, SCHED_FIFO, &urgent);
     boot = (uint32_t)time(NULL) ^ (uint32_t)getpid() << 16;
-    drives_start(DRIVES, LIMITS.load, LIMITS.stroke_m);
+    drives_start(DRIVES, &LIMITS);
     controller_start(&controller, LIMITS);
     while (rests < LAST_TICKS && tick_passed()) {
         drives_begin();

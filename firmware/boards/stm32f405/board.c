@@ -147,7 +147,7 @@ int main(void)
     pin_mode(GPIOB, PIN_TRIGGER, 1);
     clock_start();
 #ifdef HAS_DRIVES
-    drives_start(DRIVES, LIMITS.load, LIMITS.stroke_m);
+    drives_start(DRIVES, &LIMITS);
     can_start();
 #else
     motors_start(&LIMITS);

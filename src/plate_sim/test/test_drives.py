@@ -1,5 +1,6 @@
 """Simulated drives behind the firmware: their motion, and what the judge of the bus sees."""
 
+import re
 import shutil
 import struct
 
@@ -144,10 +145,18 @@ def test_the_judge_sees_what_is_beyond(places, share, value):
 
 
 def test_a_header_has_the_drives():
-    drives = [Drive(7, 2e5, -1), Drive(8, 3e5, absolute=True, serial=2**32 - 1)]
+    drives = [Drive(7, 2e5, -1), Drive(8, 3e5, absolute=True, serial=2**32 - 1), *DRIVES[2:]]
     text = c_header(DeviceLimits.of_rig(load_rig()), "rig.yaml", drives)
-    assert "static const Drive DRIVES[MOTORS] = {\n    {7, 200000.0f, -1, false, 0u},\n" in text
-    assert "    {8, 300000.0f, 1, true, 4294967295u},\n" in text
+    assert "static const Drive DRIVES[MOTORS] = {\n    {7, 200000.0f, -1, false, 0u, " in text
+    assert "    {8, 300000.0f, 1, true, 4294967295u, " in text
+    fit = [float(value) for value in re.findall(r"u, (\S+)f\},", text)]
+    for x, y, turn in np.eye(3):  # of the plate
+        travel = [
+            m.direction[0] * (x - turn * m.point[1]) + m.direction[1] * (y + turn * m.point[0])
+            for m in load_rig().motors
+        ]
+        assert np.dot(fit, travel) == pytest.approx(0, abs=1e-6)
+    assert max(map(abs, fit)) == 1
     assert "DRIVES" not in c_header(DeviceLimits.of_rig(load_rig()), "rig.yaml")
 
 

@@ -87,6 +87,15 @@ class DeviceLimits:
         """`load` in single precision."""
         return self.load.astype(np.float32)
 
+    @cached_property
+    def fit(self) -> np.ndarray:
+        """The combination (4,) of travels that is 0 for a rigid plate, 1 at most; float32.
+
+        It is the load's null vector: four travels follow from three coordinates.
+        """
+        fit = np.linalg.eigh(self.load)[1][:, 0]
+        return (fit / np.max(np.abs(fit))).astype(np.float32)
+
     def forces(self, acceleration: np.ndarray) -> np.ndarray:
         """Return the motors' forces (..., 4) [N] for their accelerations (..., 4) [m/s2], float32.
 
@@ -127,22 +136,24 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
         "static const Limits LIMITS = {",
         *lines,
         "};",
-        *(_drives(drives) if drives else []),
+        *(_drives(drives, limits) if drives else []),
         "",
     ])  # fmt: skip
 
 
-def _drives(drives: Sequence[Drive]) -> list[str]:
+def _drives(drives: Sequence[Drive], limits: DeviceLimits) -> list[str]:
     """Return C for drives, and of what kind they are."""
     head = ["#define HAS_DRIVES", f"#define HAS_{drives[0].kind.upper()}"]
-    return [*head, "static const Drive DRIVES[MOTORS] = {", *map(_drive, drives), "};"]
+    made = map(_drive, drives, limits.fit)
+    return [*head, "static const Drive DRIVES[MOTORS] = {", *made, "};"]
 
 
-def _drive(drive: Drive) -> str:
+def _drive(drive: Drive, fit: float) -> str:
     """Return C for a drive."""
     scale = _literal(np.asarray(drive.counts_per_m, np.float32))
     absolute = str(drive.absolute).lower()
-    return f"    {{{drive.node}, {scale}, {drive.sign}, {absolute}, {drive.serial}u}},"
+    values = (drive.node, scale, drive.sign, absolute, f"{drive.serial}u", f"{fit!s}f")
+    return f"    {{{', '.join(map(str, values))}}},"
 
 
 def _literal(value: np.ndarray) -> str:

@@ -1,0 +1,138 @@
+"""Drives on a bus: the tracking error against its latency and jitter, and against the drives' loop.
+
+Two parts at 40 mm/s, uneven friction. The board sends a setpoint each 2 ms; it reaches all drives
+`latency_ms` and a random part of `jitter_ms` later, never before an older one. Neither planner nor
+solver know of it. A drive's position loop is critically damped, with feed-forward of speed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from harness import Cache, Result, Table, processes, resumed
+from plate_bringup.loop import Direct, Setup, as_asked, run, with_settings
+from plate_core import PlateCycle, load_rig
+from plate_core.motion import quintic_pieces
+from plate_sim import PlateMotion
+from tasks.runs import UNEVEN, median
+
+DRIVES = ("interpolated", "held, with its speed", "held")
+"""A straight line to the setpoint over 2 ms, as by CiA 402; as by an ODrive; neither."""
+
+USUAL = {"latency_ms": 1.0, "jitter_ms": 0.0, "loop_hz": 150.0}
+VALUES = {
+    "latency_ms": (0.0, 1.0, 2.0, 4.0), "jitter_ms": (0.0, 1.0, 2.0, 3.0, 5.0),
+    "loop_hz": (75.0, 150.0, 300.0),
+}  # fmt: skip
+"""What is changed, and to what. Frames of four axes take 1 ms, at 1 Mbit/s."""
+
+BUS_STEPS, STEP_S = 4, 5e-4
+
+FIRST_SEED, SEEDS = 83000, 3
+"""Nothing was tuned on these seeds."""
+
+COLUMNS = {
+    "drive": "setpoints", "changed": "changed", "value": "to", "succeeded": "succeeded",
+    "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
+    "plate_um": "plate off its cycle, RMS [µm]",
+}  # fmt: skip
+
+
+class Driven(Direct):
+    """The simulator's transport, with a plate that drives on a bus move."""
+
+    def __init__(
+        self, drive: str, seed: int, latency_ms: float, jitter_ms: float, loop_hz: float
+    ) -> None:
+        super().__init__()
+        self._interpolates, self._fed = drive == DRIVES[0], drive == DRIVES[1]
+        self._delay_s, self._rate = 1e-3 * np.array([latency_ms, jitter_ms]), 2 * np.pi * loop_hz
+        self._rng, self._steps = np.random.default_rng(seed), 0
+        self._sent: list[tuple[float, np.ndarray, np.ndarray]] = []  # and not yet there
+        self._from, self._goal, self._speed = np.zeros((3, 3))
+        self._into, self._state = BUS_STEPS, np.zeros((3, 3))
+        self.squares: list[float] = []
+        """Of the plate's distance from where its cycle is [m2]."""
+
+    def play(self, until: float) -> list[PlateCycle | PlateMotion]:
+        """Let time pass, and the drives follow."""
+        began = self.now
+        [cycle] = super().play(until)
+        times = np.linspace(0, cycle.period, 1 + max(1, round(cycle.period / STEP_S)))
+        pose, twist, states = cycle.pose(times), cycle.twist(times), [self._state]
+        for k, t in enumerate(began + times[:-1]):
+            if self._steps % BUS_STEPS == 0:
+                due = t + self._delay_s @ [1, self._rng.random()]
+                last = self._sent[-1][0] if self._sent else due
+                self._sent.append((max(due, last), pose[k], twist[k]))
+            while self._sent and self._sent[0][0] < t + STEP_S / 2:
+                self._from, self._into = self._target(), 0
+                _, self._goal, self._speed = self._sent.pop(0)
+            states.append(self._followed(times[1]))
+            self._steps += 1
+        self.squares += np.sum((np.array(states)[:, 0, :2] - pose[:, :2]) ** 2, axis=1).tolist()
+        return [PlateMotion(times, quintic_pieces(times, *np.stack(states, axis=1)))]
+
+    def _target(self) -> np.ndarray:
+        share = min(self._into / BUS_STEPS, 1) if self._interpolates else 1
+        fed = 2 / self._rate * self._speed if self._fed else 0
+        return self._from + (self._goal - self._from) * share + fed
+
+    def _followed(self, dt: float) -> np.ndarray:
+        """State of the plate (3, 3) a step later."""
+        before, self._into = self._target(), self._into + 1
+        slope, rate = (self._target() - before) / dt, self._rate
+        behind = self._state[0] - before
+        push, fade = self._state[1] - slope + rate * behind, np.exp(-rate * dt)
+        behind = (behind + push * dt) * fade
+        speed = push * fade - rate * behind
+        place = self._target() + behind
+        self._state = np.stack([place, slope + speed, -rate * (2 * speed + rate * behind)])
+        return self._state
+
+
+def driven_run(drive: str, seed: int, bus: dict[str, float]) -> dict[str, Any]:
+    """Return how a run ended with a kind of drives, or with bridges, which follow exactly."""
+    setup, rig = with_settings(Setup("follow_2", seed), UNEVEN), load_rig()
+    line = Driven(drive, seed, **bus) if bus else Direct()
+    moments = list(run(setup, rig, line))
+    error, last = np.concatenate([moment.error_m for moment in moments]), moments[-1]
+    good = last.progress.phase == "done" and as_asked(setup.recipe.task, rig, last, error)
+    found = {"rms_mm": 1e3 * float(np.sqrt(np.mean(error**2))), "good": good}
+    return found | {"plate_um": 1e6 * float(np.sqrt(np.mean(getattr(line, "squares", 0))))}
+
+
+def measure(quick: bool) -> Result:
+    """Follow two rectangles with each kind of drive, one value changed at a time."""
+    cases = [("bridges", "", 0.0)] + [
+        (drive, changed, value)
+        for drive in DRIVES
+        for changed, values in VALUES.items()
+        for value in values
+        if not quick or (drive == DRIVES[0] and value == values[0])
+    ]
+    seeds = range(FIRST_SEED, FIRST_SEED + (1 if quick else SEEDS))
+    buses = [USUAL | {changed: value} if changed else {} for _, changed, value in cases]
+    work = {
+        f"{drive} {bus} {seed}": (drive, seed, bus)
+        for (drive, _, _), bus in zip(cases, buses, strict=True)
+        for seed in seeds
+    }
+    with processes() as pool:
+        done = dict(zip(work, resumed(pool, driven_run, work, Cache.of(__name__)), strict=True))
+    rows = []
+    for (drive, changed, value), bus in zip(cases, buses, strict=True):
+        runs = [done[f"{drive} {bus} {seed}"] for seed in seeds]
+        good, rms = sum(one["good"] for one in runs), [one["rms_mm"] for one in runs]
+        rows.append({
+            "drive": drive, "changed": changed, "value": value,
+            "succeeded": f"{good} of {len(runs)}", "rms_mm": median(rms),
+            "worst_rms_mm": max(rms), "plate_um": median([one["plate_um"] for one in runs]),
+        })  # fmt: skip
+    usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
+    return Result(
+        [Table("drives", "Drives on a bus", COLUMNS, rows, f"Where not changed: {usual}.")],
+        [f"{r['drive']} {r['changed']} {r['value']:g}: {r['rms_mm']:.3f} mm" for r in rows],
+    )
