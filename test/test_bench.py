@@ -2,8 +2,6 @@
 
 import json
 import math
-import os
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -61,30 +59,6 @@ def runs(tiny):
     return [tiny("--workers", workers) for workers in (1, 2)]
 
 
-CLUSTER = """
-import sys
-from distributed import LocalCluster
-with LocalCluster(
-    processes=True, n_workers=2, threads_per_worker=1, dashboard_address=None
-) as cluster:
-    print(cluster.scheduler_address, flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.fixture(scope="module")
-def scheduler():
-    """Address of a Dask cluster of two processes, that know the same code."""
-    path = os.pathsep.join([str(BENCH), *filter(None, sys.path)])
-    process = subprocess.Popen(
-        [sys.executable, "-c", CLUSTER], env={**os.environ, "PYTHONPATH": path}, text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    with process:
-        yield process.stdout.readline().strip()
-        process.stdin.close()
-
-
 def without_timings(rows):
     return [{key: row[key] for key in row if key not in TIMINGS} for row in rows]
 
@@ -107,24 +81,6 @@ def test_the_same_seed_gives_the_same_row_whatever_the_workers(runs):
     assert without_timings(runs[1]) == without_timings(runs[0])
 
 
-@pytest.mark.needs("distributed")
-def test_a_cluster_gives_the_same_rows(runs, tiny, scheduler):
-    assert without_timings(tiny("--scheduler", scheduler)) == without_timings(runs[0])
-
-
-@pytest.mark.needs("distributed")
-def test_a_scheduler_that_does_not_answer_is_told_in_one_line():
-    with socket.socket() as taken:  # bound, but it does not listen
-        taken.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        done = bench("closed_loop.py", "--seeds", "3", "--scheduler", address)
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
-    last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith(f"error: scheduler is {address!r}: no answer (")
-    assert "allowed: the address of a running `dask scheduler`" in last
-
-
 @pytest.fixture
 def refusal(monkeypatch, capsys):
     """Run a program here: returns its exit code and the last line of what it says is wrong."""
@@ -140,14 +96,6 @@ def refusal(monkeypatch, capsys):
     return run_here
 
 
-def test_without_dask_it_is_told_how_to_get_it(refusal, monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    code, last = refusal(closed_loop, "--scheduler", "tcp://x:1")
-    assert code == 1
-    assert last.startswith("error: a scheduler needs Dask, which is not installed")
-    assert "pip install -r requirements-bench.txt" in last
-
-
 @pytest.mark.parametrize(
     ("program", "arguments", "words"),
     [
@@ -160,7 +108,6 @@ def test_without_dask_it_is_told_how_to_get_it(refusal, monkeypatch):
         (closed_loop, ["--seeds", "3:3"], ("'3:3'", "allowed", "A < B")),
         (closed_loop, ["--seeds", "0:99999999999"], ("0:99999999999", "at most 100000")),
         (closed_loop, ["--json", "/dev/null/rows.json"], ("/dev/null",)),
-        (closed_loop, ["--workers", "2", "--scheduler", "x"], ("--scheduler", "not allowed")),
         (run, ["simulator"], ("'simulator'", "allowed", "closed_loop")),
         (run, ["sim", "--out", "/proc/x"], ("out is /proc/x", "allowed: a folder")),
     ],
