@@ -39,7 +39,6 @@ def sim_rows(data: Data) -> Sheet:
     rows += [
         {"case": "lead", "parts": r["parts"], "lead": r["lead"]}
         for r in table(data, "sim", "speed").rows
-        if r["scene"] == "all ways"
     ]
     kinds = {"case": "case", "method": "method", "gamma": "peak accel. [mu g]", "parts": "parts"}
     heads = {"overlap_um": discs.columns["overlap_um"], "lead": "times as fast as pymunk"}

@@ -72,15 +72,6 @@ def measure(quick: bool) -> Result:
     rows = []
     for number, (name, options) in enumerate(SCENES.items()):
         rows += _scene_rows(types, name, options, number, 3 if quick else FRAMES)
-    ours = [row for row in rows if row["method"] == OURS]
-    nearest = [row for row in rows if row["method"] == NEAREST_50]
-    lead = float(
-        np.median([a["loop_ms"] / b["loop_ms"] for a, b in zip(ours, nearest, strict=True)])
-    )
-
-    def bad(those: list[dict[str, Any]]) -> float:
-        return max(float(row["wrong_percent"] + row["unknown_percent"]) for row in those)
-
     return Result(
         [
             Table(
@@ -99,12 +90,6 @@ def measure(quick: bool) -> Result:
                 "area, hole area and colour, among so many examples of each type from other images "
                 "of the scene; it gives no angle, and names all that it does not know.",
             )
-        ],
-        [
-            f"Named wrong or not at all: at most {bad(ours):.1f} %; by the nearest of 50 examples "
-            f"{bad(nearest):.1f} %, which is {lead:.0f} times faster.",
-            "Angles of parts at 1 px/mm: "
-            f"{ours[0]['angle_deg']:.2f} degrees RMS, {ours[0]['angle_max_deg']:.1f} at worst.",
         ],
     )  # fmt: skip
 

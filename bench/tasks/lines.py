@@ -124,19 +124,4 @@ def measure(quick: bool) -> Result:
                 "the next has not come.",
             )
         ],
-        sentences(rows),
-        rows,
     )  # fmt: skip
-
-
-def sentences(rows: list[dict[str, Any]]) -> list[str]:
-    """Sum up what plays, and the stops."""
-    plays = [row for row in rows if row["tables"]]
-    own = sum(row["stops_own"] or 0 for row in rows)
-    brakes = [row for row in rows if row["brake_most_ms"] is not None]
-    worst = max(brakes, key=lambda row: row["brake_most_ms"])
-    return [
-        f"{len(plays)} of {len(rows)} lines play; {own} stops that nobody asked for",
-        f"from stop() to braking at most {worst['brake_most_ms']:.0f} ms ({worst['baud']} baud, "
-        f"{worst['lost']:g} % lost, {worst['delay_ms']:g} ms delay)",
-    ]
