@@ -120,7 +120,7 @@ def test_wrong_arguments_are_refused_in_one_line(refusal, program, arguments, wo
         assert word in last
 
 
-@pytest.mark.parametrize("chapter", ["stages", "tasks", "photographs"])
+@pytest.mark.parametrize("chapter", ["stages", "tasks"])
 def test_every_measurement_has_its_name(chapter):
     modules = {f.stem for f in (BENCH / chapter).glob("*.py") if "\ndef measure(" in f.read_text()}
     assert modules == {name for name, (module, _) in MEASUREMENTS.items() if chapter in module}

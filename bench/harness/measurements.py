@@ -26,7 +26,7 @@ ABOUT = {
         "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
         "options": "Both methods with their options, and scipy, on the stick-slip cycle",
         "vision": "Finding discs in an image: time, misses, error of the centres",
-        "classes": "Types of parts: names, centres and angles, beside nearest neighbours",
+        "classes": "Types of parts: names, centres and angles",
         "shapes": "Parts of any outline in hostile scenes: recall, precision, centres, time",
         "stages": "What each stage of the loop costs for one image",
         "learning": "Learning the plate: error of realised harmonics",
@@ -35,9 +35,6 @@ ABOUT = {
         "latency": "Image to motors in the real graph, beside one that only forwards",
         "graph": "Faults, malformed messages, goals at random and minutes in the real graph",
         "page": "The live page beside the graph: latency, processor time, targets that are dragged",
-    },
-    "photographs": {
-        "photographs": "Real photographs: parts found, centres, angles and classes, beside peers",
     },
     "maps": {
         "stability": "Stability maps: where methods fail, and where theory says so",
