@@ -184,8 +184,6 @@ def vision(rows: list[Row]) -> Chart:
                 looks[number], hollow=wrong,
                 notes=[f"missed {r['missed_percent']:.0f} %, invented {r['false_percent']:.0f} %"
                        for r in these],
-                labels=[f"{r['missed_percent']:.0f} % missed" if w else ""
-                        for r, w in zip(these, wrong, strict=True)],
             )  # fmt: skip
         panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]
