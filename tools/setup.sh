@@ -217,12 +217,12 @@ add_checks() {
 
 # What the build reads, as "hash  path" lines; tests are not installed, so they do not count.
 build_inputs() {
-    find src config \( -name test -o -name __pycache__ -o -name build -o -name '*.egg-info' -o -name '*.so' \) -prune -o -type f -print0 |
+    find src config firmware \( -name test -o -name __pycache__ -o -name build -o -name '*.egg-info' -o -name '*.so' \) -prune -o -type f -print0 |
         xargs -0 sha256sum | sort
 }
 
 changed_packages() { # reads the differing "hash  path" lines
-    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/.*|plate_core|' | sort -u
+    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/.*|plate_core|; s|^firmware/.*|plate_sim|' | sort -u
 }
 
 run_colcon() { # packages; the rest is build_packages'

@@ -72,8 +72,8 @@ def upload_s(knots: int) -> float:
     transport.enable()
     wait(lambda: transport.report().condition is Condition.READY)
     transport.send(shaking(knots, 0.0005), REPEATS)
-    wait(lambda: emulator.device.motion.playing is not None)
-    wait(lambda: not transport.busy and emulator.device.motion.waiting is None)
+    wait(lambda: emulator.device.playing)
+    wait(lambda: not transport.busy and not emulator.device.waiting)
     transport.send(shaking(knots, 0.0006), REPEATS)
     return wait(lambda: not transport.busy)
 
@@ -89,7 +89,7 @@ def device(link: str, ready: Event, done: Event) -> Iterator[tuple[bytes, float]
     began = time.monotonic_ns()
     while not done.is_set():
         data = terminal.read()
-        due = (time.monotonic_ns() - began) // 1_000 - emulator.device.now_us
+        due = (time.monotonic_ns() - began) // 1_000 - emulator.now_us
         yield data, 1e-6 * max(0, due - TICK_US)
         began += 1_000 * max(0, due - MOST_BEHIND_US)
         ticks = min(due, MOST_BEHIND_US) // TICK_US
