@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness import cluster, of_median, parallel, processes, share
+from harness import of_median, parallel, processes, share
 from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import load_scenario
@@ -67,12 +67,11 @@ def main() -> int:
 
 def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[dict[str, object]]:
     """Yield a row per run, in the order of the seeds, with one worker or more."""
-    if args.workers == 1 and args.scheduler is None:
+    if args.workers == 1:
         for setup in setups:
             yield summary(setup, rig)
         return
-    place = processes(args.workers) if args.scheduler is None else cluster(args.scheduler)
-    with place as pool:
+    with processes(args.workers) as pool:
         yield from parallel(pool, summary, [(setup, rig) for setup in setups], _note)
 
 
@@ -151,9 +150,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--json", type=Path, help="file for the rows")
     parser.add_argument("--rig", default="", help="name or file of a rig (the scenario's)")
     parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner (ours)")
-    place = parser.add_mutually_exclusive_group()
-    place.add_argument("--workers", type=int, default=1, help="processes (1)")
-    place.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: harness/pool.py")
+    parser.add_argument("--workers", type=int, default=1, help="processes (1)")
     args = parser.parse_args()
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")

@@ -1,4 +1,4 @@
-"""What several tests here share: the firmware, built for this machine, and its twin in Python."""
+"""What several tests here share: a graph that runs, and the firmware, built for this machine."""
 
 import contextlib
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from device_orders import running, twin
+from device_orders import running
 from graph.domains import own_domain
 from simulated_firmware import SimulatedFirmware, compiled
 
@@ -71,12 +71,10 @@ def _program(tmp_path_factory):
     return compiled(folder, "*.c", "host/host.c", "host/motors.c")
 
 
-@pytest.fixture(name="device", params=["firmware", "twin"])
-def _device(request):
-    """Each of both, as a function from orders to what is printed."""
-    if request.param == "twin":
-        return twin
-    return running(request.getfixturevalue("program"))
+@pytest.fixture(name="device")
+def _device(program):
+    """It, as a function from orders to what is printed."""
+    return running(program)
 
 
 @pytest.fixture(name="firmware")

@@ -1,11 +1,9 @@
-"""The C firmware on this machine and its twin in Python: orders in, what the device does out."""
+"""The firmware, as a program and as the simulator runs it: orders in, what the device does out."""
 
 import os
 import subprocess
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +33,11 @@ from plate_core.serial_protocol import (  # fmt: skip
 )
 from plate_sim.device import Device, DeviceLimits
 
-STROKE_M, SPEED = 0.010, 1.0
+STROKE_M, SPEED, ACCEL = 0.010, 1.0, 100.0
+SLACK = 1.002
+"""Of the limits, for the motors' splines (docs/protocol.md)."""
+
+STEP_M = 2e-6
 SILENCE_S = 0.25
 PERIOD_S = 0.1
 BOOT = 0xCAFE
@@ -68,6 +70,21 @@ class Run:
 def run(device: Callable[..., str], *orders: bytes | float | str) -> Run:
     """Give the device bytes, seconds that pass, and lines as they are."""
     return heard(device(ordered(*orders)))
+
+
+def assert_bounded(done: Run) -> None:
+    """All setpoints are within the limits, and none is further from the one before than the speed
+    limit allows for the time between them."""
+    q, v, a = np.abs(np.moveaxis(done.setpoints, 1, 0))
+    assert np.all(q <= STROKE_M * SLACK)
+    assert np.all(v <= SPEED * SLACK)
+    assert np.all(a <= ACCEL * 1.1)
+    dt = np.diff(done.times)
+    on_end = dt < 2.5e-3  # else current was off between them, or the tick was late
+    steps = np.max(np.abs(np.diff(done.setpoints[:, 0], axis=0)), axis=1)
+    assert np.all(steps[on_end] <= SPEED * SLACK * dt[on_end] + STEP_M)
+    late = ~on_end & (np.abs(done.setpoints[1:, 1]).max(axis=1) > 0.05)
+    assert np.all(steps[late] <= SPEED * SLACK * 2e-3 + STEP_M)
 
 
 def ordered(*orders: bytes | float | str) -> str:
@@ -172,15 +189,16 @@ def changed(at: int, **values) -> tuple[Knot, ...]:
     return tuple(knots)
 
 
-class Twin:
-    """What firmware/host is, with the device in Python; collects what it prints."""
+class Simulated:
+    """What firmware/host is, with the simulator's device; collects what it prints."""
 
     def __init__(self, *arguments: str) -> None:
         names = ("heat_s", "continuous_force", "force", "following_m")
         changes = dict(zip(names, map(float, arguments), strict=False))
-        self.device = Device.started(replace(LIMITS, **changes), BOOT)
+        self.limits = replace(LIMITS, **changes)
+        self.device = Device(self.limits, BOOT)
         self.lines: list[str] = []
-        self._data, self._fault, self._late_us = b"", Fault.NONE, 0
+        self._data, self._fault, self._now_us = b"", Fault.NONE, 0
         self._place = np.zeros((2, 4), np.float32)
         self._jammed, self._search, self._searched = False, 1, 0
         self._shown = self._high = False
@@ -190,74 +208,51 @@ class Twin:
         if kind == "rx":
             self._data += bytes.fromhex(value)
         elif kind == "late":
-            self._late_us += int(value)
+            self._now_us += int(value)
         elif kind == "fault":
             self._fault = Fault(int(value))
         elif kind == "search":
             self._search = int(value)
         elif kind == "jam":
             self._jammed = value != "0"
-        elif kind == "place":
-            self._place = np.stack([np.full(4, value, np.float32), self._place[1]])
-        elif kind == "load":
-            self.device = replace(self.device, load=float(np.float32(value)))
         elif kind == "reset":
-            old = self.device
-            now_us = old.now_us + self._late_us
-            self.device = replace(Device.started(old.limits, old.boot + 1, now_us), load=old.load)
-            self._data, self._late_us = b"", 0
+            self.device = Device(self.limits, self.device.boot + 1, self._now_us)
+            self._data = b""
         elif kind == "run":
-            end = self.device.now_us + self._late_us + int(value)
-            while self.device.now_us < end:
-                self._tick()
-            motion, refused = self.device.motion, self.device.reader.refused % 2**16
-            self.lines.append(f"state {motion.state:d} {motion.faults:d} {refused} {motion.stops}")
+            end, device = self._now_us + int(value), self.device
+            while self._now_us < end:
+                self._tick(device)
+            told = (device.state, device.faults, device.refused, device.stops)
+            self.lines.append("state " + " ".join(map(str, told)))
 
-    def _tick(self) -> None:
-        now_us, before = self.device.now_us + self._late_us + 1000, self.device.motion
-        self._searched = self._searched + 1 if before.searches else 1
+    def _tick(self, device: Device) -> None:
+        self._now_us += 1000
+        self._searched = self._searched + 1 if device.searches else 1
         found = self._searched >= self._search
-        device, said, at = self.device.ticked(now_us, self._place, self._data, self._fault, found)
-        if device.motion.enabled_us == now_us:
+        said, at = device.tick(self._now_us, self._place, self._data, self._fault, found)
+        if device.enabled_us == self._now_us:
             self._searched = 1
-        self._data, self._late_us = b"", 0
+        self._data = b""
         told = [f"tx {frame.hex()}00" for frame in said.split(b"\0")[:-1]]
-        moved = [] if at is None else [f"at {now_us} " + shown(at)]
+        moved = [] if at is None else [f"at {self._now_us} " + shown(at)]
         # Answers come before the setpoint, telemetry after it.
         late = [t for t in told if t[5:7] == "84"]
         self.lines += [t for t in told if t not in late] + moved + late
-        on = device.motion.state is not State.OFF
+        on = device.state != State.OFF
         if on != self._shown:
-            self.lines.append(f"drive {now_us} {on:d}")
-        high = device.trigger.high
-        if high != self._high:
-            self.lines.append(f"trigger {now_us} {high:d}")
+            self.lines.append(f"drive {self._now_us} {on:d}")
+        if device.triggered != self._high:
+            self.lines.append(f"trigger {self._now_us} {device.triggered:d}")
         if at is not None and not self._jammed:
-            self._place = at[::2]
-        self.device, self._shown, self._high = device, on, high
+            self._place = at[::2].copy()
+        self._shown, self._high = on, device.triggered
 
 
-LAST: list[tuple[str, Twin, int]] = []
-"""The twin after each order of its last run, and how many lines it had printed; the first order
-are its arguments."""
-
-
-def twin(orders: str, *arguments: str) -> str:
-    """Do what firmware/host does, with the device in Python; returns what it prints.
-
-    Orders that are those of the last run are not done again: a `Device` is a value.
-    """
-    wanted = [" ".join(arguments), *orders.splitlines()]
-    same = takewhile(lambda pair: pair[0] == pair[1][0], zip(wanted, LAST, strict=False))
-    del LAST[len(list(same)) :]
-    if not LAST:
-        LAST.append((wanted[0], Twin(*arguments), 0))
-    _, last, printed = LAST[-1]
-    device = copy(last)
-    device.lines = last.lines[:printed]
-    for order in wanted[len(LAST) :]:
+def simulated(orders: str, *arguments: str) -> str:
+    """Do what firmware/host does, with the simulator's device; returns what it prints."""
+    device = Simulated(*arguments)
+    for order in orders.splitlines():
         device.obey(order)
-        LAST.append((order, copy(device), len(device.lines)))
     return "\n".join([*device.lines, ""])
 
 

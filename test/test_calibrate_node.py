@@ -83,7 +83,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         measured = []
         for tick in range(round(seconds / TICK_S)):
             emulator.tick()
-            measured.append(emulator.device.measured[1])
+            measured.append(emulator._measured[1])
             if tick % 5 == 0:
                 driver._transport.poll()
             if tick % 20 == 0:

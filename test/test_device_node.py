@@ -127,11 +127,11 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         device.set_parameters([Parameter("disconnect_s", value=0.5)])
         device._emulator.disconnect()
         assert until(lambda: not link.exists())
-        assert until(lambda: device._emulator.device.motion.state is State.OFF)
+        assert until(lambda: device._emulator.state is State.OFF)
         assert until(lambda: device._emulator.connected and not ready())
-        heard = device._emulator.device.frame_us
-        assert until(lambda: device._emulator.device.frame_us > heard + 1_000_000)
-        assert device._emulator.device.motion.state is State.OFF
+        heard = device._emulator.device.heard_us
+        assert until(lambda: device._emulator.device.heard_us > heard + 1_000_000)
+        assert device._emulator.state is State.OFF
         assert enable()
         motions.clear()
         assert until(lambda: sum(map(whole, motions)) > 2)

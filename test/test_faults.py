@@ -8,14 +8,10 @@ import yaml
 pytest.importorskip("rclpy")
 
 from faults import Faults, Times
-from graph.observer import Observer
-from graph.processes import Processes
+from graph.session import session
 from light_graph import LightOptions
 from short_task import MIDDLE
 
-from plate_bringup import load_graph
-
-START_S = 180.0
 TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
 """Long enough for every timeout; shorter than in the tool, which measures when."""
 
@@ -32,15 +28,8 @@ EXPECTED = {
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
     options = LightOptions(scenario=str(tmp_path / "middle.yaml"))
     Path(options.scenario).write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
-    graph = options.nodes(load_graph())
-    with (
-        Processes(graph, options, tmp_path, domain) as processes,
-        Observer(domain, pictures=False) as observer,
-    ):
-        names = [node.name for node in graph]
-        observer.await_nodes(names, START_S)
-        observer.await_answers(START_S)
-        faults = Faults(processes, observer, options, TIMES)
+    with session(options, tmp_path, domain, pictures=False, watched=False) as graph:
+        faults = Faults(graph, TIMES)
         for (kind, node), (reason, question, other) in EXPECTED.items():
             row = faults.put(kind, node)
             assert row.task.startswith("aborted"), row

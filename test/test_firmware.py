@@ -1,5 +1,4 @@
-"""The C firmware and its twin in Python, by the same tests, and bit by bit against each other:
-the document's bytes, a table's whole way, limits, watchdog, faults, fuzz."""
+"""The firmware: the document's bytes, a table's whole way, limits, watchdog, faults, fuzz."""
 
 import re
 from dataclasses import replace

@@ -23,7 +23,7 @@ print(plate_core.__file__, len(scenario_names()))
 
 def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
     source, target = tmp_path / "a clone", tmp_path / "installed"
-    for name in ("src", "config"):
+    for name in ("src", "config", "firmware"):
         skip = shutil.ignore_patterns("test", "__pycache__", "build", "*.egg-info")
         shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=skip)
     for name in ("pyproject.toml", "README.md"):

@@ -1,13 +1,12 @@
-"""Spreading runs: their order, what is said of them, and workers that would give other numbers."""
+"""Spreading runs: their order, what is said of them, and what is kept."""
 
-import pickle
 import time
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from importlib.machinery import PathFinder
 
 import pytest
 
-from harness import Cache, cache, parallel, pool, resumed
+from harness import Cache, cache, parallel, resumed
 from plate_core import PlateError
 
 
@@ -18,22 +17,6 @@ def late(seconds, value):
 
 def refuse(seconds, value):
     raise PlateError(f"run {value} refused")
-
-
-class Nobody(Executor):
-    """An executor whose workers lack a module."""
-
-    def submit(self, *_):
-        future = Future()
-        future.set_exception(ModuleNotFoundError("No module named 'harness'"))
-        return future
-
-
-@pytest.fixture(autouse=True)
-def _pickled_here(monkeypatch):
-    """This file is no module that could be imported: run what was pickled without pickling it."""
-    monkeypatch.setattr(pickle, "dumps", lambda task: task)
-    monkeypatch.setattr(pickle, "loads", lambda task: task)
 
 
 def test_results_come_in_order():
@@ -85,22 +68,6 @@ def test_an_interrupted_measurement_goes_on(tmp_path):
         assert started[5:] == [3, 4, 0]
 
 
-def test_workers_without_our_code_are_told_of():
-    with pytest.raises(
-        PlateError, match=r"lack code \(No module named 'harness'\), expected: the same"
-    ):
-        list(parallel(Nobody(), late, [(0.0, 1)], [].append))
-
-
-def test_a_worker_with_other_code_refuses():
-    mark = pool.fingerprint()
-    assert mark.startswith("sources ")
-    assert "numpy " in mark
-    assert pool._checked(mark, (late, (0.0, 5))) == 5
-    with pytest.raises(PlateError, match=r"other code \(sources .*\) than we have \(sources 0\)"):
-        pool._checked("sources 0", (late, (0.0, 5)))
-
-
 def test_the_digest_is_that_of_the_sources(monkeypatch, tmp_path):
     for name in cache.PACKAGES:
         (tmp_path / name).mkdir()
@@ -113,7 +80,7 @@ def test_the_digest_is_that_of_the_sources(monkeypatch, tmp_path):
         (tmp_path / "plate_sim" / "part.py").write_text(text)
         cache.code_of.cache_clear()
         cache.code_of_packages.cache_clear()
-        marks.append(pool.fingerprint())
+        marks.append(cache.code_of_packages())
     cache.code_of.cache_clear()
     cache.code_of_packages.cache_clear()
     assert marks[0] == marks[1] != marks[2]

@@ -274,19 +274,6 @@ def test_every_log_axis_has_some_numbers_and_not_too_many(low, span):
     assert len(set(numbers(ticks))) == len(ticks)
 
 
-def test_words_are_put_where_nothing_else_is():
-    from report.axis import Axis
-    from report.panels import Panels
-
-    panel = Panels().add("", Axis(""), Axis(""), "")
-    panel.points("", [0, 1], [0, 0], labels=["at the left end", "at the right end"])
-    panel.place_words((300, 200))
-    assert panel.traces[0].textposition == ("middle right", "middle left")
-    panel.points("", [0.1], [0.0])
-    panel.place_words((300, 200))
-    assert panel.traces[0].textposition[0] not in ("middle right", "middle left")
-
-
 def front_of(better, *places):
     from report.panels import pareto_front
 

@@ -107,14 +107,14 @@ def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person(
     run(1.5)
     transport.send(shaking(48, 5e-4), 50)
     run(0.5)
-    assert emulator.device.motion.state is State.PLAYING
+    assert emulator.state is State.PLAYING
     run(0.4, polls=False)
-    assert Fault.HOST_SILENT in emulator.device.motion.faults
+    assert Fault.HOST_SILENT in emulator.faults
     run(3.0)
-    assert emulator.device.motion.state is State.OFF
+    assert emulator.state is State.OFF
     assert transport.troubles() == ["device has stopped: host silent"]
     for _ in range(3):  # a look, and one when it has lasted
         operator.look(host[0])
         run(1.0)
     assert operator.enables == 2
-    assert emulator.device.motion.state is State.READY
+    assert emulator.state is State.READY

@@ -1,4 +1,4 @@
-"""Setpoints streamed one by one, on both devices: the firmware in C, and its twin in Python."""
+"""Setpoints streamed one by one."""
 
 from dataclasses import replace
 
@@ -9,13 +9,14 @@ from device_orders import (
     READY,
     SPEED,
     STROKE_M,
+    assert_bounded,
     heard,
     ordered,
     run,
     running,
     say,
+    simulated,
     spline,
-    twin,
     upload,
     wave,
 )  # fmt: skip
@@ -163,7 +164,7 @@ def test_repeated_and_missing_messages(device):
     assert done.state is State.PLAYING
 
 
-def test_twin_is_the_firmware_bit_by_bit_in_streams_too(program):
+def test_streams_with_gaps_keep_the_limits_in_the_simulator_too(program):
     firmware, rng = running(program), np.random.default_rng(7)
     states: set[Status] = set()
     for _ in range(8):
@@ -174,6 +175,8 @@ def test_twin_is_the_firmware_bit_by_bit_in_streams_too(program):
             orders[k] = orders[int(rng.integers(len(orders)))]
         text = ordered(*READY, *orders, *quiet(0.8))
         printed = firmware(text)
-        assert twin(text) == printed
-        states |= set(heard(printed).answers().values())
+        assert simulated(text) == printed
+        done = heard(printed)
+        assert_bounded(done)
+        states |= set(done.answers().values())
     assert {Status.DONE, Status.INCOMPLETE, Status.LIMIT, Status.WRONG_TABLE} <= states

@@ -62,7 +62,7 @@ class Bench:
 
     @property
     def state(self) -> State:
-        return self.emulator.device.motion.state
+        return self.emulator.state
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,4 @@
-"""The camera's trigger line: when it is high, of the firmware and of its twin; and the loop that it
-closes."""
+"""The camera's trigger line: when it is high, and the loop that it closes."""
 
 import numpy as np
 import pytest

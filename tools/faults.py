@@ -1,7 +1,7 @@
 """Kill, freeze and cut off each node of the graph in mid-task, and see who says what, and when.
 
 python tools/faults.py [NODE ...] [--fault kill --fault freeze --fault cut] [--transport sim]
-                       [--scenario sort_10] [--json FILE] [--markdown FILE]
+                       [--scenario sort_10] [--json FILE]
 
 For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
 started again after 4 s; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
@@ -20,7 +20,6 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -28,21 +27,21 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from graph import gate
-from graph.domains import own_domain
 from graph.observer import ALL, Observer
-from graph.processes import Processes, signals_raise
+from graph.processes import signals_raise
+from graph.session import Session, session
 from record.judge import LimitCheck, check_limits
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_bringup import GraphError, GraphNode, RunOptions, load_graph
+from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import load_rig
 from plate_core.ros import LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import Level
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
-START_S, MOVE_S = 180.0, 30.0
-"""Longest waits [s]: until the graph stands, until the plate moves."""
+MOVE_S = 30.0
+"""Longest wait until the plate moves [s]."""
 
 BACK_S = 30.0
 """Longest wait until a node that came back speaks [s]."""
@@ -203,24 +202,16 @@ class Faults:
 
     Parameters
     ----------
-    processes : Processes
-        By node: those that it is one of.
-    observer : Observer
-    options : RunOptions
-        Scenario and transport.
+    graph : Session
+        Not watched.
     times : Times
     """
 
-    def __init__(
-        self,
-        processes: Processes,
-        observer: Observer,
-        options: RunOptions,
-        times: Times | None = None,
-    ) -> None:
-        self.processes, self.observer, self.times = processes, observer, times or Times()
-        self.scenario = load_scenario(options.scenario)
-        self.plate, self.talk = Plate(observer, options.transport), Talk(observer)
+    def __init__(self, graph: Session, times: Times | None = None) -> None:
+        self.processes, self.observer = graph.processes, graph.observer
+        self.scenario = graph.scenario
+        self.plate, self.talk = Plate(self.observer, graph.options.transport), Talk(self.observer)
+        self.times = times or Times()
 
     def wait(self, seconds: float) -> None:
         """Listen for a time [s]."""
@@ -338,18 +329,6 @@ class Faults:
         observer.trigger("stop")
 
 
-@contextmanager
-def running(
-    graph: Sequence[GraphNode], options: RunOptions, logs: Path, domain: int, gated: bool
-) -> Iterator[Processes]:
-    """Run the nodes, all behind the gate or none."""
-    behind = gate.remaps(options.transport) if gated else {}
-    with Processes(graph, options, logs, domain, remaps=behind) as processes:
-        if gated:
-            processes.add({gate.NAME: gate.command(options.transport)}, {})
-        yield processes
-
-
 def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:
     """Put all faults into a running graph after the other; return what happened."""
     result: dict[str, Any] = {"transport": options.transport, "port": options.link}
@@ -367,19 +346,16 @@ def run_some(
     kinds: list[str], names: list[str], options: RunOptions, logs: Path
 ) -> tuple[list[Row], LimitCheck]:
     """Put faults into one running graph; to cut, with the gate in between."""
-    transport = options.transport
-    graph = options.nodes(load_graph())
-    rows = []
-    with (
-        own_domain() as domain,
-        Observer(domain) as observer,  # without a look at the processes: they are to die
-        running(graph, options, logs, domain, gated="cut" in kinds) as processes,
-    ):
-        observer.await_nodes([node.name for node in graph], START_S)
-        observer.await_answers(START_S)
-        faults = Faults(processes, observer, options)
+    transport, rows = options.transport, []
+    behind: dict[str, Any] = {}
+    if "cut" in kinds:
+        behind["remaps"] = gate.remaps(transport)
+        behind["beside"] = {gate.NAME: gate.command(transport)}
+    # Without a look at the processes: they are to die.
+    with session(options, logs, watched=False, **behind) as graph:
+        faults = Faults(graph)
         if transport == "serial":
-            observer.enable()
+            graph.observer.enable()
         for kind in kinds:
             for name in names:
                 if name == "device" and kind != "kill":
@@ -389,7 +365,7 @@ def run_some(
                 except GraphError as error:  # the graph could not be got to work, or to go on
                     rows.append(Row(kind, name, f"not measured: {error}"))
                 print(json.dumps(asdict(rows[-1])), flush=True)
-        return rows, check_limits(observer.record, load_rig(options.rig_file))
+        return rows, check_limits(graph.observer.record, load_rig(options.rig_file))
 
 
 HEADS = ("fault", "node", "task_status", "driver_status", "diagnostics", "plate rests", "to go on")
@@ -414,12 +390,6 @@ def cells(result: dict[str, Any]) -> list[dict[str, str]]:
     return rows
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return the rows as a table for a reader."""
-    lines = [HEADS, ("---",) * len(HEADS), *(row.values() for row in cells(result))]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -429,7 +399,6 @@ def main() -> int:
     parser.add_argument("--transport", choices=("sim", "serial"), default="sim")
     parser.add_argument("--scenario", default="sort_10")
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--markdown", type=Path)
     args = parser.parse_args()
     with signals_raise(), tempfile.TemporaryDirectory() as logs:
         link = str(Path(logs) / "device")
@@ -439,12 +408,11 @@ def main() -> int:
         )
         names = args.nodes or [node.name for node in options.nodes(load_graph())]
         result = run(args.fault or list(KINDS), names, options, Path(logs))
-    print(markdown(result))
+    for row in cells(result):
+        print(" | ".join(row.values()))
     print(f"{result['tables']} motor tables, broken limits: {result['faults']}")
     if args.json:
         args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    if args.markdown:
-        args.markdown.write_text(markdown(result), encoding="utf-8")
     return 0 if all(row["well"] for row in result["rows"]) and not result["faults"] else 1
 
 

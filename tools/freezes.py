@@ -31,19 +31,18 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from graph.domains import own_domain
 from graph.observer import ALL, Observer
 from graph.processes import Processes, signals_raise
+from graph.session import START_S, session
 from rclpy.executors import SingleThreadedExecutor
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_bringup import GraphError, RunOptions, load_graph
+from plate_bringup import GraphError, RunOptions
 from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import age_limit
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import Parts, TaskStatus
 
-START_S = 180.0
 FREEZE_S, PAUSE_S = (0.1, 5.0), (0.2, 1.5)
 """How long a node is frozen, and the time between two freezes [s]."""
 
@@ -127,33 +126,15 @@ def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) 
         processes.signal(name, signal.SIGCONT)
 
 
-def memory_mb(processes: Processes) -> dict[str, float]:
-    """Return each node's resident memory [MB]."""
-    pages = {
-        name: int(Path(f"/proc/{processes.pid(name)}/statm").read_text(encoding="ascii").split()[1])
-        for name in processes.names
-    }
-    return {name: round(n * os.sysconf("SC_PAGESIZE") / 1e6, 1) for name, n in pages.items()}
-
-
 def run(
     count: int, minutes: float, kills: float, seed: int, options: RunOptions, logs: Path
 ) -> dict[str, Any]:
     """Freeze and kill at random; return what was judged."""
     rng = np.random.default_rng(seed)
-    graph = options.nodes(load_graph())
-    names = [node.name for node in graph]
-    scenario, tasks, trouble = load_scenario(options.scenario), 0, 0
+    tasks = trouble = 0
     frozen, killed, began = Counter[str](), Counter[str](), time.monotonic()
-    with (
-        own_domain() as domain,
-        Observer(domain, pictures=False) as observer,
-        Processes(graph, options, logs, domain) as processes,
-        Judge() as judge,
-    ):
-        observer.await_nodes(names, START_S)
-        observer.await_answers(START_S)
-        memory = memory_mb(processes)
+    with session(options, logs, pictures=False, watched=False) as graph, Judge() as judge:
+        processes, observer, names = graph.processes, graph.observer, graph.nodes
         number = 0
         while number < count and time.monotonic() - began < 60 * minutes:
             number += 1
@@ -161,7 +142,7 @@ def run(
                 try:
                     if not observer.record.ready:
                         observer.enable()
-                    observer.begin_anew(scenario)
+                    observer.begin_anew(graph.scenario)
                     tasks += 1
                 except GraphError as error:  # on a busy machine a node may not be back yet
                     trouble += 1
@@ -202,7 +183,7 @@ def run(
             "faults": number, "frozen": dict(frozen), "killed": dict(killed), "tasks": tasks,
             "minutes": (time.monotonic() - began) / 60, "tables": judge.tables,
             "moving": judge.moving, "oldest_s": judge.oldest_s, "wrong": judge.wrong,
-            "trouble": trouble, "memory_mb": [memory, memory_mb(processes)],
+            "trouble": trouble,
             "load": os.getloadavg()[1],
         }  # fmt: skip
 

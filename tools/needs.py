@@ -26,8 +26,8 @@ PROGRAMS = {
 """Programs that will do, any of them, and the Debian packages that hold one."""
 
 MODULES = (
-    "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "distributed", "gymnasium",
-    "playwright", "axe_playwright_python", "can", "canopen", "cantools", "odrive_can",
+    "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "gymnasium", "playwright",
+    "axe_playwright_python", "can", "canopen", "cantools", "odrive_can",
 )  # fmt: skip
 """Of the wheels in `REQUIREMENTS`."""
 

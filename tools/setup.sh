@@ -222,7 +222,7 @@ build_inputs() {
 }
 
 changed_packages() { # reads the differing "hash  path" lines
-    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/.*|plate_core|; s|^firmware/.*|plate_drives|' | sort -u
+    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/.*|plate_core|; s|^firmware/.*|plate_drives\nplate_sim|' | sort -u
 }
 
 run_colcon() { # packages; the rest is build_packages'

@@ -6,7 +6,7 @@ line.
 
 from harness.cache import Cache
 from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all
-from harness.pool import cluster, parallel, processes, resumed
+from harness.pool import parallel, processes, resumed
 from harness.race import LEAST_ROUNDS, Race, cpu_time, race
 from harness.result import (
     ROOT,
@@ -32,7 +32,6 @@ __all__ = [
     "Race",
     "Result",
     "Table",
-    "cluster",
     "commit",
     "cpu_time",
     "folder_made",

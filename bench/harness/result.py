@@ -49,7 +49,7 @@ class Result:
     """What a measurement gives: tables, sentences that sum them up, raw samples for charts."""
 
     tables: list[Table]
-    summary: list[str]
+    summary: list[str] = field(default_factory=list)
     samples: list[dict[str, Any]] = field(default_factory=list)
 
 

@@ -141,13 +141,12 @@ class SerialLine:
     @property
     def running(self) -> PlateCycle:
         """The cycle, or tail of one, that the device plays."""
-        motion = self.emulator.device.motion
-        playing = motion.playing if motion.state is State.PLAYING else None
-        table = None if playing is None else self.transport.sent.get(playing.table)
-        if playing is None or table is None:
+        device = self.emulator.device
+        table = self.transport.sent.get(device.playing)
+        if table is None or device.play is None:
             return PlateCycle.rest(IDLE_PERIOD)
-        tail = table.cycle.tail
-        return table.cycle if tail is None or motion.time < playing.splice else tail
+        tail, (_, _, into) = table.cycle.tail, device.play
+        return table.cycle if tail is None or into < device.table()[2] else tail
 
     def send(self, table: MotorTable) -> None:
         """Take an answer, which the driver gets `ANSWER_S` later."""
@@ -182,7 +181,7 @@ class SerialLine:
     @property
     def resting(self) -> bool:
         """Whether the motors are off, or held at home."""
-        return self.emulator.device.motion.state in (State.OFF, State.READY)
+        return self.emulator.state in (State.OFF, State.READY)
 
     def _tick(self) -> list[Segment]:
         """Let a millisecond pass for all."""

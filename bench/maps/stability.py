@@ -20,7 +20,7 @@ MAPS: dict[str, StabilityMap] = {
 
 def measure(quick: bool) -> Result:
     """Measure all maps."""
-    tables, summary, samples = [], [], []
+    tables, samples = [], []
     for one in MAPS.values():
         found = grids(one, quick, Cache.of(f"maps.{one.key}"))
         columns = {"panel": "panel"} if len(found) > 1 else {}
@@ -28,8 +28,7 @@ def measure(quick: bool) -> Result:
         rows = [row for grid in found for row in cells(grid)]
         tables.append(Table(one.key, one.title, columns, rows, one.note))
         samples += [sample(one, grid) for grid in found]
-        summary.append(f"{one.title}. {nearness([s for s in samples if s['key'] == one.key])}")
-    return Result(tables, summary, samples)
+    return Result(tables, samples=samples)
 
 
 def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:

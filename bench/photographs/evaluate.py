@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from harness import text_table
 from photographs.fetch import is_there
 from photographs.finders import make_finders
-from photographs.pictures import FOLDER, HALVES, Photograph, load_photographs
+from photographs.pictures import HALVES, Photograph, load_photographs
 from photographs.taught import teach_examples
 
 REACH = 0.5
@@ -29,22 +29,6 @@ ALIKE = 2.5
 """What is ignored is only what has its size, up to this factor."""
 
 TAUGHT = "ours, taught"
-
-TILE_PX = 560
-"""Longer side of one method's picture in a figure."""
-
-ACROSS = 3
-"""Methods beside each other in a figure."""
-
-COLOURS = {
-    "found": (0, 200, 0),
-    "missed": (0, 0, 255),
-    "false": (255, 0, 255),
-    "ignored": (200,) * 3,
-}
-"""Of figures: blue, green, red."""
-
-PICTURES = "By picture: found + false"
 
 MISSING = "cd bench && python -m photographs.fetch"
 
@@ -198,66 +182,24 @@ def angle_errors(found: np.ndarray, parts: np.ndarray, directed: bool) -> list[f
     return errors
 
 
-def evaluate(
-    photographs: Iterable[Photograph], figures: bool
-) -> tuple[list[dict[str, object]], dict[tuple[str, str], Score], list[str]]:
-    """Run all detectors on photographs that are there.
-
-    Returns rows of totals; scores by method and picture; what was refused when teaching. Figures
-    are drawn into `FOLDER` where wanted.
-    """
-    scores: dict[tuple[str, str], Score] = {}
+def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Run all detectors on photographs that are there; returns rows of totals, and what was refused
+    when teaching."""
+    total: dict[str, Score] = {}
+    pictures: Counter[str] = Counter()
     refused: list[str] = []
     for photograph in photographs:
         image = photograph.image()
         finders = make_finders()
         finders[TAUGHT], taught, problems = teach_examples(image, photograph.parts)
         refused += [f"{photograph.name}: {problem}" for problem in problems]
-        tiles = []
         for method, find in finders.items():
-            found = find(image)
             shown = taught if method == TAUGHT else None
-            scores[method, photograph.name] = score(found, photograph, shown)
-            tiles.append(draw(image, found, photograph, method))
-        if figures:
-            write_figure(tiles, FOLDER / f"{photograph.name}.png")
-    rows: list[dict[str, object]] = []
-    for method in dict.fromkeys(method for method, _ in scores):
-        total, pictures = Score(), 0
-        for (name, _), one in scores.items():
-            if name == method:
-                total += one
-                pictures += 1
-        rows.append({"method": method, "pictures": pictures, **total.row()})
-    return rows, scores, refused
-
-
-def draw(image: np.ndarray, found: np.ndarray, photograph: Photograph, method: str) -> np.ndarray:
-    """Return a picture of what was found: parts found green, missed red, false ones magenta."""
-    factor = TILE_PX / max(image.shape[:2])
-    canvas = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    i, j = match(found, photograph.parts)
-    missed = np.delete(photograph.parts, j)
-    rest = np.delete(found, i)
-    valid = counts(rest, photograph)
-    groups = (("found", found[i]), ("missed", missed), ("false", rest[valid]))
-    for kind, those in (*groups, ("ignored", rest[~valid])):
-        for one in those:
-            centre = (round(factor * float(one["x_px"])), round(factor * float(one["y_px"])))
-            radius = max(2, round(factor * float(one["radius_px"])))
-            cv2.circle(canvas, centre, radius, COLOURS[kind], 1, cv2.LINE_AA)
-    strip = np.full((20, canvas.shape[1], 3), 255, np.uint8)
-    words = f"{method}: {len(i)} of {len(photograph.parts)}, {int(valid.sum())} false"
-    cv2.putText(strip, words, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.vstack([strip, canvas])
-
-
-def write_figure(tiles: list[np.ndarray], path: Path) -> None:
-    """Write pictures of one size beside each other, `ACROSS` in a row."""
-    tiles = tiles + [np.full_like(tiles[0], 255)] * (-len(tiles) % ACROSS)
-    rows = [np.hstack(tiles[k : k + ACROSS]) for k in range(0, len(tiles), ACROSS)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), np.vstack(rows))
+            one = total.setdefault(method, Score())
+            one += score(find(image), photograph, shown)
+            pictures[method] += 1
+    rows = [{"method": name, "pictures": pictures[name], **s.row()} for name, s in total.items()]
+    return rows, refused
 
 
 def of_half(half: str) -> tuple[list[Photograph], int]:
@@ -279,24 +221,11 @@ def main() -> int:
     there, missing = of_half(half)
     if missing:
         print(f"{missing} of {missing + len(there)} photographs are missing: {MISSING}")
-    rows, scores, refused = evaluate(there, figures=half == HALVES[0])
+    rows, refused = evaluate(there)
     print("\n".join(text_table({"title": half, "columns": COLUMNS, "rows": rows})))
-    if half == HALVES[0]:
-        print("\n".join(text_table({"title": PICTURES, **by_picture(scores)})))
-        for line in refused:
-            print(f"not taught: {line}")
+    for line in refused if half == HALVES[0] else ():
+        print(f"not taught: {line}")
     return 0
-
-
-def by_picture(scores: Mapping[tuple[str, str], Score]) -> dict[str, Any]:
-    """Return columns and rows of a table: what each method found in each picture."""
-    rows: dict[str, dict[str, object]] = {}
-    for (method, name), one in scores.items():
-        row = rows.setdefault(name, {"picture": name, "parts": one.parts})
-        row[method] = f"{one.found} + {one.false}"
-    methods = dict.fromkeys(method for method, _ in scores)
-    columns = {"picture": "picture", "parts": "parts", **{m: m for m in methods}}
-    return {"columns": columns, "rows": list(rows.values())}
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ names no value for a peer's setting, it has the best of a few on the half for tu
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import cv2
 import numpy as np
@@ -47,14 +46,9 @@ WHITE = 255
 def make_finders() -> dict[str, Finder]:
     """Return detectors that are taught nothing, by name; peers that are not installed are left
     out."""
-    finders: dict[str, Finder] = {
-        OURS: find_ours,
-        "Lab threshold": lab_threshold,
-    }
+    finders: dict[str, Finder] = {OURS: find_ours}
     if optional("skimage.segmentation") is not None:
         finders["scikit-image watershed"] = watershed
-    finders["SimpleBlobDetector"] = simple_blobs
-    finders["HoughCircles"] = hough_circles
     return finders
 
 
@@ -69,15 +63,9 @@ def find_ours(image: np.ndarray) -> np.ndarray:
     return found
 
 
-def lab_threshold(image: np.ndarray) -> np.ndarray:
-    """Find patches whose colour is further from the commonest one than Otsu's threshold."""
-    _, _, boxes, centres = cv2.connectedComponentsWithStats(_far_from_background(image))
-    area = boxes[1:, cv2.CC_STAT_AREA].astype(float)
-    return _found(centres[1:, 0], centres[1:, 1], area, image)
-
-
 def watershed(image: np.ndarray) -> np.ndarray:
-    """Find such patches, split by a watershed on the distance to their rim."""
+    """Find patches whose colour is further from the commonest one than Otsu's threshold, split by a
+    watershed on the distance to their rim."""
     measure, morphology = optional("skimage.measure"), optional("skimage.morphology")
     segmentation = optional("skimage.segmentation")
     mask = _far_from_background(image)
@@ -90,31 +78,6 @@ def watershed(image: np.ndarray) -> np.ndarray:
     angle = {(p.centroid[1], p.centroid[0]): np.degrees(p.orientation) + 90 for p in props}
     found["angle_deg"] = [angle[x, y] for x, y in zip(found["x_px"], found["y_px"], strict=True)]
     return found
-
-
-def simple_blobs(image: np.ndarray) -> np.ndarray:
-    """Find blobs by OpenCV's detector as it comes, of any colour and size."""
-    opencv: Any = cv2  # whose types lack this
-    params = opencv.SimpleBlobDetector_Params()
-    params.filterByColor = False
-    params.minArea = LEAST_PX2
-    params.maxArea = LARGEST * image.shape[0] * image.shape[1]
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    points = opencv.SimpleBlobDetector_create(params).detect(grey)
-    rows = [(p.pt[0], p.pt[1], 0.5 * p.size, np.nan, "") for p in points]
-    return np.array(rows, FOUND)
-
-
-def hough_circles(image: np.ndarray) -> np.ndarray:
-    """Find circles by OpenCV's Hough transform, from 1/60 to 1/4 of the picture's side."""
-    side = min(image.shape[:2])
-    grey = cv2.medianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), 5)
-    circles = cv2.HoughCircles(
-        grey, cv2.HOUGH_GRADIENT, 1, side / 30, param1=100, param2=30,
-        minRadius=side // 60, maxRadius=side // 4,
-    )  # fmt: skip
-    rows = [] if circles is None else [(*c, np.nan, "") for c in circles.reshape(-1, 3)]
-    return np.array(rows, FOUND)
 
 
 def _far_from_background(image: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""Axes: their ends, and where there is a number; and the room for words between marks."""
+"""Axes: their ends, and where there is a number."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, floor, log10
 from typing import Any
@@ -23,12 +23,6 @@ STEPS = ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7))
 
 LETTER = 0.6
 """Width of a letter [its size]."""
-
-MARK_PX = 6
-"""Half width of a mark [px]."""
-
-Box = tuple[float, float, float, float]
-"""Left, bottom, right, top [px]."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ class Axis:
     limits: tuple[float, float] | None = None
 
     def place(self, value: float) -> float:
-        """Return where plotly puts words and ends of ranges: at the exponent, on a log axis."""
+        """Return where plotly puts ends of ranges: at the exponent, on a log axis."""
         return log10(value) if self.log else value
 
     def ends(self, values: Sequence[float]) -> tuple[float, float]:
@@ -123,60 +117,3 @@ def edges(middles: Sequence[float], log: bool) -> list[float]:
     inner = [(a + b) / 2 for a, b in pairwise(at)]
     found = np.array([2 * at[0] - inner[0], *inner, 2 * at[-1] - inner[-1]])
     return (10**found if log else found).tolist()
-
-
-@dataclass
-class Room:
-    """A panel's pixels: where marks and lines are, and where words still fit.
-
-    Attributes
-    ----------
-    size : (width, height) [px]
-    x, y : Axis
-    ends : pair of (low, high)
-        Places where the axes begin and end.
-    taken : list of (Box, weight)
-        Where something is, and how bad it were to lie on it.
-    """
-
-    size: tuple[float, float]
-    x: Axis
-    y: Axis
-    ends: tuple[tuple[float, float], tuple[float, float]]
-    taken: list[tuple[Box, float]] = field(default_factory=list)
-
-    def across(self, x: float) -> float:
-        """Return how far right a value is [px]."""
-        low, high = self.ends[0]
-        return (self.x.place(x) - low) / (high - low) * self.size[0]
-
-    def up(self, y: float) -> float:
-        """Return how far up a value is [px]."""
-        low, high = self.ends[1]
-        return (self.y.place(y) - low) / (high - low) * self.size[1]
-
-    def mark(self, x: float, y: float) -> None:
-        """Take the place of a mark [px]."""
-        self.taken.append(((x - MARK_PX, y - MARK_PX, x + MARK_PX, y + MARK_PX), 3.0))
-
-    def line(self, points: Sequence[tuple[float, float]]) -> None:
-        """Take the places along a line through points [px]."""
-        for start, end in pairwise(points):
-            for a, b in np.linspace(start, end, 2 + int(np.hypot(*np.subtract(end, start)) / 8)):
-                self.taken.append(((a - 1, b - 1, a + 1, b + 1), 1.0))
-
-    def best(self, boxes: Sequence[Box]) -> int:
-        """Take the first box that lies on the least of what is there, and within the panel."""
-        others = np.array([box for box, _ in self.taken] or [(-1, -1, -1, -1)]).T
-        weight = np.array([weight for _, weight in self.taken] or [0.0])
-
-        def lost(box: Box) -> float:
-            left, low, right, high = box
-            over = (left < others[2]) & (right > others[0]) & (low < others[3]) & (high > others[1])
-            out = max(0.0, -left) + max(0.0, right - self.size[0])
-            out += max(0.0, -low) + max(0.0, high - self.size[1])
-            return float(np.sum(weight[over])) + out
-
-        best = min(range(len(boxes)), key=lambda k: lost(boxes[k]))
-        self.taken.append((boxes[best], 30.0))
-        return best

@@ -14,6 +14,10 @@ WANTED = 1e-6
 """Error of the force map that is wanted in the worst 1 % [mu mg]."""
 
 
+COLOURS = (PEER, SECOND, THIRD, "#8a6d00", LIMIT)
+"""Of peers."""
+
+
 def force_map_rows(data: Data) -> Sheet:
     """Return the rows of the chart of that name."""
     rows = [
@@ -44,11 +48,10 @@ def force_map(rows: list[Row]) -> Chart:
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]
-        for who, colour, kind in (("ours", OURS, [best]), ("others", PEER, others)):
+        for r, colour, marker in zip([best, *others], (OURS, *COLOURS), "osD^vx", strict=False):
             panel.points(
-                who, column(kind, "us"), column(kind, "p99", LEAST_ERROR), colour,
-                notes=[f"{r['method']}, median error {shown(r['median'])}" for r in kind],
-                labels=[f"\u2002{short(r['method'])}\u2002" for r in kind],
+                r["method"], [r["us"]], [max(r["p99"], LEAST_ERROR)], colour, marker,
+                notes=[f"median error {shown(r['median'])}"],
             )  # fmt: skip
         panel.rule("wanted", y=WANTED)
         panel.mark(best["us"], best["p99"])
@@ -68,11 +71,6 @@ def force_map(rows: list[Row]) -> Chart:
         f"1 % below {WANTED:g} mu mg.",
         panels,
     )  # fmt: skip
-
-
-def short(method: str) -> str:
-    """Return a name that stands free beside its mark."""
-    return method.replace("step_forces, n =", "steps:")
 
 
 def rotations_rows(data: Data) -> Sheet:

@@ -32,8 +32,8 @@ def tracking(rows: list[Row]) -> Chart:
                 colours[count], "o", "-", hollow=[not r["kept"] for r in these],
                 notes=["kept" if r["kept"] else "not kept" for r in these],
             )  # fmt: skip
-        for number, bound in enumerate(sorted(by(mine, "bound_mm_s"))):
-            panel.rule("" if number else "bounds aT/16", x=bound)
+        for bound in by(mine, "bound_mm_s"):
+            panel.rule("bounds aT/16", x=bound)
     last = panels.add(
         "Fastest speed that is kept", Axis("parts", ticks=tuple(counts)),
         Axis("speed [mm/s]", log=True, ticks=SPEEDS),

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 from plotly import graph_objects as go
 from plotly.subplots import make_subplots
 
-from report.axis import LETTER, MARK_PX, Axis, Box, Room, edges
+from report.axis import LETTER, Axis, edges
 
 OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
     "#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#767676", "#b02a37",
@@ -40,13 +39,7 @@ LABEL_PX, TITLE_PX, LINE_PX = 95, 36, 28
 """For an axis' numbers and its label; for a panel's title; for a line of the key."""
 
 WORDS_PX = 13
-"""Size of words beside marks; others are one larger."""
-
-BESIDE = (
-    "middle right", "middle left", "top center", "bottom center",
-    "top right", "bottom right", "top left", "bottom left",
-)  # fmt: skip
-"""Where words may stand beside a mark, the best first."""
+"""Size of words; others are one larger."""
 
 
 class Panels:
@@ -98,7 +91,7 @@ class Panels:
     @property
     def _key_px(self) -> int:
         """Height of the key."""
-        names = dict.fromkeys(t.name for panel in self.list for t in panel.all if t.name)
+        names = dict.fromkeys(name for panel in self.list for name in panel.names)
         lines, x = 1, 0.0
         for name in names:
             wide = 50 + LETTER * WORDS_PX * len(name)
@@ -117,20 +110,15 @@ class Panels:
             vertical_spacing=between[1] / area[1],
         )  # fmt: skip
         figure.update_annotations(font_size=15)
-        side = (
-            (area[0] - (across - 1) * between[0]) / across,
-            (area[1] - (down - 1) * between[1]) / down,
-        )
         named: set[str] = set()
         for number, panel in enumerate(self.list):
             row, column = number // across + 1, number % across + 1
-            panel.place_words(side)
             for trace in panel.all:
                 if trace.name:
                     trace.legendgroup, trace.showlegend = trace.name, trace.name not in named
                     named.add(trace.name)
                 figure.add_trace(trace, row, column)
-            panel.draw_rules(figure, "" if not number else str(number + 1))
+            panel.draw_rules(figure, "" if not number else str(number + 1), named)
             figure.update_xaxes(panel.x.settings(panel.places("x")), row=row, col=column)
             figure.update_yaxes(panel.y.settings(panel.places("y")), row=row, col=column)
         figure.update_layout(
@@ -151,6 +139,15 @@ class Panels:
         return figure
 
 
+class Rule(NamedTuple):
+    """A straight line across a panel, at one x or one y, and what it means."""
+
+    text: str
+    x: float | None
+    y: float | None
+    colour: str
+
+
 class Panel:
     """One pair of axes and what is in it."""
 
@@ -164,7 +161,7 @@ class Panel:
     def points(
         self, name: str, x: Sequence[Any], y: Sequence[Any], colour: str = OURS, marker: str = "o",
         line: str = "", *, hollow: Sequence[bool] = (), notes: Sequence[str] = (),
-        labels: Sequence[str] = (), in_front: bool = True,
+        in_front: bool = True,
     ) -> None:  # fmt: skip
         """Draw points of one kind, joined by a line or not.
 
@@ -178,13 +175,13 @@ class Panel:
             A key of `DASHES`; empty: points only.
         hollow : sequence of bool
             Points that do not count (parts missed, speed not kept): no front touches them.
-        notes, labels : sequences of str
-            What the page shows of each point under the pointer; what is written beside it.
+        notes : sequence of str
+            What the page shows of each point under the pointer.
         in_front : bool
             Whether the points take part in the Pareto front.
         """
         empty = list(hollow) or [False] * len(x)
-        there = (("lines", line), ("markers", marker), ("text", any(labels)))
+        there = (("lines", line), ("markers", marker))
         self.traces.append(
             go.Scatter(
                 x=list(x), y=list(y), name=name, mode="+".join(word for word, on in there if on),
@@ -194,8 +191,7 @@ class Panel:
                     "color": ["white" if one else colour for one in empty],
                     "line": {"color": colour, "width": 2 if marker == "x" or any(empty) else 1},
                 },
-                text=list(labels) or None, cliponaxis=False,
-                textfont={"color": colour, "size": WORDS_PX},
+                cliponaxis=False,
                 customdata=list(notes) or [""] * len(x),
                 hovertemplate=f"<b>{name}</b><br>%{{customdata}}<br>x: %{{x}}<br>y: %{{y}}"
                 "<extra></extra>",
@@ -245,47 +241,33 @@ class Panel:
     def rule(
         self, text: str, x: float | None = None, y: float | None = None, colour: str = FAINT
     ) -> None:
-        """Draw a straight line across, at one x or one y, with a word on it."""
+        """Draw a straight line across, at one x or one y."""
         self._rules.append(Rule(text, x, y, colour))
 
-    def place_words(self, side: tuple[float, float]) -> None:
-        """Find a place for all words in a panel as wide and high as `side` [px]."""
-        if self.x.names or self.y.names:
-            return
-        ends = self.x.ends(self.places("x")), self.y.ends(self.places("y"))
-        room = Room(side, self.x, self.y, ends)
-        words = []
-        for trace in self.all:
-            if not isinstance(trace, go.Scatter):
-                continue
-            texts = trace.text or [""] * len(trace.x)
-            there = [
-                (room.across(x), room.up(y), text)
-                for x, y, text in zip(trace.x, trace.y, texts, strict=True)
-                if x is not None and y is not None
-            ]
-            if "lines" in trace.mode:
-                room.line([(x, y) for x, y, _ in there])
-            if "markers" in trace.mode:
-                for x, y, _ in there:
-                    room.mark(x, y)
-            words += [(trace, there)] * bool(trace.text)
-        for rule in self._rules:
-            rule.place(room)
-        for trace, there in words:
-            trace.textposition = [
-                BESIDE[room.best(beside(x, y, text))] if text else BESIDE[0] for x, y, text in there
-            ]
+    @property
+    def names(self) -> list[str]:
+        """What stands in the key."""
+        return [each.name for each in self.all if each.name] + [rule.text for rule in self._rules]
 
     @property
     def all(self) -> list[Any]:
         """All that is drawn: what was added, and the Pareto front."""
         return [*self.traces, *self.front()]
 
-    def draw_rules(self, figure: go.Figure, number: str) -> None:
-        """Draw all lines across into the figure's pair of axes with a number."""
+    def draw_rules(self, figure: go.Figure, number: str, named: set[str]) -> None:
+        """Draw all lines across into the figure's pair of axes with a number; those that are not
+        yet named stand in the key."""
         for rule in self._rules:
-            rule.draw(figure, number, self.x, self.y)
+            place: dict[str, Any] = {}
+            for axis, value in (("x", rule.x), ("y", rule.y)):
+                low, high = (0, 1) if value is None else (value, value)
+                whole = " domain" * (value is None)
+                place |= {f"{axis}0": low, f"{axis}1": high, f"{axis}ref": axis + number + whole}
+            figure.add_shape(
+                type="line", name=rule.text, showlegend=rule.text not in named,
+                line={"color": rule.colour, "width": 1.2, "dash": "dash"}, **place,
+            )  # fmt: skip
+            named.add(rule.text)
 
     def front(self) -> list[go.Scatter]:
         """Return the Pareto front, if the panel has one."""
@@ -318,65 +300,3 @@ def pareto_front(places: Sequence[tuple[float, float]], better: str) -> list[tup
         elif y < corners[-1][1]:
             corners += [(x, corners[-1][1]), (x, y)]
     return [(signs[0] * x, signs[1] * y) for x, y in corners]
-
-
-def beside(x: float, y: float, text: str) -> list[Box]:
-    """Return the boxes of words beside a mark at x, y [px], in the order of `BESIDE`."""
-    wide, high, off = LETTER * WORDS_PX * len(text), WORDS_PX, MARK_PX + 1
-    right, left, middle = x + off, x - off - wide, x - wide / 2
-    above, level, below = y + off, y - high / 2, y - off - high
-    corners = (
-        (right, level), (left, level), (middle, above), (middle, below),
-        (right, above), (right, below), (left, above), (left, below),
-    )  # fmt: skip
-    return [(a, b, a + wide, b + high) for a, b in corners]
-
-
-@dataclass
-class Rule:
-    """A straight line across a panel, at one x or one y, with a word on it."""
-
-    text: str
-    x: float | None
-    y: float | None
-    colour: str
-    spot: int = 0
-
-    def place(self, room: Room) -> None:
-        """Find a place for the word: at either end of the line, on either side of it."""
-        wide, high = LETTER * WORDS_PX * len(self.text), WORDS_PX + 3
-        if self.y is not None:
-            at, length = room.up(self.y), room.size[0]
-            spots = [(x, y) for x in (length - wide, 0) for y in (at, at - high)]
-            boxes = [(x, y, x + wide, y + high) for x, y in spots]
-            line = [(0.0, at), (length, at)]
-        else:
-            at, length = room.across(self.x or 0.0), room.size[1]
-            spots = [(x, y) for y in (0, length - wide) for x in (at - high, at)]
-            boxes = [(x, y, x + high, y + wide) for x, y in spots]
-            line = [(at, 0.0), (at, length)]
-        self.spot = room.best(boxes)
-        room.line(line)
-
-    def draw(self, figure: go.Figure, number: str, x: Axis, y: Axis) -> None:
-        """Draw the line into the figure's pair of axes with a number."""
-        line = {"color": self.colour, "width": 1.2, "dash": "dash"}
-        first, near = self.spot < 2, self.spot % 2 == 0
-        word: dict[str, Any] = {
-            "text": self.text, "showarrow": False, "borderpad": 1,
-            "font": {"color": self.colour, "size": WORDS_PX},
-        }  # fmt: skip
-        if self.y is not None:
-            along = {"xref": f"x{number} domain", "yref": f"y{number}"}
-            figure.add_shape(type="line", y0=self.y, y1=self.y, x0=0, x1=1, line=line, **along)
-            word |= {"y": y.place(self.y), "x": int(first), "yanchor": "bottom" if near else "top"}
-            word["xanchor"] = "right" if first else "left"
-        else:
-            along = {"xref": f"x{number}", "yref": f"y{number} domain"}
-            figure.add_shape(type="line", x0=self.x, x1=self.x, y0=0, y1=1, line=line, **along)
-            word |= {"x": x.place(self.x or 0.0), "y": int(not first), "textangle": -90}
-            word |= {
-                "xanchor": "right" if near else "left",
-                "yanchor": "bottom" if first else "top",
-            }
-        figure.add_annotation(**word, **along)

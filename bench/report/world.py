@@ -39,7 +39,6 @@ def sim_rows(data: Data) -> Sheet:
     rows += [
         {"case": "lead", "parts": r["parts"], "lead": r["lead"]}
         for r in table(data, "sim", "speed").rows
-        if r["scene"] == "all ways"
     ]
     kinds = {"case": "case", "method": "method", "gamma": "peak accel. [mu g]", "parts": "parts"}
     heads = {"overlap_um": discs.columns["overlap_um"], "lead": "times as fast as pymunk"}
@@ -185,8 +184,6 @@ def vision(rows: list[Row]) -> Chart:
                 looks[number], hollow=wrong,
                 notes=[f"missed {r['missed_percent']:.0f} %, invented {r['false_percent']:.0f} %"
                        for r in these],
-                labels=[f"{r['missed_percent']:.0f} % missed" if w else ""
-                        for r, w in zip(these, wrong, strict=True)],
             )  # fmt: skip
         panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]

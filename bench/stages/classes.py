@@ -1,4 +1,4 @@
-"""Types of parts: named, placed and turned right, beside a nearest neighbour on Hu moments.
+"""Types of parts: named, placed and turned right.
 
 Parts of config/parts.yaml are drawn by counting sub-pixels, apart, in random turns, in colour; what
 they are is known. The types are those of the file: taught ones differ from them by 0.1 px.
@@ -6,29 +6,23 @@ they are is known. The types are those of the file: taught ones differ from them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial import KDTree
 
 from harness import Result, Table, race
 from plate_core import config_path
 from plate_core.rig import PartType, load_part_types
-from plate_vision import Calibration, calibrate_by_scale
+from plate_vision import calibrate_by_scale
 from plate_vision.shapes import (
-    Background,
     Patch,
     find_patches,
     learn_plate,
     make_catalogue,
     recognise,
-    to_lab,
 )
-
-OURS, NEAREST_5, NEAREST_50 = "outline fit", "nearest of 5", "nearest of 50"
 
 SIZE_PX = (640, 480)
 COUNT = 20
@@ -40,7 +34,7 @@ NOISE = 2.0
 
 FRAMES = 50
 SECONDS = 0.5
-"""For which methods are timed, in each scene [s]."""
+"""For which is timed, in each scene [s]."""
 
 SCENES: dict[str, dict[str, float]] = {
     "1 px/mm": {},
@@ -61,9 +55,6 @@ Pose = tuple[str, float, float, float]
 Shot = tuple[list[Pose], np.ndarray, list[Patch]]
 """Truth, image, and patches found in it."""
 
-NAMED = np.dtype([("x_px", "f8"), ("y_px", "f8"), ("label", "U32"), ("angle", "f8")])
-"""What a peer says of a part."""
-
 
 def measure(quick: bool) -> Result:
     """Measure each scene."""
@@ -71,23 +62,14 @@ def measure(quick: bool) -> Result:
     types = load_part_types(config_path("parts.yaml"))
     rows = []
     for number, (name, options) in enumerate(SCENES.items()):
-        rows += _scene_rows(types, name, options, number, 3 if quick else FRAMES)
-    ours = [row for row in rows if row["method"] == OURS]
-    nearest = [row for row in rows if row["method"] == NEAREST_50]
-    lead = float(
-        np.median([a["loop_ms"] / b["loop_ms"] for a, b in zip(ours, nearest, strict=True)])
-    )
-
-    def bad(those: list[dict[str, Any]]) -> float:
-        return max(float(row["wrong_percent"] + row["unknown_percent"]) for row in those)
-
+        rows.append(_scene_row(types, name, options, number, 3 if quick else FRAMES))
     return Result(
         [
             Table(
                 "classes",
                 f"Types of {COUNT} parts in {SIZE_PX[0]} x {SIZE_PX[1]} px",
                 {
-                    "scene": "scene", "method": "method", "frames": "images",
+                    "scene": "scene", "frames": "images",
                     "wrong_percent": "wrong type [%]", "unknown_percent": "unknown [%]",
                     "rms_px": "centre RMS [px]", "angle_deg": "angle RMS [deg]",
                     "angle_max_deg": "angle, worst [deg]", "loop_ms": "in a loop [ms]",
@@ -95,24 +77,16 @@ def measure(quick: bool) -> Result:
                 },
                 rows,
                 "Nine types, 12 to 26 mm, apart. In a loop: naming and measuring, median; to it "
-                "comes the segmentation, which all share. Nearest of 5 and of 50: by Hu moments, "
-                "area, hole area and colour, among so many examples of each type from other images "
-                "of the scene; it gives no angle, and names all that it does not know.",
+                "comes the segmentation.",
             )
-        ],
-        [
-            f"Named wrong or not at all: at most {bad(ours):.1f} %; by the nearest of 50 examples "
-            f"{bad(nearest):.1f} %, which is {lead:.0f} times faster.",
-            "Angles of parts at 1 px/mm: "
-            f"{ours[0]['angle_deg']:.2f} degrees RMS, {ours[0]['angle_max_deg']:.1f} at worst.",
         ],
     )  # fmt: skip
 
 
-def _scene_rows(
+def _scene_row(
     types: Mapping[str, PartType], scene: str, options: dict[str, float], seed: int, frames: int
-) -> list[dict[str, Any]]:
-    """Return a row for each method."""
+) -> dict[str, Any]:
+    """Return the row of a scene."""
     rng = np.random.default_rng(1000 + seed)
     calibration = calibrate_by_scale(options.get("scale", 1000.0))
     bare = learn_plate(np.stack([_drawn(types, [], options, rng) for _ in range(3)]))
@@ -122,20 +96,18 @@ def _scene_rows(
         poses = _laid(types, rng)
         image = _drawn(types, poses, options, rng)
         shots.append((poses, image, find_patches(image, bare)))
-    finders: dict[str, Callable[[int], Any]] = {
-        OURS: lambda k: recognise(shots[k][1], shots[k][2], catalogue, calibration)
-    }
-    for name, count in ((NEAREST_5, 5), (NEAREST_50, 50)):
-        finders[name] = partial(_nearest, shots, *_trained(types, options, rng, bare, count))
-    timed = race({name: partial(find, 0) for name, find in finders.items()}, SECONDS)
-    segmented = race({"seg": lambda: find_patches(shots[0][1], bare)}, SECONDS).median("seg")
-    rows = []
-    for name, finder in finders.items():
-        row = {"scene": scene, "method": name, "frames": frames}
-        row |= _scored(types, [(shot[0], finder(k)) for k, shot in enumerate(shots)], calibration)
-        row |= {"loop_ms": 1e3 * timed.median(name), "patches_ms": 1e3 * segmented}
-        rows.append(row)
-    return rows
+
+    def named(shot: Shot) -> np.ndarray:
+        return recognise(shot[1], shot[2], catalogue, calibration)
+
+    timed = race(
+        {"loop": lambda: named(shots[0]), "seg": lambda: find_patches(shots[0][1], bare)}, SECONDS
+    )
+    return {
+        "scene": scene, "frames": frames,
+        **_scored(types, [(shot[0], named(shot)) for shot in shots]),
+        "loop_ms": 1e3 * timed.median("loop"), "patches_ms": 1e3 * timed.median("seg"),
+    }  # fmt: skip
 
 
 def _laid(types: Mapping[str, PartType], rng: np.random.Generator) -> list[Pose]:
@@ -186,9 +158,7 @@ def _bgr(lab: tuple[float, float, float]) -> np.ndarray:
 
 
 def _scored(
-    types: Mapping[str, PartType],
-    shots: list[tuple[list[Pose], np.ndarray]],
-    calibration: Calibration,
+    types: Mapping[str, PartType], shots: list[tuple[list[Pose], np.ndarray]]
 ) -> dict[str, Any]:
     """Return how often names were wrong or not known, and the errors of place and angle."""
     wrong = unknown = total = 0
@@ -209,62 +179,10 @@ def _scored(
                 period = 360 / symmetry
                 off = np.degrees(one["angle"] - angle) + period / 2
                 turns.append(float(off % period - period / 2))
-    given = "fit_px" in (shots[0][1].dtype.names or ())
     return {
         "wrong_percent": 100 * wrong / total,
         "unknown_percent": 100 * unknown / total,
         "rms_px": float(np.sqrt(np.mean(np.square(places)))),
-        "angle_deg": float(np.sqrt(np.mean(np.square(turns)))) if given else None,
-        "angle_max_deg": float(np.max(np.abs(turns))) if given else None,
+        "angle_deg": float(np.sqrt(np.mean(np.square(turns)))),
+        "angle_max_deg": float(np.max(np.abs(turns))),
     }
-
-
-def _trained(
-    types: Mapping[str, PartType],
-    options: dict[str, float],
-    rng: np.random.Generator,
-    bare: Background,
-    count: int,
-) -> tuple[KDTree, list[str], np.ndarray]:
-    """Return what is known of so many examples of each type, their names, and the standard
-    deviations by which that was divided."""
-    names = [*types]
-    left = dict.fromkeys(names, count)
-    rows, labels = [], []
-    while any(left.values()):
-        poses = _laid(types, rng)
-        image = _drawn(types, poses, options, rng)
-        for patch in find_patches(image, bare):
-            gap = [np.hypot(*(patch.centre_px - pose[1:3])) for pose in poses]
-            name = poses[int(np.argmin(gap))][0]
-            if left[name]:
-                left[name] -= 1
-                rows.append(_features(image, patch))
-                labels.append(names.index(name))
-    values = np.array(rows)
-    spread = values.std(axis=0) + 1e-6
-    return KDTree(values / spread), [names[i] for i in labels], spread
-
-
-def _features(image: np.ndarray, patch: Patch) -> np.ndarray:
-    """Return Hu moments, sizes of the patch and its holes, and its colour (12,)."""
-    hu = cv2.HuMoments(cv2.moments(patch.mask.astype(np.uint8), binaryImage=True)).ravel()
-    (x, y), (h, w) = patch.corner, patch.mask.shape
-    colour = np.broadcast_to(np.median(image[y : y + h, x : x + w][patch.mask], axis=0), 3)
-    holes = sum(cv2.contourArea(hole.astype(np.float32)) for hole in patch.holes)
-    size = [np.sqrt(patch.area_px2), np.sqrt(holes)]
-    return np.concatenate([np.arcsinh(1e4 * hu), size, to_lab(colour)[0]])
-
-
-def _nearest(
-    shots: list[Shot], tree: KDTree, names: list[str], spread: np.ndarray, number: int
-) -> np.ndarray:
-    """Return what the nearest neighbour says of an image: (n,) NAMED."""
-    _, image, patches = shots[number]
-    rows = np.array([_features(image, patch) for patch in patches]) / spread
-    answers = tree.query(rows)[1]
-    seen = np.zeros(len(patches), NAMED)
-    for row, patch, answer in zip(seen, patches, answers, strict=True):
-        row["x_px"], row["y_px"] = patch.centre_px
-        row["label"] = names[answer]
-    return seen

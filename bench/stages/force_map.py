@@ -53,9 +53,6 @@ def measure(quick: bool) -> Result:
         for name, call in methods.items()
     }
     rows = timed_rows(methods, error, cases[0][0], rng, rig.plate.half, 0.5 if quick else 3.0)
-    ours, peer = rows[0], next(row for row in rows if row["method"].startswith("quad"))
-    fast = next(row for row in rows if row["method"].startswith("step_forces, n = 128"))
-    plain = next(row for row in rows if row["method"].startswith("numpy"))
     batch = batch_rows(cases, truth, 0.5 if quick else 3.0)
     return Result(
         [
@@ -72,15 +69,6 @@ def measure(quick: bool) -> Result:
                 f"{len(cases)} random motions and places, 12 parameters. step_forces takes twist "
                 "samples that are there already; average_force integrates the cycle's spline.",
             )
-        ],
-        [
-            *batch_summary(batch),
-            f"average_force: {ours['one_us']:.3g} us for 1 part, {ours['many_us']:.3g} us each for "
-            f"{BATCH}; median error {ours['median']:.1g}, worst 1 % {ours['p99']:.1g} mu m g",
-            f"1 part, against quad: average_force {ours['lead']:.0f} times as fast, step_forces at "
-            f"n = 128 {fast['lead']:.0f} times; quad's median error is {peer['median']:.1g} mu m g",
-            f"step_forces at n = 128 against numpy at n = 256: "
-            f"{plain['one_us'] / fast['one_us']:.0f} times as fast",
         ],
     )  # fmt: skip
 
@@ -165,18 +153,6 @@ def batch_table(rows: list[dict[str, Any]], count: int) -> Table:
         f"{count} random motions and places in one call, from coefficients. Truth at N = 3: "
         "forces. The closed form has 8 and 16 intervals; its error is that of triangles for sines.",
     )  # fmt: skip
-
-
-def batch_summary(rows: list[dict[str, Any]]) -> list[str]:
-    """Sum up the table of many cases at once."""
-    ours, plain, closed = rows[:3]
-    return [
-        f"forces: worst 1 % {ours['p99']:.1g}, worst {ours['most']:.1g} mu m g in "
-        f"{ours['us']:.2g} us each, {ours['ratio']:.2g} times as long as plain numba at n = 128 "
-        f"(worst 1 % {plain['p99']:.1g})",
-        f"closed form on triangular waves: median error {closed['median']:.2g}, worst 1 % "
-        f"{closed['p99']:.2g} mu m g, in {closed['ratio']:.2g} of the time of plain numba",
-    ]
 
 
 def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:

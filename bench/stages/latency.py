@@ -36,10 +36,6 @@ def measure(quick: bool) -> Result:
                 cpu(apart[1], "") + cpu(together[1], "second run, "),
             ),
         ],
-        [
-            *said("processes of their own", *apart),
-            *said("one process", *together),
-        ],
     )  # fmt: skip
 
 
@@ -82,25 +78,6 @@ def table(name: str, what: str, rows: list[dict[str, Any]]) -> Table:
 def cpu(shares: dict[str, float], run: str) -> list[dict[str, Any]]:
     """Return the share of a core [%] of each process."""
     return [{"node": f"{run}{name}", "cpu": 100 * share} for name, share in shares.items()]
-
-
-def said(what: str, rows: list[dict[str, Any]], shares: dict[str, float]) -> list[str]:
-    """Return what the rows say."""
-    from graph.forward import NAMESPACE
-    from graph.series import STAGES
-
-    whole = rows[-2]
-    stages = [r for r in rows if r["stage"] in STAGES[1:]]
-    computed = sum(r["more"] for r in stages)
-    parts = ", ".join(f"{r['stage']} {100 * r['more'] / computed:.0f} %" for r in stages)
-    real = sum(v for name, v in shares.items() if not name.startswith(NAMESPACE))
-    return [
-        f"{what}: image to setpoints {whole['median']:.1f} ms, forwarding {whole['beside']:.1f} ms:"
-        f" {whole['ratio']:.2f} times; 99 %: {whole['ratio_p99']:.2f} times",
-        f"{what}: {computed:.1f} ms more than forwarding: {parts}",
-        f"{what}: {100 * real:.0f} % of a core for all nodes, forwarding "
-        f"{100 * (sum(shares.values()) - real):.0f} %",
-    ]
 
 
 def row(stage: str, real: np.ndarray, beside: np.ndarray) -> dict[str, Any]:

@@ -42,10 +42,9 @@ MOST = 10
 
 
 def measure(quick: bool) -> Result:
-    """Learn, judge after each iteration, and count how new cycles in a row are realised."""
+    """Learn, and judge after each iteration."""
     rig = load_rig()
     rows = iterations(rig, 3 if quick else CYCLES)
-    series = in_a_row(rig, 10 if quick else 50)
     return Result(
         [
             Table(
@@ -57,17 +56,7 @@ def measure(quick: bool) -> Result:
                 f"accelerometers with {NOISE:g} m/s2 of noise every {1e3 * SAMPLE_S:g} ms. 1 to 3: "
                 "the calibration, x, y, theta; then the same with other phases, believed by 0.3.",
             ),
-            Table(
-                "new_cycles",
-                "A new cycle every 200 ms, the plate's state carried on",
-                {"what": "command", "velocity": "velocity error, rms [%]"},
-                series,
-            ),
-        ],
-        [
-            f"error falls from {rows[0]['median']:.0f} % to {rows[-1]['median']:.2f} % (most "
-            f"{rows[-1]['most']:.2f} %) in {rows[-1]['iteration']} iterations, limit 2 % in 10",
-        ],
+        ]
     )
 
 
@@ -165,24 +154,4 @@ def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
         again = again.with_experiment(*plate.read(cycle, again.measure))
         response = response.updated(again.commanded[0], again.measured[0], TRUST)
         rows.append(judged(real, len(rows), response, cycles))
-    return rows
-
-
-def in_a_row(rig: Rig, cycles: int) -> list[dict[str, Any]]:
-    """Return rows: how velocities err when every cycle is another one."""
-    real = hung(rig)
-    plate, calibration = Plate(real, 1), Calibration.start(rig)
-    while calibration.cycle is not None:
-        plate.play(calibration.cycle, calibration.settle)
-        read = plate.read(calibration.cycle, calibration.measure)
-        calibration = calibration.with_experiment(*read)
-    t, rows = np.linspace(0, PERIOD, 400), []
-    for what, correct in (("as it is", lambda c: c), ("corrected", calibration.response.command)):
-        still, miss, size = Plate(real, 2), 0.0, 0.0
-        for seed in range(2000, 2000 + cycles):
-            cycle = wanted(seed)
-            speed = cycle.twist(t)[:, :2]
-            miss += float(np.sum((still.play(correct(cycle)).twist(t)[:, :2] - speed) ** 2))
-            size += float(np.sum(speed**2))
-        rows.append({"what": what, "velocity": 100 * float(np.sqrt(miss / size))})
     return rows

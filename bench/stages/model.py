@@ -137,11 +137,6 @@ def measure(quick: bool) -> Result:
     for kind in KINDS:
         for count in COUNTS[::2] if quick else COUNTS:
             rows += scene_rows(Scene.of(kind, count), pymunk, 0.1 if quick else 1.0)
-    lines = [
-        f"{kind}: {row['cpu_ms']:.2g} ms a cycle of {1e3 * PERIOD:g} ms with {row['parts']} parts"
-        for kind in KINDS
-        for row in [r for r in rows if r["scene"] == kind and r["method"] == MODEL][-1:]
-    ]
     columns = {
         "scene": "scene", "parts": "parts", "method": "method", "cpu_ms": "core [ms/cycle]",
         "error_um": "error [um]",
@@ -152,7 +147,7 @@ def measure(quick: bool) -> Result:
     )
     return Result(
         [Table("model", "What a plate cycle costs, by what the scene has", columns, rows, note)],
-        lines + ([] if pymunk else [missing_peer(PYMUNK)]),
+        [] if pymunk else [missing_peer(PYMUNK)],
     )
 
 

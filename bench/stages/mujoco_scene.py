@@ -54,15 +54,13 @@ class MujocoScene:
     radius : float
         Of the parts [m]; 0 means that they never touch.
     half : (2,), optional
-        Half sides of a plate with walls [m].
-    damping : float
-        Damping ratio of contacts: 1 stops parts, 0 lets them bounce.
+        Half sides of a plate with walls [m]. Contacts stop parts.
     """
 
     def __init__(
         self, mujoco: Any, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
         mu: float, velocity: np.ndarray | None = None, radius: float = 0.0,
-        half: np.ndarray | None = None, damping: float = 1.0,
+        half: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         meets, size = int(radius > 0), radius or POINT_M
         parts = [PART.format(x=x, y=y, radius=size, meets=meets) for x, y in position]
@@ -73,7 +71,7 @@ class MujocoScene:
         # The stiffest that MuJoCo takes is a time constant of two steps.
         text = SCENE.format(
             dt=dt, soft=2 * dt, loss=MASS * GRAVITY * mu, mass=MASS,
-            stiffness=-1 / (2 * dt) ** 2, damping=-2 * damping / (2 * dt),
+            stiffness=-1 / (2 * dt) ** 2, damping=-2 / (2 * dt),
             parts="".join(parts), walls="".join(walls),
         )  # fmt: skip
         self.model = mujoco.MjModel.from_xml_string(text)
@@ -94,12 +92,11 @@ class MujocoScene:
             self.advance(self.model, self.data)
         return np.asarray(self.start + self.data.qpos.reshape(-1, 2) + self.moved)
 
-    def trace(self) -> tuple[np.ndarray, np.ndarray]:
-        """Advance; returns positions and velocities after every step (k, M, 2), in the plate."""
-        path, speed = np.empty((2, len(self.shake), *self.start.shape))
+    def trace(self) -> np.ndarray:
+        """Advance; returns places after every step (k, M, 2), in the plate."""
+        path = np.empty((len(self.shake), *self.start.shape))
         for k, accel in enumerate(self.shake):
             self.model.opt.gravity[:2] = accel
             self.advance(self.model, self.data)
             path[k] = self.start + self.data.qpos.reshape(-1, 2)
-            speed[k] = self.data.qvel.reshape(-1, 2)
-        return path, speed
+        return path

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from harness import Result, Table, cpu_time, shown
+from harness import Result, Table, cpu_time
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
 from plate_solver import (
@@ -70,7 +70,6 @@ def measure(quick: bool) -> Result:
                 "and most iterations.",
             )
         ],
-        [sentence(rows, parts) for parts in dict.fromkeys(r["parts"] for r in rows)],
     )  # fmt: skip
 
 
@@ -225,14 +224,3 @@ class Peer:
         excess = self._family.penalty(theta)
         unit = excess / max(float(np.linalg.norm(excess)), 1e-300)
         return np.vstack([rows, -unit @ self._family.penalty_slopes(theta)])
-
-
-def sentence(rows: list[dict[str, Any]], parts: int) -> str:
-    """Sum up one number of parts."""
-    told = [
-        f"{row['method']} ({row['option']}) {row['missed_percent']:.0f} % in "
-        f"{shown(row['median_ms'])} ms"
-        for row in rows
-        if row["parts"] == parts and (row["default"] or row["option"] == "3 restarts")
-    ]
-    return f"{parts} parts, missed: " + ", ".join(told)

@@ -51,8 +51,6 @@ def measure(quick: bool) -> Result:
         found, shares, drags = measured(quick, Path(logs))
     rows = [row(name, found[name], shares[name]) for name in CONDITIONS]
     without = rows[0]
-    most = max(r["median"] / without["median"] for r in rows[1:])
-    late = max(r["late"] for r in rows)
     return Result(
         [
             Table(
@@ -73,12 +71,6 @@ def measure(quick: bool) -> Result:
                     for what, ms in drags.items()
                 ],
             ),
-        ],
-        [
-            f"image to setpoints with browsers at most {most:.2f} times that without a page; "
-            f"late cycles at most {late}",
-            f"a target is on the topic {np.median(drags['published as targets']):.1f} ms after the "
-            "browser has sent it (median)",
         ],
     )  # fmt: skip
 
@@ -151,6 +143,8 @@ def browsers(url: str, count: int) -> Iterator[None]:
 def look_on(url: str, count: int) -> None:
     """Read all that the page sends to so many browsers."""
 
+    from page_flood import connect
+
     async def read() -> None:
         connection = await connect(url)
         await connection.write_message(json.dumps({"do": "watch", "image": True, "field": True}))
@@ -161,15 +155,6 @@ def look_on(url: str, count: int) -> None:
         await asyncio.gather(*(read() for _ in range(count)))
 
     asyncio.run(all_of_them())
-
-
-async def connect(url: str) -> Any:
-    """Open a connection as a page of ours does."""
-    from tornado.httpclient import HTTPRequest
-    from tornado.websocket import websocket_connect
-
-    request = HTTPRequest(url.replace("http", "ws") + "socket", headers={"Origin": url.rstrip("/")})
-    return await websocket_connect(request)
 
 
 @contextmanager
@@ -190,6 +175,8 @@ def hung(url: str) -> Iterator[None]:
 
 def drags(graph: Any, url: str, count: int) -> dict[str, np.ndarray]:
     """Drag a part's target in the running graph; return times since the browser sent it [ms]."""
+    from page_flood import connect
+
     from plate_core.ros import DATA, LATCHED
     from plate_interfaces.msg import Targets
 

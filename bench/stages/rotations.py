@@ -1,4 +1,4 @@
-"""Method A: what forces rotations can guarantee, at what cost, and what comes of them in motion.
+"""Method A: what forces rotations can guarantee, at what cost, and what closed motions give.
 
 Parts lie at random, at least 10 % of the plate's width apart. A request asks for a force of size r
 in a random direction of each part; guaranteed is the greatest r that takes one cycle of time.
@@ -13,12 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 
-from harness import Result, Table, cpu_time, race
-from plate_core import PlateCycle, Rig, load_rig
-from plate_core.motion import usage
-from plate_sim import simulate
-from plate_solver import Goal, RotationSolver, average_force
-from plate_solver.maps import finely_sampled
+from harness import Result, Table, race
+from plate_core import Rig, load_rig
+from plate_solver import RotationSolver, average_force
 from plate_solver.rotations import (
     Library,
     grid,
@@ -33,43 +30,30 @@ PARTS = 10
 APART = 0.1
 """Least distance of parts, in widths of the plate."""
 
-WORST_STARTS = 8
-"""Starts of the search for the worst directions."""
-
 GAIN = 30.0
 """Bound on inverse singular values, as in section 3.1.5."""
 
 REALISED = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3)
 """Shares of the guaranteed force that are tried as motions."""
 
-RESTARTS = 12
-"""Further starts on the cycle map where parts are few: each is cheap."""
-
-DRIFTS = (0.0025, 0.005, 0.010)
-"""Sizes of requests on the cycle map [m/s]. The sorter asks 0.012 to 0.024 along x and leaves
-0.007 of slack along y; here every part is asked a direction of its own, with no slack."""
-
 
 def measure(quick: bool) -> Result:
-    """Measure forces, times, closures, orders and displacements."""
+    """Measure forces, times and closures."""
     rig = load_rig()
     count = 6 if quick else 40
     forces = force_rows(rig, count)
     times = time_rows(rig, 0.2 if quick else 3.0)
     realised = realised_rows(rig, 4 if quick else count)
-    orders = order_rows(rig, 4 if quick else 30)
-    moved = moved_rows(rig, 3 if quick else 12)
     tables = [
         Table(
             "guaranteed",
             f"Guaranteed force at {PARTS} random parts [mu m g], {count} trials",
             {
                 "centres": "centres", "method": "method", "number": "N", "p10": "10 %",
-                "median": "median", "worst_p10": "worst direction, 10 %",
+                "median": "median",
             },
             forces,
-            "Before realisation: turning takes no time. Worst direction: found by search from "
-            f"{WORST_STARTS} starts. The paper's way: 24 centres, SVD.",
+            "Before realisation: turning takes no time. The paper's way: 24 centres, SVD.",
         ),
         Table(
             "times",
@@ -80,36 +64,13 @@ def measure(quick: bool) -> Result:
         Table(
             "realised",
             f"Closed motions of 0.2 s within the limits, Gamma = {rig.gamma:.1f}, {PARTS} parts",
-            {
-                "closure": "closure", "p10": "realised, 10 % [mu m g]", "median": "median",
-                "limit": "of limits", "milliseconds": "solve, median [ms]",
-                "p99": "99 % [ms]", "plan": "of it the plan [ms]",
-            },
+            {"closure": "closure", "p10": "realised, 10 % [mu m g]", "median": "median"},
             realised,
             "Realised: the largest of 8 shares of the guaranteed force that `solve` meets to 1e-3, "
-            "by the exact average of its motion. Times: of a cold solve for half of it.",
-        ),
-        Table(
-            "orders",
-            f"Order of rotations on the cycle map: missed share, {PARTS} parts, 5 mm/s",
-            {
-                "order": "order", "before": "before correction [%]", "after": "after [%]",
-                "milliseconds": "time [ms]",
-            },
-            orders,
-        ),
-        Table(
-            "moved",
-            "Displacement over one cycle in the exact simulator, from a cold start",
-            {
-                "parts": "parts M", "drift": "request [mm/s]", "median": "missed, median [%]",
-                "p90": "90 % [%]", "milliseconds": "time, median [ms]", "p99": "99 % [ms]",
-            },
-            moved,
-            "Missed: root mean square over parts and axes of asked minus simulated, over asked.",
+            "by the exact average of its motion.",
         ),
     ]  # fmt: skip
-    return Result(tables, summary(forces, times, realised, moved))
+    return Result(tables)
 
 
 def time_rows(rig: Rig, seconds: float) -> list[dict[str, Any]]:
@@ -152,142 +113,23 @@ def realised_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
     rows = []
     for closure in ("sequence", "strokes"):
         solver = RotationSolver(rig, closure=closure, restarts=1)
-        found, solve_s, plan_s, limits = [], [], [], []
-        for seed in range(-1, count):
-            position, direction = request(rig, PARTS, max(seed, 0))
-            began = cpu_time()
+        found = []
+        for seed in range(count):
+            position, direction = request(rig, PARTS, seed)
             plan = plan_rotations(solver.library, position, direction)
-            plan_s.append(cpu_time() - began)
             met = 0.0
             for share in REALISED:
                 force = share * (with_return_strokes(plan) if closure == "strokes" else plan).met
                 solver.reset()
                 solution = solver.solve(position, force * direction)
-                limits.append(usage(rig, solution.cycle).worst)
                 miss = average_force(solution.cycle, position) - force * direction
                 if np.max(np.abs(miss)) <= solver.options.tolerance:
                     met = force
                     break
             found.append(met)
-            solver.reset()
-            began = cpu_time()
-            solver.solve(position, 0.5 * met * direction)
-            solve_s.append(cpu_time() - began)
-        milliseconds = 1e3 * np.array(solve_s[1:])
-        rows.append(
-            {
-                "closure": closure,
-                "p10": float(np.percentile(found[1:], 10)),
-                "median": float(np.median(found[1:])),
-                "limit": float(np.max(limits)),
-                "milliseconds": float(np.median(milliseconds)),
-                "p99": float(np.percentile(milliseconds, 99)),
-                "plan": 1e3 * float(np.median(plan_s[1:])),
-            }
-        )
+        p10, median = np.percentile(found, [10, 50]).tolist()
+        rows.append({"closure": closure, "p10": p10, "median": median})
     return rows
-
-
-def goal_of(rig: Rig, parts: int, seed: int, drift: float, period: float) -> Goal:
-    """Ask every part at rest for a drift in a direction of its own."""
-    position, direction = request(rig, parts, seed)
-    nothing = np.zeros((parts, 2))
-    friction = np.full(parts, rig.friction.accel)
-    return Goal(position, nothing, drift * period * direction, nothing, friction)
-
-
-def missed(goal: Goal, cycle: PlateCycle) -> np.ndarray:
-    """Return the errors (2 M,) [m] of a cycle by a finer prediction than the search's."""
-    return goal.error(goal.end(*finely_sampled(cycle)))[0]
-
-
-def order_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
-    """Compare orders before and after correction."""
-    rows = []
-    for order in ("nearest", "priority", "simulated"):
-        solver = RotationSolver(rig, order=order, restarts=0)
-        options = solver.options
-        before, after, seconds = [], [], []
-        for seed in range(-1, count):
-            goal = goal_of(rig, PARTS, max(seed, 0), 0.005, options.period)
-            asked = np.linalg.norm(goal.displacement)
-            solver.reset()
-            began = cpu_time()
-            solution = solver.steer(goal, 0.0, 0.0)
-            seconds.append(cpu_time() - began)
-            after.append(np.linalg.norm(missed(goal, solution.cycle)) / asked)
-            solver.reset()
-            family, start = solver.planned(goal)
-            before.append(np.linalg.norm(missed(goal, family.cycle(start))) / asked)
-        rows.append(
-            {
-                "order": order,
-                "before": 100 * float(np.median(before[1:])),
-                "after": 100 * float(np.median(after[1:])),
-                "milliseconds": 1e3 * float(np.median(seconds[1:])),
-            }
-        )
-    return rows
-
-
-def moved_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
-    """Move parts by one cycle, and see where the simulator has them."""
-    rows: list[dict[str, Any]] = []
-    for parts in (2, 4, 6, 10):
-        solver = RotationSolver(rig, restarts=RESTARTS if parts < PARTS else 4)
-        period = solver.steering_period(parts)
-        for drift in DRIFTS:
-            shares, seconds = [], []
-            for seed in range(-1, count):
-                goal = goal_of(rig, parts, max(seed, 0), drift, period)
-                solver.reset()
-                began = cpu_time()
-                size = drift * period
-                solution = solver.steer(goal, 0.03 * size, 0.05 * size)
-                seconds.append(cpu_time() - began)
-                friction = rig.friction
-                run = simulate(
-                    solution.cycle, goal.position, goal.velocity, friction.mu, friction.gravity
-                )
-                miss = run.position[-1] - goal.position - goal.displacement
-                shares.append(np.linalg.norm(miss) / np.linalg.norm(goal.displacement))
-            rows.append(
-                {
-                    "parts": parts,
-                    "drift": 1e3 * drift,
-                    "median": 100 * float(np.median(shares[1:])),
-                    "p90": 100 * float(np.percentile(shares[1:], 90)),
-                    "milliseconds": 1e3 * float(np.median(seconds[1:])),
-                    "p99": 1e3 * float(np.percentile(seconds[1:], 99)),
-                }
-            )
-    return rows
-
-
-def summary(
-    forces: list[dict[str, Any]],
-    times: list[dict[str, Any]],
-    realised: list[dict[str, Any]],
-    moved: list[dict[str, Any]],
-) -> list[str]:
-    """Sum up in sentences."""
-    library, svd = forces[0], next(row for row in forces if row["method"] == "SVD")
-    sequence, strokes = realised
-    return [
-        f"guaranteed at {PARTS} parts: {library['p10']:.3f} mu m g (10 % of trials have less), "
-        f"by SVD on 24 centres {svd['p10']:.4f}",
-        f"linear programme: {times[0]['milliseconds']:.2f} ms, from the last basis "
-        f"{times[1]['milliseconds']:.2f}, HiGHS {times[2]['milliseconds']:.0f}",
-        f"realised: {sequence['p10']:.3f} mu m g closed as a sequence, {strokes['p10']:.3f} by "
-        f"return strokes, in {sequence['milliseconds']:.1f} ms",
-        "moved by one cycle, missed at 2.5 / 5 / 10 mm/s: "
-        + "; ".join(
-            f"{m} parts "
-            + " / ".join(f"{row['median']:.0f}" for row in moved if row["parts"] == m)
-            + " %"
-            for m in (2, 4, 6, 10)
-        ),
-    ]
 
 
 def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
@@ -340,20 +182,16 @@ def force_row(
     guaranteed: Callable[[np.ndarray, np.ndarray], float],
 ) -> dict[str, Any]:
     """Sum up the trials of one method."""
-    found, worst = [], []
-    library = Library.around(rig.plate.half)
+    found = []
     for seed in range(count):
         position, direction = request(rig, PARTS, seed)
         found.append(guaranteed(position, direction))
-        if centres == "library":
-            worst.append(worst_direction(library, position, seed))
     return {
         "centres": centres,
         "method": method,
         "number": 24,
         "p10": float(np.percentile(found, 10)),
         "median": float(np.median(found)),
-        "worst_p10": float(np.percentile(worst, 10)) if worst else None,
     }
 
 
@@ -368,25 +206,3 @@ def by_svd(library: Library, position: np.ndarray, direction: np.ndarray) -> flo
     weights, _ = solve_weights(matrix, direction.T.ravel(), GAIN)
     got = (matrix @ weights).reshape(2, -1).T
     return float(max(np.min(np.sum(got * direction, axis=1)), 0) / np.sum(np.abs(weights)))
-
-
-def worst_direction(library: Library, position: np.ndarray, seed: int) -> float:
-    """Guaranteed force in the worst directions that a search finds.
-
-    Time is the greatest y . f over prices y that no rotation exceeds, so along the prices of a
-    request it is greater still: f is turned along y until that is all.
-    """
-    rng = np.random.default_rng(seed)
-    matrix, time = library.forces(position), 0.0
-    ones, dear = np.ones(matrix.shape[1]), np.full(len(matrix), 1e4)
-    for _ in range(WORST_STARTS):
-        force = rng.normal(size=(2, len(position)))
-        last = -1.0
-        for _ in range(30):
-            force /= np.maximum(np.hypot(*force), 1e-12)
-            plan = least_time(matrix, force.ravel(), ones, dear, dear)
-            if plan.cost <= last * (1 + 1e-6):
-                break
-            last, force = plan.cost, plan.price.reshape(2, -1).copy()
-        time = max(time, last)
-    return 1 / time

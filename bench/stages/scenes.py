@@ -7,7 +7,6 @@ after 1 s is known from an event-driven integration that agrees with `solve_ivp`
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,33 +89,11 @@ def alike(gamma: float, count: int) -> Scene:
     return Scene(exact_cycle(gamma), position, np.zeros((count, 2)))
 
 
-def on_a_line(gamma: float, count: int) -> Scene:
-    """Return the exact scene, but parts start at different speeds along x."""
-    scene = alike(gamma, count)
-    speed = np.random.default_rng(1).normal(0, SPEED, (count, 1))
-    return Scene(scene.cycle, scene.position, np.hstack([speed, np.zeros((count, 1))]))
-
-
 def all_ways(gamma: float, count: int) -> Scene:
     """Return the exact scene, but parts start at different speeds in all directions."""
     scene = alike(gamma, count)
     velocity = np.random.default_rng(1).normal(0, SPEED, (count, 2))
     return Scene(scene.cycle, scene.position, velocity)
-
-
-def turning(gamma: float, count: int) -> Scene:
-    """Return parts in motion on a plate that also turns."""
-    scene = all_ways(gamma, count)
-    return Scene(exact_cycle(gamma, SPIN), scene.position, scene.velocity)
-
-
-SCENES: dict[str, Callable[[float, int], Scene]] = {
-    "all alike": alike,
-    "on a line": on_a_line,
-    "all ways": all_ways,
-    "plate turns too": turning,
-}
-"""Kinds of scenes by name."""
 
 
 LARGEST = 0.2

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from harness import Race, Result, Table, missing_peer, optional, race
+from harness import Result, Table, missing_peer, optional, race
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import WorldState, run_cycle
 from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from stages import mujoco_scene
 from stages.pymunk_scene import PymunkScene
-from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, SCENES, Scene, alike, all_ways
-from stages.tray import tray_tables
+from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, all_ways
+from stages.tray import tray_table
 
 EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
 """Methods: our judge, our model of parts, and the peers."""
@@ -44,7 +44,6 @@ def measure(quick: bool) -> Result:
     errors = error_rows(peers, quick)
     speeds = speed_rows(peers[PYMUNK], quick)
     cost = cost_rows(peers[PYMUNK], quick)
-    tray = tray_tables(peers[PYMUNK], peers[MUJOCO], quick)
     return Result(
         [
             Table(
@@ -63,14 +62,11 @@ def measure(quick: bool) -> Result:
                 "speed",
                 f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
                 {
-                    "scene": "scene", "parts": "parts", "tolerance": "our tolerance [m]",
-                    "error_percent": "our error [%]", "peer_percent": "pymunk's error [%]",
-                    "ours": "plate_sim [s/s]", "pymunk": "pymunk [s/s]", "lead": "ours / pymunk",
+                    "parts": "parts", "error_percent": "our error [%]",
+                    "peer_percent": "pymunk's error [%]", "lead": "times as fast as pymunk",
                 },
                 speeds,
-                "Error: root mean square over the parts, of their root mean square travel. Parts "
-                "that move alike are integrated once, which tells in the first scene. Pymunk has "
-                "no joint for a plate that turns.",
+                "Error: root mean square over the parts, of their root mean square travel.",
             ),
             Table(
                 "cost",
@@ -82,9 +78,9 @@ def measure(quick: bool) -> Result:
                 cost,
                 f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
             ),
-            *tray,
+            tray_table(peers[PYMUNK], peers[MUJOCO], quick),
         ],
-        summary(errors, speeds, peers),
+        [missing_peer(name.lower()) for name, module in peers.items() if not module],
     )  # fmt: skip
 
 
@@ -98,7 +94,9 @@ def step_count(step_ms: float) -> int:
     return max(1, round(1e3 / FREQUENCY / step_ms))
 
 
-def peer_scene(pymunk: Any, scene: Scene, dt: float, span: float, offset: float) -> PymunkScene:
+def peer_scene(
+    pymunk: Any, scene: Scene, dt: float, span: float, offset: float = 0.5
+) -> PymunkScene:
     """Build the peer's scene; it may take the plate's velocity where it serves it best."""
     return PymunkScene(
         pymunk, scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset
@@ -173,7 +171,7 @@ def in_pymunk(pymunk: Any, scene: Scene, step_ms: float, exact: float, repeats: 
         ]
         for offset in (0.5, 1.0)
     ]
-    run = peer_scene(pymunk, scene, 1e-3 * step_ms, PEER_SPAN, 0.5).run
+    run = peer_scene(pymunk, scene, 1e-3 * step_ms, PEER_SPAN).run
     return Case(PYMUNK, f"{step_ms:g} ms", min(errors, key=rms), run, PEER_SPAN)
 
 
@@ -188,54 +186,32 @@ def in_mujoco(mujoco: Any, scene: Scene, step_ms: float, exact: float) -> Case:
 
 
 def speed_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
-    """Speed at the peer's error, by scene and number of parts."""
+    """Speed at the peer's error by number of parts, which move all ways."""
     rows = []
-    for kind, make in SCENES.items():
-        for count in (1, 10, 100):
-            scene = make(20, count)
+    for count in (1, 10, 100):
+        row: dict[str, Any] = {"parts": count, "error_percent": None, "peer_percent": None}
+        row["lead"] = None
+        if pymunk:
+            scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
             truth = scene.travel(1e-11)
-            size, peer = rms(truth), None
-            if pymunk and kind != "plate turns too":
-                dt = 1e-3 * PEER_STEP_MS
-                peer = min(
-                    rms(peer_travel(pymunk, scene, dt, offset) - truth) / size
-                    for offset in (0.5, 1.0)
-                )
-            tolerance, error = loosest(scene, truth, size, 1.2e-3 if peer is None else peer)
-            contestants: dict[str, Callable[[], object]] = {
-                "ours": partial(scene.travel, tolerance)
-            }
-            if peer is not None:
-                contestants[PYMUNK] = peer_scene(pymunk, scene, dt, PEER_SPAN, 0.5).run
-            timed = race(contestants, 0.3 if quick else 2.0)
-            rows.append(
-                {
-                    "scene": kind, "parts": count, "tolerance": tolerance,
-                    "error_percent": 100 * error,
-                    "peer_percent": None if peer is None else 100 * peer,
-                    **speeds_of(timed),
-                }
-            )  # fmt: skip
+            peer = min(rms(peer_travel(pymunk, scene, dt, offset) - truth) for offset in (0.5, 1.0))
+            tolerance, error = loosest(scene, truth, peer)
+            ours, run = partial(scene.travel, tolerance), peer_scene(pymunk, scene, dt, PEER_SPAN)
+            timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
+            row["error_percent"] = 100 * error / rms(truth)
+            row["peer_percent"] = 100 * peer / rms(truth)
+            row["lead"] = SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)
+        rows.append(row)
     return rows
 
 
-def loosest(scene: Scene, truth: np.ndarray, size: float, wanted: float) -> tuple[float, float]:
-    """Return the loosest tolerance that gives no more than the wanted error, and its error."""
+def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> tuple[float, float]:
+    """Return the loosest tolerance that gives no more than the wanted error [m], and its error."""
     for tolerance in 10.0 ** np.arange(-3, -10, -1):
-        error = rms(scene.travel(tolerance) - truth) / size
+        error = rms(scene.travel(tolerance) - truth)
         if error <= wanted:
             break
     return float(tolerance), error
-
-
-def speeds_of(timed: Race) -> dict[str, float | None]:
-    """Return speeds [simulated s per s] and their ratio; the peer's run lasts 0.1 s."""
-    there = PYMUNK in timed.times
-    return {
-        "ours": SPAN / timed.median("ours"),
-        PYMUNK: PEER_SPAN / timed.median(PYMUNK) if there else None,
-        "lead": SPAN / PEER_SPAN * timed.lead("ours", PYMUNK) if there else None,
-    }
 
 
 def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
@@ -251,7 +227,7 @@ def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
         contestants: dict[str, Callable[[], object]] = {EVENTS: partial(scene.travel, TOLERANCE)}
         contestants[STEPS] = partial(run_world, scene.cycle, scene.position)
         if pymunk:
-            contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN, 0.5).run
+            contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN).run
         timed = race(contestants, 0.3 if quick else 1.5)
         spans = {EVENTS: SPAN, PYMUNK: PEER_SPAN}
         rows.append(
@@ -273,19 +249,3 @@ def wide_rig() -> Rig:
     """Return the default rig with a plate that has room for many parts."""
     rig = load_rig()
     return replace(rig, plate=replace(rig.plate, length_m=WIDE_M, width_m=WIDE_M))
-
-
-def summary(
-    errors: list[dict[str, Any]], speeds: list[dict[str, Any]], peers: dict[str, Any]
-) -> list[str]:
-    """Sum up in sentences."""
-    tight = min((r for r in errors if r["method"] == EVENTS), key=lambda r: r["error_mm"])
-    lines = [f"tightest error by events: {tight['error_mm']:.1g} mm"]
-    for kind in SCENES:
-        leads = [f"{r['lead']:.0f}" for r in speeds if r["scene"] == kind and r["lead"]]
-        if leads:
-            lines.append(
-                f"{kind}, at pymunk's error: {' / '.join(leads)} times as fast as pymunk with "
-                "1 / 10 / 100 parts"
-            )
-    return lines + [missing_peer(name.lower()) for name, module in peers.items() if not module]

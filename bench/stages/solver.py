@@ -1,4 +1,4 @@
-"""The averaged problem: our solvers from a cold start beside scipy and numpy.
+"""The averaged problem: our solvers from a cold start beside scipy.
 
 Every answer, ours and the peer's, is judged by the force map on samples that neither has used.
 """
@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from harness import Result, Table, cpu_time, race, shown
+from harness import Result, Table, cpu_time
 from plate_core import Rig, load_rig
 from plate_solver import Limits, RotationSolver, SinusoidSolver
 from plate_solver.maps import step_force_gradient, step_forces
-from plate_solver.rotations import grid, rotation_matrix, solve_weights
 from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 from stages.scenes import LARGEST, targets
 
@@ -46,7 +45,7 @@ OURS, PEER, ROTATIONS = "SinusoidSolver", "scipy lm", "RotationSolver"
 
 
 def measure(quick: bool) -> Result:
-    """Solve random targets for 1 to 4 parts, and time the linear step."""
+    """Solve random targets for 1 to 4 parts."""
     rig = load_rig()
     samples = []
     for parts in HARMONICS:
@@ -56,7 +55,6 @@ def measure(quick: bool) -> Result:
         for parts in HARMONICS
         for method in (OURS, PEER, ROTATIONS)
     ]
-    linear = [linear_row(rig, parts, 0.1 if quick else 0.6) for parts in (2, 4, 10)]
     return Result(
         [
             Table(
@@ -75,20 +73,8 @@ def measure(quick: bool) -> Result:
                 "scipy's end with the parameters. RotationSolver stops at 1e-3 itself; it gets "
                 "every third target only.",
             ),
-            Table(
-                "linear",
-                "Weights of 24 rotation centres",
-                {
-                    "parts": "parts M", "ours_us": "solve_weights [us]",
-                    "lstsq_us": "numpy lstsq [us]", "lead": "ours / numpy",
-                    "difference": "difference of the weights",
-                },
-                linear,
-                "solve_weights also gives the condition number.",
-            ),
         ],
-        summary(rows, linear),
-        samples,
+        samples=samples,
     )  # fmt: skip
 
 
@@ -194,50 +180,3 @@ def nonlinear_row(parts: int, method: str, samples: list[dict[str, Any]]) -> dic
         "p99_ms": float(np.percentile(ms, 99)),
         "median_error": float(np.median(error)),
     }
-
-
-def linear_row(rig: Rig, parts: int, seconds: float) -> dict[str, Any]:
-    """Time the linear problem (10) at random places beside numpy's least squares."""
-    position, force = targets(rig, parts, 1, np.random.default_rng(parts))[0]
-    matrix, wanted = rotation_matrix(position, grid(rig.plate.half)), force.T.ravel()
-    timed = race(
-        {
-            "ours": lambda: solve_weights(matrix, wanted),
-            "lstsq": lambda: np.linalg.lstsq(matrix, wanted, rcond=None),
-        },
-        seconds,
-    )
-    weights, reference = solve_weights(matrix, wanted)[0], np.linalg.lstsq(matrix, wanted)[0]
-    return {
-        "parts": parts,
-        "ours_us": 1e6 * timed.median("ours"),
-        "lstsq_us": 1e6 * timed.median("lstsq"),
-        "lead": timed.lead("ours", "lstsq"),
-        "difference": float(np.max(np.abs(weights - reference))),
-    }
-
-
-def summary(rows: list[dict[str, Any]], linear: list[dict[str, Any]]) -> list[str]:
-    """Sum up in sentences."""
-    lines = []
-    for parts in HARMONICS:
-        ours, peer, rotations = (
-            next(r for r in rows if r["parts"] == parts and r["method"] == method)
-            for method in (OURS, PEER, ROTATIONS)
-        )
-        lines.append(
-            f"{parts} part{'s' * (parts > 1)}: {OURS} {ours['success_percent']:.0f} % in "
-            f"{shown(ours['median_ms'])} ms, "
-            f"scipy {peer['success_percent']:.0f} % in {shown(peer['median_ms'])} ms "
-            f"({peer['median_ms'] / ours['median_ms']:.1f} times as long), "
-            f"{ROTATIONS} {rotations['near_percent']:.0f} % (within {NEAR:g}) in "
-            f"{shown(rotations['median_ms'])} ms"
-        )
-    lines.append(
-        "linear step, "
-        + " / ".join(str(r["parts"]) for r in linear)
-        + " parts: "
-        + " / ".join(f"{r['lead']:.1f}" for r in linear)
-        + " times as fast as numpy lstsq"
-    )
-    return lines

@@ -6,22 +6,20 @@ The loop itself is `loop.run`; every stage then gets the same inputs once more.
 from __future__ import annotations
 
 from itertools import islice
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import yaml
 
 from harness import Result, Table, cpu_time
 from plate_bringup.loop import Moment, Setup, run
 from plate_core import PlateCycle, Rig, load_rig, part_class
-from plate_core.tasks import Scenario, load_scenario
+from plate_core.tasks import Scenario
 from plate_driver.setpoints import prepare
 from plate_planner import Planner
 from plate_sim import Camera, part_greys, run_cycle
 from plate_solver import Controller
 from plate_vision import Tracker, make_vision, observe
+from tasks.runs import sorting
 
 PARTS = (1, 2, 4, 6, 8, 10, 16)
 IMAGES = 40
@@ -44,13 +42,10 @@ def measure(quick: bool) -> Result:
     """Time all stages for several numbers of parts to sort."""
     rig = load_rig()
     rows = []
-    with TemporaryDirectory() as folder:
-        for parts in (2, 10) if quick else PARTS:
-            path = Path(folder) / f"sort_{parts}.yaml"
-            path.write_text(scenario_text(parts), encoding="utf-8")
-            setup = Setup(str(path))
-            moments = list(islice(run(setup, rig), 15 if quick else IMAGES))
-            rows.append(stages_row(rig, load_scenario(path), moments))
+    for parts in (2, 10) if quick else PARTS:
+        scenario = sorting(parts)
+        moments = list(islice(run(Setup(scenario), rig), 15 if quick else IMAGES))
+        rows.append(stages_row(rig, scenario, moments))
     return Result(
         [
             Table(
@@ -66,38 +61,7 @@ def measure(quick: bool) -> Result:
                 "setpoints: vision, planner, solver and driver; it has to fit into one cycle.",
             )
         ],
-        [
-            f"{r['parts']} parts: {r['answer']:.1f} ms from image to setpoints, "
-            f"{100 * r['answer'] / r['period']:.0f} % of a cycle of {r['period']:.0f} ms; "
-            f"solver {100 * r['solver'] / r['answer']:.0f} % of it"
-            for r in rows
-            if r["parts"] in (2, 10)
-        ],
     )  # fmt: skip
-
-
-def scenario_text(parts: int) -> str:
-    """Return the YAML of a task to sort so many scattered parts."""
-    groups = [
-        {"class": name, "count": count}
-        for name, count in (("black", (parts + 1) // 2), ("grey", parts // 2))
-        if count
-    ]
-    return str(
-        yaml.safe_dump(
-            {
-                "description": f"Sort {parts} scattered parts.",
-                "parts": groups,
-                "task": {
-                    "kind": "sort",
-                    "sides": {g["class"]: ("left", "right")[i] for i, g in enumerate(groups)},
-                    "goal_fraction": 0.6,
-                    "hold_s": 0.5,
-                },
-                "time_limit_s": 120.0,
-            }
-        )
-    )
 
 
 def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str, Any]:

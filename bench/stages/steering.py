@@ -57,7 +57,6 @@ def measure(quick: bool) -> Result:
                 "this problem.",
             )
         ],
-        [growth(rows, method) for method in ("sinusoids", "rotations")],
     )  # fmt: skip
 
 
@@ -129,12 +128,3 @@ def scene(
         position, velocity, running = run.position[-1], run.velocity[-1], answer.cycle
     miss, own, ask = np.array([missed, predicted, asked])
     return milliseconds[:CYCLES], miss, own, ask, running.period
-
-
-def growth(rows: list[dict[str, Any]], method: str) -> str:
-    """Say how time and miss grow with the number of parts."""
-    mine = [row for row in rows if row["method"] == method]
-    parts = np.log([row["parts"] for row in mine if row["parts"] > 1])
-    slope = np.polyfit(parts, np.log([row["warm_ms"] for row in mine if row["parts"] > 1]), 1)[0]
-    shares = ", ".join(f"{row['cold_percent']:.1f} % at {row['parts']}" for row in mine)
-    return f"{method}: warm time grows as M^{slope:.1f}; from a cold start missed {shares} parts"

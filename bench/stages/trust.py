@@ -80,7 +80,6 @@ def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate what is left out."""
     peers = {name: optional(name) for name in ("pymunk", "mujoco")}
     creep = creep_rows(peers, 0.5 if quick else CREEP_S)
-    ours = max(row[scene] for row in creep[:3] for scene in RIDES)
     return Result(
         [
             Table(
@@ -113,9 +112,7 @@ def measure(quick: bool) -> Result:
                 world_rows(1 if quick else 3),
                 "Seeds 0, 1, 2, Method B.",
             ),
-        ],
-        [f"parts at rest drift {ours:.1g} um at most in plate_sim"]
-        + [missing_peer(name) for name, module in peers.items() if not module],
+        ], [missing_peer(name) for name, module in peers.items() if not module],
     )  # fmt: skip
 
 

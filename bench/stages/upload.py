@@ -1,14 +1,10 @@
-"""How long an upload takes: at 921,600 baud in simulated time, and over a pseudo-terminal."""
+"""How long an upload takes at 921,600 baud in simulated time; and a device in real time."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import tempfile
 import time
 from collections.abc import Iterator
 from multiprocessing.synchronize import Event
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +12,7 @@ import numpy as np
 from harness.serial import Port
 from plate_core import PlateCycle, load_rig
 from plate_driver.setpoints import MotorTable, prepare
-from plate_driver.transports import Condition, SerialTransport, open_port
+from plate_driver.transports import Condition, SerialTransport
 from plate_sim.device import (
     TICK_US,
     DeviceLimits,
@@ -28,9 +24,6 @@ from plate_sim.device import (
 
 POLL_S = 0.005
 """The driver's."""
-
-ANSWER_S = 0.05
-"""From a cycle's image to the driver [s]."""
 
 PERIOD_S = 0.2
 REPEATS = 50
@@ -56,13 +49,13 @@ def shaking(knots: int, amplitude: float) -> MotorTable:
     return prepare(load_rig(), still, 1)[0]
 
 
-def upload_s(knots: int, poll_s: float = POLL_S, baud: float = 921_600.0) -> float:
+def upload_s(knots: int) -> float:
     """Return the simulated time [s] of an upload to a device that plays."""
-    line = FaultSchedule(LineFaults(baud=baud))
+    line = FaultSchedule(LineFaults(baud=921_600.0))
     emulator = Emulator(DeviceLimits.of_rig(load_rig()), 0, line)
     transport = SerialTransport(lambda: Port(emulator), lambda: emulator.now, seed=1)
     transport.open()
-    every = round(poll_s * 1e6) // TICK_US
+    every = round(POLL_S * 1e6) // TICK_US
 
     def wait(ready: Any) -> float:
         began, ticks = emulator.now, 0
@@ -79,8 +72,8 @@ def upload_s(knots: int, poll_s: float = POLL_S, baud: float = 921_600.0) -> flo
     transport.enable()
     wait(lambda: transport.report().condition is Condition.READY)
     transport.send(shaking(knots, 0.0005), REPEATS)
-    wait(lambda: emulator.device.motion.playing is not None)
-    wait(lambda: not transport.busy and emulator.device.motion.waiting is None)
+    wait(lambda: emulator.device.playing)
+    wait(lambda: not transport.busy and not emulator.device.waiting)
     transport.send(shaking(knots, 0.0006), REPEATS)
     return wait(lambda: not transport.busy)
 
@@ -96,7 +89,7 @@ def device(link: str, ready: Event, done: Event) -> Iterator[tuple[bytes, float]
     began = time.monotonic_ns()
     while not done.is_set():
         data = terminal.read()
-        due = (time.monotonic_ns() - began) // 1_000 - emulator.device.now_us
+        due = (time.monotonic_ns() - began) // 1_000 - emulator.now_us
         yield data, 1e-6 * max(0, due - TICK_US)
         began += 1_000 * max(0, due - MOST_BEHIND_US)
         ticks = min(due, MOST_BEHIND_US) // TICK_US
@@ -106,75 +99,3 @@ def device(link: str, ready: Event, done: Event) -> Iterator[tuple[bytes, float]
         terminal.write(emulator.to_host.arrived(emulator.now))
         time.sleep(0.0005)
     terminal.unplug()
-
-
-def serve(link: str, ready: Event, done: Event, late: Any) -> None:
-    """Be the device; puts the lateness of its ticks [s]: median, 99 %, most."""
-    lateness = [seconds for _, seconds in device(link, ready, done)]
-    late.put(np.percentile(lateness, [50, 99, 100]).tolist())
-
-
-def over_terminal(seconds: float, knots: int = 64) -> dict[str, Any]:
-    """Send a new table in every cycle, over a pseudo-terminal, in real time.
-
-    Each is sent `ANSWER_S` after a cycle's beginning; it is late if the device does not have it
-    when the cycle ends.
-    """
-    context = multiprocessing.get_context("spawn")
-    load = os.getloadavg()[0]
-    ready, done, late = context.Event(), context.Event(), context.Queue()
-    with tempfile.TemporaryDirectory() as folder:
-        link = str(Path(folder) / "port")
-        process = context.Process(target=serve, args=(link, ready, done, late))
-        process.start()
-        try:
-            ready.wait(60)
-            uploads, misses = _drive(link, seconds, knots)
-        finally:
-            done.set()
-            ticks = late.get(timeout=60)
-            process.join(60)
-    milliseconds = 1e3 * np.array(uploads)
-    return {
-        "cycles": len(uploads),
-        "upload_ms": float(np.median(milliseconds)),
-        "upload_p99_ms": float(np.percentile(milliseconds, 99)),
-        "late_share": misses / max(1, len(uploads)),
-        "tick_p99_ms": 1e3 * ticks[1],
-        "tick_max_ms": 1e3 * ticks[2],
-        "load": (load + os.getloadavg()[0]) / 2,
-    }
-
-
-def _drive(link: str, seconds: float, knots: int) -> tuple[list[float], int]:
-    """Be the driver; returns what the uploads took [s], and how many came too late."""
-    transport = SerialTransport(lambda: open_port(link), time.monotonic, seed=1)
-    tables = [shaking(knots, a) for a in (0.0005, 0.0006)]
-    transport.open()
-    for ask, condition in ((lambda: None, Condition.OFF), (transport.enable, Condition.READY)):
-        ask()
-        end = time.monotonic() + BEGIN_S
-        while transport.report().condition is not condition and time.monotonic() < end:
-            transport.poll()
-            time.sleep(POLL_S)
-    transport.send(tables[0], REPEATS)
-    uploads: list[float] = []
-    misses, playing = 0, 0
-    due = sent = float("inf")
-    began = time.monotonic()
-    while time.monotonic() - began < seconds + BEGIN_S * (not uploads):
-        for measured in transport.poll():
-            table = measured.table
-            if table and table != playing:  # a cycle with a new table has begun
-                playing, due = table, measured.time + ANSWER_S
-        now = time.monotonic()
-        if now >= due:
-            transport.send(tables[len(uploads) % 2], REPEATS)
-            due, sent = float("inf"), now
-        elif sent < now and not transport.busy:
-            uploads.append(now - sent)
-            misses += uploads[-1] > PERIOD_S - ANSWER_S
-            sent = float("inf")
-        time.sleep(POLL_S)
-    transport.close()
-    return uploads, misses

@@ -1,20 +1,17 @@
 """The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
 
-Images come from the simulated camera, so the true centres are known; and from photographs inside
-the scikit-image package, whose true centres are marked by hand (photographs.yaml).
+Images come from the simulated camera, so the true centres are known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 
-from harness import ROOT, Result, Table, cpu_time, missing_peer, optional, race
+from harness import Result, Table, cpu_time, missing_peer, optional
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
@@ -39,11 +36,6 @@ ROUNDS = 5
 THRESHOLD = 165
 """Grey level between parts (130 at most) and plate (198 at least), for the peers."""
 
-MARKS = ROOT / "src/plate_vision/test/photographs.yaml"
-
-REACH_PX = 8.0
-"""How near to a mark a part must be to count as found [px]."""
-
 Finder = Callable[[np.ndarray], np.ndarray]
 """Image (H, W) to centres (n, 2) [px]."""
 
@@ -57,9 +49,6 @@ def measure(quick: bool) -> Result:
     for count in (10, 100):
         for touching in (False, True):
             rows += scene_rows(rig, finders, count, touching, quick)
-    photographs, sentences = photograph_table(quick)
-    if REGIONS not in finders:
-        sentences.append(missing_peer("scikit-image"))
     return Result(
         [
             Table(
@@ -81,10 +70,8 @@ def measure(quick: bool) -> Result:
                 "one after the other, with each image, so that each finds the caches full of "
                 "what the others left.",
             ),
-            photographs,
         ],
-        [sentence(rows, count, place) for count in (10, 100) for place in ("apart", "touching")]
-        + sentences,
+        [] if REGIONS in finders else [missing_peer("scikit-image")],
     )  # fmt: skip
 
 
@@ -256,102 +243,3 @@ def match(found: np.ndarray, truth: np.ndarray, reach: float) -> tuple[np.ndarra
             used_found.add(i)
             used_true.add(j)
     return np.array(errors), len(found) - len(errors)
-
-
-def sentence(rows: list[dict[str, Any]], count: int, place: str) -> str:
-    """Sum up one scene."""
-    here = [row for row in rows if row["discs"] == count and row["place"] == place]
-    return f"{count} discs {place}: " + "; ".join(
-        f"{row['method']} {row['loop_ms']:.2g} ms in a loop, {row['turns_ms']:.2g} in turns"
-        + (f", {row['rms_px']:.3f} px" if row["rms_px"] is not None else "")
-        + f", missed {row['missed_percent']:.1f} %"
-        for row in here
-    )
-
-
-def photograph_table(quick: bool) -> tuple[Table, list[str]]:
-    """Measure every photograph; also sentences that sum up."""
-    data = optional("skimage.data")
-    rows: list[dict[str, Any]] = []
-    sentences = []
-    if data is None:
-        sentences.append(missing_peer("scikit-image (it brings the photographs)"))
-    else:
-        for name, marks in yaml.safe_load(MARKS.read_text(encoding="utf-8")).items():
-            image = getattr(data, name)()
-            rows += photograph_rows(name, image, np.array(marks, dtype=float).reshape(-1, 2), quick)
-        ours = [row for row in rows if row["method"] == OURS]
-        worst = max(row["worst_px"] for row in ours if row["worst_px"] is not None)
-        sentences.append(
-            f"photographs: {sum(r['found'] for r in ours)} of {sum(r['true'] for r in ours)} parts "
-            f"found, {sum(r['false'] for r in ours)} invented, worst centre {worst:.1f} px"
-        )
-    columns = {
-        "picture": "photograph", "method": "method", "true": "parts", "found": "found",
-        "false": "false", "rms_px": "centre RMS [px]", "worst_px": "worst [px]",
-        "ms": "median [ms]",
-    }  # fmt: skip
-    note = (
-        "True: counted, and centres marked, by hand in enlarged pictures, to about half a pixel. "
-        "Ours has no settings; HoughCircles gets the range of radii and a threshold that suits the "
-        "coins, regionprops a threshold by Otsu. The pictures were at hand when the detector was "
-        "made, so they show what it can do, not how often it will."
-    )
-    return Table("photographs", "Photographs, nothing known of the parts", columns, rows, note), (
-        sentences
-    )
-
-
-def photograph_rows(
-    name: str, image: np.ndarray, truth: np.ndarray, quick: bool
-) -> list[dict[str, Any]]:
-    """Measure all methods in one photograph; `truth` is (M, 2) [px]."""
-    grey = np.ascontiguousarray(image if image.ndim == 2 else image[:, :, 1])
-    finders = photograph_finders()
-    timed = race({n: partial(f, grey) for n, f in finders.items()}, 0.1 if quick else 1.0)
-    rows = []
-    for method, find in finders.items():
-        found = find(grey)
-        gap = np.linalg.norm(found[:, None] - truth, axis=2)
-        near = gap.min(axis=0, initial=np.inf)
-        errors = near[near < REACH_PX]
-        rows.append(
-            {
-                "picture": name,
-                "method": method,
-                "true": len(truth),
-                "found": len(errors),
-                "false": len(found) - len(errors),
-                "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
-                "worst_px": float(errors.max()) if len(errors) else None,
-                "ms": 1e3 * timed.median(method),
-            }
-        )
-    return rows
-
-
-def photograph_finders() -> dict[str, Finder]:
-    """Return ours and its peers: image (H, W) to centres (n, 2) [px]."""
-
-    def ours(image: np.ndarray) -> np.ndarray:
-        found = detect(image)
-        return np.column_stack([found["x_px"], found["y_px"]])
-
-    def hough(image: np.ndarray) -> np.ndarray:
-        smooth = cv2.GaussianBlur(image, (5, 5), 0)
-        circles = cv2.HoughCircles(
-            smooth, cv2.HOUGH_GRADIENT, 1, 40, param1=150, param2=25, minRadius=14, maxRadius=40
-        )
-        return np.zeros((0, 2)) if circles is None else circles.reshape(-1, 3)[:, :2]
-
-    finders: dict[str, Finder] = {OURS: ours, "HoughCircles": hough}
-    measure, filters = optional("skimage.measure"), optional("skimage.filters")
-    if measure is not None and filters is not None:
-
-        def regions(image: np.ndarray) -> np.ndarray:
-            labels = measure.label(image > filters.threshold_otsu(image))
-            parts = measure.regionprops(labels)
-            return np.array([p.centroid[::-1] for p in parts if p.area > 50]).reshape(-1, 2)
-
-        finders["skimage Otsu + regionprops"] = regions
-    return finders

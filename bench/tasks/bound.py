@@ -8,8 +8,6 @@ repeats. With the plate at rest between cycles, as the graph has it, and without
 
 from __future__ import annotations
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,13 +16,12 @@ from harness import Cache, Result, Table, processes, resumed
 from plate_bringup.loop import Setup, run, with_settings
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
-from plate_core.tasks import load_scenario, start_positions
+from plate_core.tasks import start_positions
 from plate_solver import Goal, Limits, SinusoidSolver
 from plate_solver.analysis import speed_bounds
 from plate_solver.maps import end_state
 from plate_solver.sinusoids import BIN, Motions, Problem, SinusoidFamily, descend, sinusoid_basis
-from tasks.runs import UNEVEN, median
-from tasks.sizing import sort_file
+from tasks.runs import UNEVEN, median, sorting
 
 COUNTS = (1, 2, 4, 10)
 PERIODS = {0.05: 3, 0.1: 4, 0.15: 6, 0.2: 8, 0.3: 12}
@@ -68,9 +65,8 @@ def measure(quick: bool) -> Result:
         for rest in (True, False)
         for scene in range(scenes)
     }
-    with TemporaryDirectory() as folder, processes() as pool:
-        files = {count: sort_file(Path(folder), count) for count in counts}
-        loops = {f"loop {n} {seed}": (files[n], seed) for n in counts for seed in seeds}
+    loops = {f"loop {n} {seed}": (n, seed) for n in counts for seed in seeds}
+    with processes() as pool:
         found = dict(zip(searches, resumed(pool, fastest, searches, cache), strict=True))
         driven = dict(zip(loops, resumed(pool, loop_speed, loops, cache), strict=True))
     rows: list[dict[str, Any]] = []
@@ -98,13 +94,7 @@ def measure(quick: bool) -> Result:
         "Bounds are of one part along a line. What is found is no bound: twice the harmonics in "
         "twice the time do at least as well, so where the table has less the search fell short."
     )
-    told = [
-        f"{row['parts']} part(s), {row['period_s']:g} s: {row['rest_mm_s']:.0f} mm/s from rest, "
-        f"{row['free_mm_s']:.0f} without, {row['loop_mm_s']:.0f} in the loop"
-        for row in rows
-        if row["solver"]
-    ]
-    return Result([Table("bound", "How fast parts can be moved", COLUMNS, rows, note)], told)
+    return Result([Table("bound", "How fast parts can be moved", COLUMNS, rows, note)])
 
 
 def fastest(
@@ -112,9 +102,7 @@ def fastest(
 ) -> float:
     """Return the greatest mean speed that is found [m/s]."""
     rng = np.random.default_rng([scene, count])
-    with TemporaryDirectory() as folder:
-        scenario = load_scenario(sort_file(Path(folder), count))
-    labels, position = start_positions(scenario, rig, rng)
+    labels, position = start_positions(sorting(count), rig, rng)
     way = np.where(np.array(labels) == "black", -1.0, 1.0)
     number = PERIODS[period]
     steps = -(-max(round(period / STEP), 16 * number) // BIN) * BIN
@@ -169,13 +157,13 @@ def steady(
     return float(np.mean(speeds[-4:])), velocity
 
 
-def loop_speed(scenario: str, seed: int) -> float:
+def loop_speed(count: int, seed: int) -> float:
     """Return the mean speed [m/s] of the parts in the closed loop until half of their ways to their
     sides are done."""
     goal = 0.6 * load_rig().plate.half[0]
     first: float | None = None
     going = 1
-    for moment in run(with_settings(Setup(scenario, seed), UNEVEN)):
+    for moment in run(with_settings(Setup(sorting(count), seed), UNEVEN)):
         black = np.array([name.startswith("black") for name in moment.world.ids])
         left = np.maximum(goal - moment.world.position[:, 0] * np.where(black, -1, 1), 0)
         total = float(np.sum(left))

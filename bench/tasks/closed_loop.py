@@ -28,7 +28,7 @@ COLUMNS = {
 
 def measure(quick: bool) -> Result:
     """Run scenarios with several seeds."""
-    cache, rows, samples = Cache.of(__name__), [], []
+    cache, rows = Cache.of(__name__), []
     counts = {"sort_10": 1, "sort_shapes": 1, "follow_2": 1} if quick else SEEDS
     with processes() as pool:
         for scenario, count in counts.items():
@@ -39,7 +39,6 @@ def measure(quick: bool) -> Result:
             rig = load_rig(load_scenario(scenario).rig)
             runs = runs_of(pool, cache, rig, cases)
             rows.append(row(scenario, runs))
-            samples += runs
     note = (
         f"Gamma = {rig.gamma:.1f}; seeds from {FIRST_SEED} on; friction uneven by 10 % between "
         "parts and over the plate. Time is simulated; times and errors are of the runs that ended "
@@ -47,8 +46,6 @@ def measure(quick: bool) -> Result:
     )
     return Result(
         [Table("tasks", "Tasks", COLUMNS, rows, note)],
-        [f"{r['task']}: {r['well']} ended well; {r['time']}" for r in rows],
-        samples,
     )
 
 

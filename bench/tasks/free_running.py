@@ -66,13 +66,6 @@ def measure(quick: bool) -> Result:
     note = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
     return Result(
         [Table("cameras", "Cameras that run free", COLUMNS, rows, f"Where not changed: {note}.")],
-        [
-            f"{changed}: good for it at "
-            + ", ".join(
-                f"{row['value']:g}" for row in rows if row["changed"] == changed and row["kept"]
-            )
-            for changed in values
-        ],
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from harness import Result, Table
 from plate_bringup.loop import Moment, Setup, run
 from plate_core import Parts, PlateCycle, Rig, load_rig, part_class
-from plate_core.tasks import PartGroup, Scenario, SortTask, load_scenario
+from plate_core.tasks import Scenario, SortTask, load_scenario
 from plate_driver.setpoints import prepare
 from plate_planner import Planner
 from plate_planner.estimation import Estimator
@@ -25,6 +25,7 @@ from plate_sim.world import NONE
 from plate_solver import Controller
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.tracking import update
+from tasks.runs import sorting
 
 FRAMES, DIRTY_FRAMES = 10_000, 2_000
 """Images of the clean world and of each of the others."""
@@ -142,7 +143,7 @@ def measure(quick: bool) -> Result:
     noise = drift_noise(2.0 if quick else STILL_S)
     many = crowd(quick)
     tables = [identity_table(rows), crowd_table(many), noise_table(noise)]
-    return Result(tables, sentences(rows, many, noise))
+    return Result(tables)
 
 
 @dataclass(frozen=True)
@@ -196,14 +197,11 @@ def to_and_fro(rig: Rig, frames: int, seed: int) -> Iterator[Instant]:
 
 def _sort(left: str, right: str) -> Scenario:
     """Return the task to sort a crowd of two halves."""
-    scenario = load_scenario("sort_32")
+    scenario = sorting(CROWD)
     assert isinstance(scenario.task, SortTask)
     regions = scenario.task.regions
     sides = {left: regions["black"], right: regions["grey"]}
-    halves = tuple(PartGroup(label, CROWD // 2) for label in ("black", "grey"))
-    return replace(
-        scenario, parts=halves, task=replace(scenario.task, regions=sides, goal_fraction=GOAL)
-    )
+    return replace(scenario, task=replace(scenario.task, regions=sides, goal_fraction=GOAL))
 
 
 def follow_crowd(
@@ -369,23 +367,3 @@ def noise_table(row: dict[str, Any]) -> Table:
         [row],
         "Default rig and camera noise; the drift is that of the last two images.",
     )  # fmt: skip
-
-
-def sentences(
-    rows: list[dict[str, Any]], many: list[dict[str, Any]], noise: dict[str, Any]
-) -> list[str]:
-    """Sum up."""
-    told = [
-        f"{r['world']}: {r['swaps']} ids swapped, {r['renamed']} parts named anew in {r['frames']} "
-        f"images with {r['near']} near passes"
-        for r in rows
-    ]
-    told += [
-        f"{CROWD} parts at {r['speed_mm_s']:.0f} mm/s, {r['world']}: {r['swaps']} ids swapped, "
-        f"{r['renamed']} parts named anew in {r['frames']} images"
-        for r in many
-    ]
-    return [
-        *told,
-        f"drift of still parts: {noise['rms_mm_s']:.2f} mm/s, worst part {noise['worst_mm_s']:.2f}",
-    ]

@@ -55,14 +55,11 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
             if tick % POLL_TICKS == 0:
                 transport.poll()
                 operator.look(emulator.now)
-            motion = emulator.device.motion
-            playing = 0
-            if motion.state is State.PLAYING and motion.playing is not None:
-                playing = motion.playing.table
+            playing = emulator.device.playing
             if plays and playing and playing != (played[-1] if played else 0):
                 played.append(playing)
             cycles["ticks"] += plays
-            cycles["resting"] += plays and motion.state is not State.PLAYING
+            cycles["resting"] += plays and not playing
             if until is not None and until():
                 return
 
@@ -81,12 +78,12 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     share = cycles["resting"] / cycles["ticks"]
     count = len(played)
     for _ in range(stops):
-        run(BEGIN_S, True, lambda: emulator.device.motion.state is State.PLAYING)
-        if emulator.device.motion.state is not State.PLAYING:
+        run(BEGIN_S, True, lambda: emulator.state is State.PLAYING)
+        if emulator.state is not State.PLAYING:
             break
         began = emulator.now
         transport.stop()
-        run(STOP_S, False, lambda: emulator.device.motion.state in (State.BRAKING, State.OFF))
+        run(STOP_S, False, lambda: emulator.state in (State.BRAKING, State.OFF))
         times.append(1e3 * (emulator.now - began))
         run(BEGIN_S, False, ready)
     in_time = play_s * (1 - share) / PERIOD_S  # periods in which something was played
@@ -124,19 +121,4 @@ def measure(quick: bool) -> Result:
                 "the next has not come.",
             )
         ],
-        sentences(rows),
-        rows,
     )  # fmt: skip
-
-
-def sentences(rows: list[dict[str, Any]]) -> list[str]:
-    """Sum up what plays, and the stops."""
-    plays = [row for row in rows if row["tables"]]
-    own = sum(row["stops_own"] or 0 for row in rows)
-    brakes = [row for row in rows if row["brake_most_ms"] is not None]
-    worst = max(brakes, key=lambda row: row["brake_most_ms"])
-    return [
-        f"{len(plays)} of {len(rows)} lines play; {own} stops that nobody asked for",
-        f"from stop() to braking at most {worst['brake_most_ms']:.0f} ms ({worst['baud']} baud, "
-        f"{worst['lost']:g} % lost, {worst['delay_ms']:g} ms delay)",
-    ]

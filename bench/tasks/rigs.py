@@ -17,7 +17,7 @@ from plate_bringup.loop import Setup
 from plate_core import Rig, load_rig
 from plate_core.tasks import load_scenario
 from plate_solver import judge_task
-from tasks.runs import UNEVEN, runs_of, sentence, summed
+from tasks.runs import UNEVEN, runs_of, summed
 
 RATIOS = (2, 3, 5, 10)
 """Shaking ratios of the default plate: its acceleration over mu g, by `accel_mps2`."""
@@ -68,14 +68,11 @@ def measure(quick: bool) -> Result:
         f"Seeds {seeds[0]} to {seeds[-1]}, friction uneven by 10 % between parts and over the "
         "plate; time is simulated. A rig is the default one but for what its name says."
     )
-    right = sum(agrees(row) for row in rows)
     return Result(
         [
             Table("rigs", "Small and weak rigs", COLUMNS, rows, note),
             Table("by_rig", "Small and weak rigs", BY_RIG, by_rig(rows), note),
         ],
-        [f"{row['rig']}: {sentence(row)}; feasible: {row['feasible']}" for row in rows]
-        + [f"feasible was right in {right} of {len(rows)} cases"],
     )
 
 
@@ -123,9 +120,3 @@ def by_rig(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             said += f", {row['feasible_s']:.0f} s"
         mine[row["scenario"].removesuffix("_desk")] = f"{', '.join(told)} ({said})"
     return list(found.values())
-
-
-def agrees(row: dict[str, Any]) -> bool:
-    """Whether most runs did as `feasible` said: ended well, or not."""
-    good, runs = map(int, row["succeeded"].split(" of "))
-    return (row["feasible"] == "likely") == (2 * good > runs)

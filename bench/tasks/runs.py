@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,22 @@ import numpy as np
 from harness import Cache, resumed
 from plate_bringup.loop import Setup, summary, with_settings
 from plate_core import Rig
+from plate_core.tasks import PartGroup, Scenario, SortTask, load_scenario
 
 UNEVEN = {"friction_spread": "0.1", "friction_patches": "0.1"}
 """Friction differs by 10 % between parts and over the plate: settings of `bench/closed_loop.py`."""
+
+
+def sorting(count: int, time_limit_s: float = 900.0) -> Scenario:
+    """Return a scenario like `sort_10` with `count` parts, half of them black."""
+    scenario = load_scenario("sort_10")
+    assert isinstance(scenario.task, SortTask)
+    groups = (PartGroup("black", count - count // 2), PartGroup("grey", count // 2))
+    parts = tuple(group for group in groups if group.count)
+    task = replace(
+        scenario.task, regions={one.label: scenario.task.regions[one.label] for one in parts}
+    )
+    return replace(scenario, parts=parts, task=task, time_limit_s=time_limit_s)
 
 
 def runs_of(
@@ -67,17 +81,3 @@ def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 def median(values: list[float]) -> float | None:
     """Return the median, None of nothing."""
     return float(np.median(values)) if values else None
-
-
-def sentence(row: Mapping[str, Any]) -> str:
-    """Sum up a row in a sentence."""
-    told = [str(row[key]) for key in ("scenario", "method", "world") if key in row]
-    succeeded = row.get("succeeded") or f"{row['good']} of {row['runs']}"
-    text = f"{', '.join(told)}: {succeeded} ended well"
-    if row["time_s"] is not None:
-        text += f", {row['time_s']:.1f} s"
-    if row.get("dropped"):
-        text += f", {row['dropped']} parts dropped"
-    if row["rms_mm"] is not None:
-        text += f", RMS {row['rms_mm']:.2f} mm"
-    return text + (f", {row['solve_ms']:.1f} ms a solve" if "solve_ms" in row else "")

@@ -93,7 +93,7 @@ def measure(quick: bool) -> Result:
         "one process alone, " + " ".join(f"{key}='{value}'" for key, value in ALIKE.items())
     )
     title = f"Runs that are the same to the last bit as the quiet one, {len(seeds)} seeds each"
-    return Result([Table("sameness", title, COLUMNS, rows, note)], sentences(rows))
+    return Result([Table("sameness", title, COLUMNS, rows, note)])
 
 
 def traces(
@@ -149,14 +149,3 @@ def surroundings(variation: Variation) -> Iterator[None]:
             loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
             stack.callback(loop.kill)
         yield
-
-
-def sentences(rows: list[dict[str, Any]]) -> list[str]:
-    """Sum up every variation."""
-    told = []
-    for name in dict.fromkeys(row["variation"] for row in rows):
-        mine = [row for row in rows if row["variation"] == name]
-        same, runs = sum(row["same"] for row in mine), sum(row["runs"] for row in mine)
-        first = ", ".join(dict.fromkeys(row["piece"] for row in mine if row["piece"]))
-        told.append(f"{name}: {same} of {runs} the same" + (f"; first: {first}" if first else ""))
-    return told

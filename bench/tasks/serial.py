@@ -1,31 +1,26 @@
-"""The serial path: sorting over it, accidents, noise into both parsers, uploads and lateness."""
+"""The serial path: sorting over it, accidents, and uploads."""
 
 from __future__ import annotations
 
-import tempfile
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from harness import Cache, Result, Table, processes, resumed
 from harness.serial import Outcome, serial_run
 from plate_bringup.loop import Setup, summary
-from plate_core import load_rig
+from plate_core import PlateError, load_rig
+from plate_core.tasks import read_scenario
+from plate_core.yaml_fields import Fields
 from plate_sim.device import FaultSchedule, LineFaults
-from stages.frames import fuzz_device, fuzz_host
-from stages.upload import PERIOD_S, over_terminal, upload_s
+from stages.upload import PERIOD_S, upload_s
 
 SEEDS = range(10_000, 10_020)
 """Of the runs over both transports."""
 
 RUNS = 100
 """Of each kind of accident."""
-
-FRAMES = 1_000_000
-LATENESS_S = 600.0
 
 BAUD = 921_600.0
 
@@ -65,21 +60,11 @@ def measure(quick: bool) -> Result:
         work = {f"{kind} {seed}": (kind, seed) for kind in KINDS for seed in range(runs)}
         samples = resumed(pool, accident_run, work, cache)
     faults = [fault_row(kind, [row for row in samples if row["kind"] == kind]) for kind in KINDS]
-    frames, seconds = (20_000, 5.0) if quick else (FRAMES, LATENESS_S)
-    with processes(1) as pool:  # a fresh one: its memory is looked at
-        fuzz = [
-            row
-            for fuzzed in (fuzz_host, fuzz_device)
-            for row in resumed(pool, fuzzed, {f"{fuzzed.__name__} {frames}": (frames,)}, cache)
-            if row is not None
-        ]
-        [late] = resumed(pool, over_terminal, {f"terminal {seconds:g} s": (seconds,)}, cache)
     uploads = [
         {
             "knots": knots,
             "bytes": 52 * (knots + 1) + 14 * -(-(knots + 1) // 4) + 36,
             "ms": 1e3 * upload_s(knots),
-            "fast_ms": 1e3 * upload_s(knots, 0.001),
             "cycle_ms": 1e3 * PERIOD_S,
         }
         for knots in (48, 64, 96)
@@ -111,29 +96,12 @@ def measure(quick: bool) -> Result:
                 "the device.",
             ),
             Table(
-                "fuzz", "Random and mutated frames",
-                {"side": "into", "frames": "frames", "crashes": "crashes",
-                 "growth_kb": "memory, growth after a tenth [kB]", "setpoints": "setpoints",
-                 "outside": "outside limits"},
-                fuzz,
-            ),
-            Table(
                 "uploads", "A table's upload at 921,600 baud",
-                {"knots": "pieces", "bytes": "bytes, about", "ms": "looked after every 5 ms [ms]",
-                 "fast_ms": "every 1 ms [ms]", "cycle_ms": "cycle [ms]"},
+                {"knots": "pieces", "bytes": "bytes, about", "ms": "upload [ms]",
+                 "cycle_ms": "cycle [ms]"},
                 uploads,
             ),
-            Table(
-                "terminal", "A new table of 64 pieces each 200 ms over a pseudo-terminal",
-                {"cycles": "cycles", "upload_ms": "upload, median [ms]",
-                 "upload_p99_ms": "99 % [ms]", "late_share": "share too late",
-                 "tick_p99_ms": "device's tick late by, 99 % [ms]", "tick_max_ms": "most [ms]",
-                 "load": "load of the machine"},
-                [late],
-            ),
         ],
-        [*sentences(paths, faults, fuzz), upload_sentence(uploads, late)],
-        samples,
     )  # fmt: skip
 
 
@@ -185,45 +153,13 @@ def _share(runs: list[dict[str, Any]]) -> float:
     return 100 * sum(row["late"] for row in runs) / max(1, sum(row["images"] for row in runs))
 
 
-def sentences(
-    paths: list[dict[str, Any]], faults: list[dict[str, Any]], fuzz: list[dict[str, Any]]
-) -> list[str]:
-    """Sum up tasks, accidents and fuzz."""
-    told = [f"{row['transport']}: {row['succeeded']} sorted" for row in paths]
-    runs = sum(row["runs"] for row in faults)
-    ended = sum(row["done"] + row["told"] for row in faults)
-    kept, resting = (sum(row[key] for row in faults) for key in ("kept", "resting"))
-    return [
-        ", ".join(told),
-        f"{ended} of {runs} runs with accidents went on or stopped with a reason, {kept} within "
-        f"all limits, {resting} at rest in the end",
-        *(
-            f"{row['frames']} frames into the {row['side']}: {row['crashes']} crashes, memory "
-            f"+{row['growth_kb']} kB, {row['outside']} setpoints outside limits"
-            for row in fuzz
-        ),
-    ]
-
-
-def upload_sentence(uploads: list[dict[str, Any]], late: dict[str, Any]) -> str:
-    """Sum up uploads and lateness."""
-    return (
-        f"upload of {uploads[1]['knots']} pieces: {uploads[1]['ms']:.0f} ms of a cycle of "
-        f"{uploads[1]['cycle_ms']:.0f} ms at 921,600 baud; {late['upload_ms']:.0f} ms over a "
-        f"pseudo-terminal, 99 % within {late['upload_p99_ms']:.0f} ms, "
-        f"{100 * late['late_share']:.1f} % too late"
-    )
-
-
 def accident_run(kind: str, seed: int) -> dict[str, Any]:
     """Run the short task with one kind of accident."""
     trouble, event = KINDS[kind]
     at = 1.2 + 1.8 * float(np.random.default_rng(seed).random())
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "short.yaml"
-        path.write_text(yaml.safe_dump(SHORT), encoding="utf-8")
-        line = FaultSchedule(LineFaults(baud=BAUD, **trouble))
-        outcome = serial_run(Setup(str(path), seed), line, event, at)
+    line = FaultSchedule(LineFaults(baud=BAUD, **trouble))
+    short = read_scenario(Fields(SHORT, "short", PlateError), "short")
+    outcome = serial_run(Setup(short, seed), line, event, at)
     done = well(outcome)
     told = not done and bool(outcome.troubles) and outcome.phase in ("stuck", "aborted")
     verdict = outcome.verdict

@@ -14,7 +14,7 @@ from harness import Cache, Result, Table, processes
 from plate_bringup.loop import Setup
 from plate_core import Rig, load_rig
 from plate_core.rig import Suspension, mass_matrix, modal_matrices
-from tasks.runs import UNEVEN, runs_of, sentence, summed
+from tasks.runs import UNEVEN, runs_of, summed
 
 FIRST_SEED = 20_000
 """No parameter was ever chosen by runs with this seed or a later one."""
@@ -95,8 +95,6 @@ def measure(quick: bool) -> Result:
             runs = runs_of(pool, cache, played, cases)
         row = {"scenario": name, "method": method, "world": world} | summed(runs)
         rows.append({key: row[key] for key in COLUMNS})
-        if not quick:
-            print("\n  " + sentence(rows[-1]), end="", flush=True)
     note = (
         f"Seeds from {FIRST_SEED} on, Gamma = {rig.gamma:.1f}. Disturbances: friction uneven by "
         "10 % between parts and over the plate. Time is simulated. Errors of assembling are those "
@@ -104,7 +102,7 @@ def measure(quick: bool) -> Result:
         "99 % of the steps of one run, median over runs."
     )
     table = Table("tasks", "Tasks over many seeds", COLUMNS, rows, note)
-    return Result([table], [sentence(row) for row in rows])
+    return Result([table])
 
 
 def weak(rig: Rig) -> Rig:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import yaml
 
 from harness import Cache, Result, Table, processes
 from plate_bringup.loop import Setup
-from plate_core import Rig, load_rig
+from plate_core import PlateError, Rig, load_rig
+from plate_core.tasks import read_scenario
+from plate_core.yaml_fields import Fields
 from plate_solver import RotationSolver, SinusoidSolver
 from tasks.runs import UNEVEN, runs_of, summed
 
@@ -55,17 +54,11 @@ def measure(quick: bool) -> Result:
                     rows.append(_row(rig, pool, cache, method, count, speed, seeds))
                     if not rows[-1]["kept"]:
                         break
-    ends = [_end(rows, method, count) for method in methods for count in counts[method]]
     speeds = {
         "method": "method", "parts": "parts", "speed_mm_s": "speed [mm/s]",
         "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
         "max_mm": "largest error [mm]", "runs": "runs", "good": "ended well", "delay": "time taken",
         "kept": "kept", "solve_ms": "solve, median [ms]", "bound_mm_s": "a T / 16 [mm/s]",
-    }  # fmt: skip
-    frontier = {
-        "method": "method", "parts": "parts", "speed_mm_s": "fastest kept [mm/s]",
-        "rms_mm": "RMS error there [mm]", "failed_mm_s": "not kept [mm/s]",
-        "bound_mm_s": "a T / 16 [mm/s]",
     }  # fmt: skip
     note = (
         f"Circles of {1e3 * RADIUS_M:g} mm radius, some to the left, some to the right; images "
@@ -73,32 +66,7 @@ def measure(quick: bool) -> Result:
         f"Kept: all runs end well, RMS at most {1e3 * MOST_RMS_M:g} mm, time at most "
         f"{MOST_DELAY:g} of what the speed asks for. a T / 16: no part can be faster on average."
     )
-    return Result(
-        [
-            Table("tracking", "Tracking error against speed", speeds, rows, note),
-            Table("frontier", "Speed that can be kept against the number of parts", frontier, ends),
-        ],
-        [_sentence(ends, method) for method in methods],
-    )
-
-
-def _runs(
-    rig: Rig,
-    pool: Executor,
-    cache: Cache,
-    method: str,
-    count: int,
-    speed_mm: int,
-    seeds: Sequence[int],
-) -> list[dict[str, Any]]:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "circles.yaml"
-        path.write_text(yaml.safe_dump(circles(count, 1e-3 * speed_mm)), encoding="utf-8")
-        cases = {
-            f"{method} {count} {speed_mm:g} {seed}": (Setup(str(path), seed, method), UNEVEN)
-            for seed in seeds
-        }
-        return runs_of(pool, cache, rig, cases)
+    return Result([Table("tracking", "Tracking error against speed", speeds, rows, note)])
 
 
 def laps(speed: float) -> float:
@@ -135,7 +103,13 @@ def _row(
     speed_mm: int,
     seeds: Sequence[int],
 ) -> dict[str, Any]:
-    runs = _runs(rig, pool, cache, method, count, speed_mm, seeds)
+    task = Fields(circles(count, 1e-3 * speed_mm), "circles", PlateError)
+    scenario = read_scenario(task, "circles")
+    cases = {
+        f"{method} {count} {speed_mm:g} {seed}": (Setup(scenario, seed, method), UNEVEN)
+        for seed in seeds
+    }
+    runs = runs_of(pool, cache, rig, cases)
     solver = SinusoidSolver(rig) if method == "sinusoids" else RotationSolver(rig)
     period = solver.steering_period(count)
     speed = 1e-3 * speed_mm
@@ -154,24 +128,3 @@ def _row(
         "kept": kept and delay <= MOST_DELAY,
         "bound_mm_s": 1e3 * rig.reach.accel * period / 16,
     }
-
-
-def _end(rows: list[dict[str, Any]], method: str, count: int) -> dict[str, Any]:
-    """Return the fastest speed that was kept, and the first that was not."""
-    mine = [r for r in rows if r["method"] == method and r["parts"] == count]
-    kept = [r for r in mine if r["kept"]]
-    failed = [r["speed_mm_s"] for r in mine if not r["kept"]]
-    return {
-        "method": method,
-        "parts": count,
-        "speed_mm_s": kept[-1]["speed_mm_s"] if kept else 0,
-        "rms_mm": kept[-1]["rms_mm"] if kept else None,
-        "failed_mm_s": failed[0] if failed else None,
-        "bound_mm_s": mine[0]["bound_mm_s"],
-    }
-
-
-def _sentence(ends: list[dict[str, Any]], method: str) -> str:
-    mine = [r for r in ends if r["method"] == method]
-    text = ", ".join(f"{r['parts']}: {r['speed_mm_s']}" for r in mine)
-    return f"{method}: fastest speed kept [mm/s] by number of parts: {text}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,13 +100,16 @@ def session(
     domain: int | None = None,
     pictures: bool = True,
     waiting: Callable[[str], None] = lambda _: None,
+    watched: bool = True,
+    remaps: Mapping[str, tuple[str, str]] | None = None,
+    beside: Mapping[str, list[str]] | None = None,
 ) -> Iterator[Session]:
     """Start the nodes, and stop them at the end.
 
     Parameters
     ----------
     options : RunOptions
-        With `autostart` False: `Session.free` activates the driver.
+        With `autostart` False `Session.free` activates the driver.
     logs : path
         Folder for the nodes' logs.
     domain : int, optional
@@ -115,6 +118,12 @@ def session(
         Whether the observer listens to images.
     waiting : callable
         Called with what is waited for, while it is.
+    watched : bool
+        Whether a node that ends by itself ends all.
+    remaps : mapping of str to (str, str), optional
+        As of `Processes`.
+    beside : mapping of str to list of str, optional
+        Name -> command line of other programs that are started with the nodes.
 
     Raises
     ------
@@ -124,12 +133,13 @@ def session(
     nodes = options.nodes(load_graph())
     with (
         own_domain(domain) as domain,
-        Processes(nodes, options, logs, domain) as processes,
-        Observer(domain, processes.check, pictures) as observer,
+        Processes(nodes, options, logs, domain, remaps=remaps) as processes,
+        Observer(domain, processes.check if watched else lambda: None, pictures) as observer,
     ):
+        processes.add(beside or {}, {})
         loop = [node.name for node in nodes if not node.view]
         seen = observer.await_nodes(loop, START_S, waiting)
-        if driver_triggers(options):
+        if driver_triggers(options) and not options.autostart:
             observer.until(Path(options.port or options.link).exists, START_S)
             observer.activate_driver()  # motors stay off until they are enabled
         if "simulator" not in seen:

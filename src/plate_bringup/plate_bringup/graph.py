@@ -126,7 +126,7 @@ class RunOptions:
     link : str
         The simulated device's port.
     firmware : str
-        Program of the firmware for drives, which the simulated device runs; empty: its twin.
+        Program of the firmware for drives, which the simulated device runs; empty: no bus.
     lockstep : bool
         The simulator waits for every answer; time is the simulator's.
     rate : float

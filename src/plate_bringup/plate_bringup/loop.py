@@ -579,7 +579,7 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     steps = 1e3 * np.array(step_s[1:] or [0.0])
     most = np.max(shares, axis=0).tolist()
     return {
-        "scenario": setup.scenario,
+        "scenario": setup.scenario if isinstance(setup.scenario, str) else setup.scenario.name,
         "seed": setup.seed,
         "method": setup.method,
         "cycles": cycles.hexdigest(),

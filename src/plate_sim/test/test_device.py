@@ -45,7 +45,7 @@ def test_load_gives_the_plate_its_acceleration():
     # Independent: forces B^T-wise on plate give mass times acceleration.
     accel = np.array([3.0, -2.0, 40.0])
     _, _, qdd = motor_state(RIG, np.zeros((1, 3)), np.zeros((1, 3)), accel[None])
-    force = LIMITS.forces(qdd[0])
+    force = LIMITS.load @ qdd[0]
     total, torque = np.zeros(2), 0.0
     for motor, push in zip(RIG.motors, force, strict=True):
         vector = push * np.array(motor.direction)
@@ -79,7 +79,7 @@ def test_load_is_that_of_the_inertia_and_centre_of_mass_in_the_rig_file(tmp_path
         qdd = [
             way @ (accel[:2] + accel[2] * np.array([-point[1], point[0]])) for point, way in motors
         ]
-        force = DeviceLimits.of_rig(hung).forces(np.array(qdd, np.float32))
+        force = DeviceLimits.of_rig(hung).load @ qdd
         pushes = [push * way for push, (_, way) in zip(force, motors, strict=True)]
         torque = sum(
             point[0] * push[1] - point[1] * push[0]
@@ -87,7 +87,7 @@ def test_load_is_that_of_the_inertia_and_centre_of_mass_in_the_rig_file(tmp_path
         )
         np.testing.assert_allclose([*np.sum(pushes, 0), torque], needed, rtol=1e-5, atol=1e-4)
         # A uniform plate on the same flexures would need something else.
-        assert np.max(np.abs(LIMITS.forces(np.array(qdd, np.float32)) - force)) > 0.05
+        assert np.max(np.abs(LIMITS.load @ qdd - force)) > 0.05
 
 
 def test_line_is_as_bad_as_asked():
@@ -150,7 +150,7 @@ class Host:
         self.wait(0.9)
 
     def enable(self) -> None:
-        self.say(Enable(self.emulator.device.motion.stops))
+        self.say(Enable(self.emulator.device.stops))
 
     def upload(self, cycle: PlateCycle, table: int) -> None:
         motors = motor_state(RIG, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
@@ -165,11 +165,11 @@ class Host:
 
     @property
     def state(self) -> State:
-        return self.emulator.device.motion.state
+        return self.emulator.state
 
     @property
     def faults(self) -> Fault:
-        return self.emulator.device.motion.faults
+        return self.emulator.faults
 
 
 def test_what_is_played_is_recorded_whole():

@@ -4,7 +4,7 @@ Public: the names below and those of the chapters: `maps`, `fit`, `sinusoids`, `
 `requests`, `analysis`.
 """
 
-from .analysis import Manipulability, library_force, manipulability, manipulability_map
+from .analysis import Manipulability, library_force, manipulability
 from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
 from .limits import EQUAL_WEIGHT, Limits, limit_use
 from .maps import average_force
@@ -35,6 +35,5 @@ __all__ = [
     "library_force",
     "limit_use",
     "manipulability",
-    "manipulability_map",
     "rehearse",
 ]

@@ -102,8 +102,6 @@ class Controller:
         A key of `METHODS`.
     seed : int
         Seed of the solvers' restarts.
-    centres : (N, 2), optional
-        Centres of rotation of Method A [m], plate_home; as `RotationSolver` if left out.
     threads : int
         Cores that a search may use.
     **effort
@@ -115,7 +113,6 @@ class Controller:
         rig: Rig,
         method: str = "sinusoids",
         seed: int = 0,
-        centres: np.ndarray | None = None,
         threads: int = 1,
         **effort: int,
     ) -> None:
@@ -123,7 +120,7 @@ class Controller:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
         self._solvers: dict[str, MotionSolver] = {
-            "rotations": RotationSolver(rig, centres, seed=seed, **EFFORT["rotations"] | effort),
+            "rotations": RotationSolver(rig, seed=seed, **EFFORT["rotations"] | effort),
             "sinusoids": SinusoidSolver(
                 rig, seed=seed, threads=threads, **EFFORT["sinusoids"] | effort
             ),

@@ -30,13 +30,12 @@ from .requests import (
 from .rotations.library import Library
 
 
-def make_options(kind: type[Any], options: dict[str, Any], *others: str) -> Any:
+def make_options(kind: type[Any], options: dict[str, Any]) -> Any:
     """Return options of a kind; an unknown one is refused with the names of those there are."""
     known = kind.__dataclass_fields__
     unknown = [name for name in options if name not in known]
     if unknown:
-        allowed = ", ".join((*others, *known))
-        raise PlateError(f"options are {', '.join(options)}, allowed: {allowed}")
+        raise PlateError(f"options are {', '.join(options)}, allowed: {', '.join(known)}")
     return kind(**options)
 
 

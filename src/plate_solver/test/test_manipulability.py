@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from plate_core import PlateError
-from plate_solver import RotationSolver, library_force, manipulability, manipulability_map
+from plate_solver import RotationSolver, library_force, manipulability
 from plate_solver.analysis import condition_number
 from plate_solver.rotations import Library
 
@@ -105,23 +105,6 @@ def test_the_weakest_force_can_be_done(rig, scene):
     force = found.weakest_force * found.weakest_direction.reshape(2, 2)
     solution = RotationSolver(rig).solve(place, 0.7 * force)
     assert solution.success
-
-
-def test_map_of_a_probe(rig):
-    held = np.array([[0.15, 0.0]])
-    x, y, force = manipulability_map(rig, held, columns=5, rows=3)
-    assert force.shape == (3, 5)
-    assert (x[3], y[1]) == pytest.approx((0.15, 0.0))
-    assert force[1, 3] == 0  # on top of the part that is held
-    assert np.all((force >= 0) & (force <= 1))
-    assert force[1, 0] > 0.5  # far from it
-    alone = manipulability_map(rig, np.empty((0, 2)), columns=3, rows=3)[2]
-    assert np.all(alone > 0.99)
-    # Each place is the least over directions of the force on the probe, others held.
-    matrix = columns(rig, [*held, [x[1], y[0]]])
-    angles = np.pi * np.arange(8) / 8
-    expected = [scipy_force(matrix, np.array([0, 0, np.cos(a), np.sin(a)])) for a in angles]
-    assert force[0, 1] == pytest.approx(min(expected), rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 from plate_solver.rotations import Library, least_time, plan_rotations, with_return_strokes
-from plate_solver.rotations.plan import best_order, nearest_order
+from plate_solver.rotations.plan import nearest_order
 
 HALF = np.array([0.3, 0.15])
 LIBRARY = Library.around(HALF)
@@ -150,16 +150,3 @@ def test_nearest_order_is_short(seed):
     assert sorted(order) == list(range(6))
     best = min(tour(twists, list(p)) for p in permutations(range(6)))
     assert tour(twists, order) <= 1.15 * best
-
-
-def test_best_order_lessens_the_error():
-    twists = np.random.default_rng(5).normal(size=(9, 3))
-
-    def error(order):
-        return tour(twists, order)
-
-    first = np.arange(9)
-    found = best_order(error, first, 300, np.random.default_rng(0))
-    assert sorted(found) == list(first)
-    assert error(found) < 0.8 * error(first)
-    np.testing.assert_array_equal(best_order(error, first[:1], 50, np.random.default_rng(0)), [0])

@@ -90,8 +90,7 @@ def _run(
         signal.signal(number, on_signal)
     try:
         _init(args)
-        # EventsExecutor takes half the time, but a node ends or crashes by a transition under load:
-        # tools/lifecycle_flood.py.
+        # EventsExecutor takes half the time, but a node ends or crashes by a transition under load.
         executor = NodeExecutor()
         for make in makes.values():
             nodes.append(make())

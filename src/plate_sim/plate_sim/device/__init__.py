@@ -1,15 +1,14 @@
-"""The firmware's twin in Python, a motor controller that speaks docs/protocol.md; line and plate.
+"""A motor controller that speaks docs/protocol.md, which runs the firmware; its line and its plate.
 
-Use `Emulator` with a `FaultSchedule`, or `Device`, the controller alone. Files mirror firmware/.
+Use `Emulator` with a `FaultSchedule`, or `Device`, the controller alone.
 """
 
-from .controller import Device, setpoint_allowed
+from .._kernels import Device
 from .drives import BusJudge, SimulatedDrives, SimulatedODrives
 from .emulator import TICK_US, Emulator
 from .faults import FaultSchedule, LineFaults
 from .firmware import FirmwareOnDesk
 from .limits import DeviceLimits, c_header, rig_header
-from .piece import check_pieces, states_of
 from .plate import Segment, SuspendedPlate
 from .pty import PseudoTerminal
 from .serial_line import Line
@@ -30,8 +29,5 @@ __all__ = [
     "SimulatedODrives",
     "SuspendedPlate",
     "c_header",
-    "check_pieces",
     "rig_header",
-    "setpoint_allowed",
-    "states_of",
 ]

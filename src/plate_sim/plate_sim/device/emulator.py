@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
-from plate_core.serial_protocol import Fault
+from plate_core.serial_protocol import MOTORS, Fault, State
 
-from .controller import Device
+from .._kernels import Device
 from .faults import FaultSchedule
 from .limits import DeviceLimits
-from .motion import REST
 from .plate import Recorder, Segment, SuspendedPlate
 from .serial_line import Line
 
@@ -20,9 +18,6 @@ TICK_US = 1_000
 
 SEARCH_S = 0.3
 """Duration of the search for home [s], unless another one is given."""
-
-BUFFER_BYTES = 2048
-"""What the board holds of bytes that the device has not read (firmware/hal.h); more are lost."""
 
 BOOT_S = 0.2
 """From a reset until the device answers [s]."""
@@ -32,7 +27,7 @@ BROWN_OUT_S = 0.3
 
 
 class Emulator:
-    """A motor controller with plate and line.
+    """A motor controller, the firmware on a board in memory, with plate and line.
 
     Parameters
     ----------
@@ -59,14 +54,15 @@ class Emulator:
     ) -> None:
         schedule = schedule or FaultSchedule()
         generators = np.random.default_rng(seed).spawn(3)
-        self.device = Device.started(limits, int(generators[2].integers(1, 2**31)))
+        self.device = Device(limits, int(generators[2].integers(1, 2**31)))
+        self._limits = limits
         self.schedule = schedule
         self.to_device = Line(schedule.line, generators[0])
         self.to_host = Line(schedule.line, generators[1])
         self.connected = True
         self._commanded = commanded
         self._suspended = plate
-        self._measured = REST[:2]
+        self._measured = np.zeros((2, MOTORS), np.float32)
         self._recorder = Recorder()
         self._disconnected_until = self._booting_until = self._brown_out_until = 0.0
         self._search_us = round(homing_s * 1e6)
@@ -87,15 +83,19 @@ class Emulator:
     @property
     def faults(self) -> Fault:
         """Faults of the device."""
-        return self.device.motion.faults
+        return Fault(self.device.faults)
+
+    @property
+    def state(self) -> State:
+        """State of the device."""
+        return State(self.device.state)
 
     def values(self) -> Mapping[str, object]:
         """Return what is to be reported, name to value."""
-        device = self.device
         return {
-            "state": device.motion.state.name.lower(),
-            "damaged frames": device.reader.refused,
-            "hottest motor": f"{device.heat.max() / device.limits.continuous_square:.3f}",
+            "state": self.state.name.lower(),
+            "damaged frames": self.device.refused,
+            "hottest motor": f"{self.device.hottest:.3f}",
         }
 
     @property
@@ -116,8 +116,7 @@ class Emulator:
 
     def reset(self) -> None:
         """Restart the device: it forgets everything, and current fails at once."""
-        old = self.device
-        self.device = Device.started(old.limits, (old.boot + 1) % 2**32, old.now_us)
+        self.device = Device(self._limits, (self.device.boot + 1) % 2**32, self.now_us)
         self._booting_until = self.now + BOOT_S
         self._cut()
 
@@ -132,25 +131,24 @@ class Emulator:
     def tick(self) -> list[Segment]:
         """Let a tick pass; returns what the motors have done up to an image."""
         self._trigger_faults()
-        device = self.device
+        device, was_high = self.device, self.device.triggered
         now_us = device.now_us + TICK_US
         now = now_us * 1e-6
         came = self.to_device.arrived(now)
         if now < self._booting_until:
-            self.device, at, sent = replace(device, now_us=now_us, frame_us=now_us), None, b""
+            device.sleep(now_us)
+            sent, at = b"", None
         else:
             faults = Fault.SUPPLY if now < self._brown_out_until else Fault.NONE
-            came = came[: BUFFER_BYTES - len(device.backlog)]
-            motion = device.motion
-            found = motion.searches and now_us - motion.enabled_us >= self._search_us
+            found = device.searches and now_us - device.enabled_us >= self._search_us
             idle = self.to_host.idle(now)
-            self.device, sent, at = device.ticked(now_us, self._measured, came, faults, found, idle)
-        self.triggered = self.device.trigger.high and not device.trigger.high
+            sent, at = device.tick(now_us, self._measured, came[: device.room], faults, found, idle)
+        self.triggered = device.triggered and not was_high
         if self.connected:
             self.to_host.sent(sent, now)
         if self._commanded is not None:
             self._commanded(now, at)
-        segments = self._recorder.followed(now, self.device.motion, at, self.triggered)
+        segments = self._recorder.followed(now, device, at, self.triggered)
         moved = self.plate[::2] if self._suspended is None else self._suspended.moved(self.plate)
         if not self._jammed:
             self._measured = moved.astype(np.float32)

@@ -19,7 +19,7 @@ from .serial_line import Line
 
 
 class FirmwareOnDesk:
-    """The firmware with drives on a CAN bus, in steps of one tick, as `Emulator` is its twin.
+    """The firmware with drives on a CAN bus, in steps of one tick, as `Emulator` is without a bus.
 
     The motors are where the simulated drives have brought them, not where they were told to be.
 

@@ -12,13 +12,6 @@ import numpy as np
 from plate_core import Rig, load_rig
 from plate_core.rig import Drive, motor_levers, plate_mass
 
-SLACK = np.float32(1) + np.float32(2e-3)
-"""A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'
-own splines differ from that by the curvature of the kinematics, up to 1e-3."""
-
-BRAKE_ROOM = np.float32(1) + np.float32(0.1)
-"""Acceleration while braking may be this much more: at most 1.5 (v / Tb)^2 / accel is needed."""
-
 
 @dataclass(frozen=True)
 class DeviceLimits:
@@ -65,29 +58,6 @@ class DeviceLimits:
         )  # fmt: skip
 
     @cached_property
-    def commanded(self) -> np.ndarray:
-        """Most that may be commanded of position, speed and acceleration (3, 1), float32."""
-        room = (SLACK, SLACK, BRAKE_ROOM)
-        bounds = (self.stroke_m, self.speed, self.accel)
-        return np.array([[np.float32(b) * r] for b, r in zip(bounds, room, strict=True)])
-
-    @cached_property
-    def bounds(self) -> tuple[np.float32, ...]:
-        """Most that a table may have of position, speed, acceleration and force."""
-        bounds = (self.stroke_m, self.speed, self.accel, self.force)
-        return tuple(np.float32(bound) * SLACK for bound in bounds)
-
-    @cached_property
-    def continuous_square(self) -> np.float32:
-        """Continuous limit of a force's mean square [N2]."""
-        return np.float32(self.continuous_force) * np.float32(self.continuous_force)
-
-    @cached_property
-    def loads(self) -> np.ndarray:
-        """`load` in single precision."""
-        return self.load.astype(np.float32)
-
-    @cached_property
     def fit(self) -> np.ndarray:
         """The combination (4,) of travels that is 0 for a rigid plate, 1 at most; float32.
 
@@ -95,13 +65,6 @@ class DeviceLimits:
         """
         fit = np.linalg.eigh(self.load)[1][:, 0]
         return (fit / np.max(np.abs(fit))).astype(np.float32)
-
-    def forces(self, acceleration: np.ndarray) -> np.ndarray:
-        """Return the motors' forces (..., 4) [N] for their accelerations (..., 4) [m/s2], float32.
-
-        Each is summed from the first motor to the last, as the firmware does.
-        """
-        return np.add.accumulate(self.loads * acceleration[..., None, :], axis=-1)[..., -1]
 
 
 def rig_header(path: str) -> str:

@@ -53,7 +53,7 @@ class Options(NodeOptions):
     link: str = parameter("/tmp/plate_device", "Name of the serial port that is made.")
     seed: int = parameter(0, "Seed of what goes wrong.", 0, 2**31 - 1)
     firmware: str = parameter(
-        "", "The firmware's program for drives on a CAN bus, on simulated ones; empty: its twin."
+        "", "The firmware's program for drives on a CAN bus, on simulated ones; empty: no bus."
     )
     baud: float = parameter(921_600.0, "Speed of the line [bit/s]; 0: none.", 0, 1e9, live=True)
     dropped: float = _fraction("Bytes that vanish on the line [fraction].")

@@ -9,11 +9,10 @@ import numpy as np
 from plate_core import Rig
 from plate_core.motion import quintic_pieces
 from plate_core.rig import motor_levers
-from plate_core.serial_protocol import MOTORS, TICK_S, State
+from plate_core.serial_protocol import MOTORS, TICK_S
 
+from .._kernels import Device
 from ..plate import PlateMotion, PlateState, realise
-from .motion import Motion
-from .table import Stream, Table
 
 SEGMENT_S = 0.1
 """Length of a segment while no table plays [s]: one image is taken in each."""
@@ -69,7 +68,7 @@ class Recorder:
     def __init__(self, now: float = 0.0) -> None:
         self._start = now
         self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
-        self._whole: Table | None = None  # that has played since the segment began
+        self._whole: Segment | None = None  # as which a table ends that began with it
         self._play: tuple[int, int] | None = None
 
     @property
@@ -86,38 +85,34 @@ class Recorder:
         return np.stack([place, speed, -(COAST_RATE**2) * place - 2 * COAST_RATE * speed])
 
     def followed(
-        self, now: float, motion: Motion | None, at: np.ndarray | None, triggered: bool = False
+        self, now: float, device: Device | None, at: np.ndarray | None, triggered: bool = False
     ) -> list[Segment]:
         """Return the segments that have ended by `now` [s], when `at` was commanded and, maybe, the
-        camera triggered; without a motion nobody knows the tables."""
+        camera triggered; without a device nobody knows the tables."""
         done = []
-        playing = motion is not None and motion.state is State.PLAYING
-        table = motion.playing if motion is not None and playing else None
-        if isinstance(table, Stream):
-            table = None  # it has no cycles
-        play = (id(table), motion.played) if motion is not None and table is not None else None
-        if motion is not None and table is not None and play != self._play:
-            done = self._cut(now - motion.time * TICK_S, table)
-            self._whole = table
-        elif table is None:
-            self._whole = None
-        self._play = play
+        play = None if device is None else device.play
+        if play is None or device is None:
+            self._whole = self._play = None
+        elif play[:2] != self._play:
+            ticks, states, _ = device.table()
+            start = now - play[2] * TICK_S
+            whole = Segment(start, ticks * TICK_S, states.astype(float), device.playing)
+            done = self._cut(start, whole.motors[0])
+            self._whole, self._play = whole, play[:2]
         state = self.coasted(now - self._ticks[-1][0]) if at is None else at.astype(float)
         self._ticks.append((now, state))
         if triggered or (self._whole is None and now - self._start >= SEGMENT_S):
-            done += self._cut(now, None)
+            done += self._cut(now, state)
         return done
 
-    def _cut(self, when: float, following: Table | None) -> list[Segment]:
-        """End the segment at a time [s], where a table begins, or none."""
+    def _cut(self, when: float, end: np.ndarray) -> list[Segment]:
+        """End the segment at a time [s], in a state (3, 4) of the motors."""
         start, ticks, last = self._start, self._ticks, self._whole
-        end = ticks[-1][1] if following is None else following.states[:, 0].astype(float)
         self._start, self._ticks = when, [(when, end)]
         if when <= start:
             return []
-        if last is not None and abs(when - start - last.period) < 1e-9:
-            states = last.states.transpose(1, 0, 2).astype(float)
-            return [Segment(start, last.times, states, last.table)]
+        if last is not None and last.start == start and abs(when - last.end) < 1e-9:
+            return [last]
         inner = [tick for tick in ticks[1:] if start + 1e-4 < tick[0] < when - 1e-4]
         kept = [ticks[0], *inner[EVERY - 1 :: EVERY], (when, end)]
         times = np.array([t - start for t, _ in kept])

@@ -4,13 +4,7 @@ Public: `manipulability` and its relatives; `is_out_of_reach` and `speed_bounds`
 """
 
 from .bounds import SpeedBounds, rest_to_rest_s, shift_accel, speed_bounds
-from .manipulability import (
-    Manipulability,
-    condition_number,
-    library_force,
-    manipulability,
-    manipulability_map,
-)
+from .manipulability import Manipulability, condition_number, library_force, manipulability
 from .unreachable import is_out_of_reach
 
 __all__ = [
@@ -20,7 +14,6 @@ __all__ = [
     "is_out_of_reach",
     "library_force",
     "manipulability",
-    "manipulability_map",
     "rest_to_rest_s",
     "shift_accel",
     "speed_bounds",

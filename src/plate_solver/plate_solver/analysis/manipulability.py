@@ -35,9 +35,6 @@ DESCENTS = 12
 STARTS = 8
 """Random directions from which the nearest face is looked for, besides the hardest one."""
 
-PROBES = 8
-"""Directions in which the probe of a map is pushed, over half a turn: both ways are alike."""
-
 SAME = 1e-9
 """Eigenvalues below this share of the greatest are zero."""
 
@@ -116,49 +113,6 @@ def library_force(
             f"direction has shape {direction.shape}, allowed: (D, {len(columns)}), not zero"
         )
     return np.array([_force_along(columns, _unit(row))[0] for row in direction])
-
-
-def manipulability_map(
-    rig: Rig,
-    position: np.ndarray,
-    columns: int = 25,
-    rows: int = 13,
-    library: Library | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the force that a further part could be given anywhere, while others get none.
-
-    Parameters
-    ----------
-    rig : Rig
-    position : (M, 2)
-        The others [m], plate_home; M may be zero.
-    columns, rows : int
-        Places of the probe along and across the plate.
-
-    Returns
-    -------
-    x : (columns,)
-        [m].
-    y : (rows,)
-        [m].
-    force : (rows, columns)
-        Least over some directions of the greatest force on the probe [mu m g].
-    """
-    half = rig.plate.half
-    x, y = np.linspace(-half[0], half[0], columns), np.linspace(-half[1], half[1], rows)
-    position = np.asarray(position, dtype=float).reshape(-1, 2)
-    angle = np.pi * np.arange(PROBES) / PROBES
-    force = np.empty((rows, columns))
-    for i in range(rows):
-        for j in range(columns):
-            unit_forces = _columns(rig, np.vstack([position, [[x[j], y[i]]]]), library)
-            push = np.zeros(len(unit_forces))
-            least = np.inf
-            for a in angle:
-                push[-2:] = np.cos(a), np.sin(a)
-                least = min(least, _force_along(unit_forces, push)[0])
-            force[i, j] = least
-    return x, y, force
 
 
 def _columns(rig: Rig, position: np.ndarray, library: Library | None) -> np.ndarray:

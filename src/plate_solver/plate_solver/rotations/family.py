@@ -72,9 +72,9 @@ class RotationFamily:
     """Sequences of J rotations in a given order.
 
     Parameters are the J + 1 lengths (the last is the rest at the end) in units of their mean, and
-    for each rotation its signed speed about its centre, or where centres are free the three
-    components of its twist; in units of the usual speed. The stroke limit is a penalty that a
-    search trades against its errors, or, with `within_stroke`, kept by all admissible parameters.
+    for each rotation the three components of its twist in units of the usual speed. The stroke
+    limit is a penalty that a search trades against its errors, or, with `within_stroke`, kept by
+    all admissible parameters.
     """
 
     def __init__(
@@ -83,7 +83,6 @@ class RotationFamily:
         limits: Limits,
         period: float,
         speed: float,
-        free: bool = True,
         blend: float = 0.0,
         steps: tuple[int, int] | None = None,
         within_stroke: bool = False,
@@ -92,13 +91,10 @@ class RotationFamily:
         self.period = period
         self._known: tuple[np.ndarray, Line, Moved] | None = None  # of the last samples
         self._lengths = np.array([1.0, 1.0, limits.arm_m])  # turns theta into metres
-        basis = twists[:, None] * speed
-        if free:
-            basis = np.repeat(np.diag(speed / self._lengths)[None], len(twists), axis=0)
         hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
         stroke = limits.stroke_m if within_stroke else UNLIMITED_M
         self.plain = Sequences(
-            basis,
+            np.repeat(np.diag(speed / self._lengths)[None], len(twists), axis=0),
             1 / len(twists),
             period,
             RAMP_PART * limits.accel,
@@ -107,7 +103,7 @@ class RotationFamily:
             steps or (RAMP_STEPS, hold_steps),
             limits._replace(stroke_m=stroke),
         )
-        self._speed_parameters = (twists * self._lengths).ravel() if free else np.ones(len(twists))
+        self._speed_parameters = (twists * self._lengths).ravel()
 
     @property
     def count(self) -> int:

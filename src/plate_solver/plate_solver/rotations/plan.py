@@ -6,7 +6,6 @@ plate must stay within its stroke, and parts move meanwhile.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -152,32 +151,3 @@ def nearest_order(twists: np.ndarray, half: np.ndarray) -> np.ndarray:
     """
     tour = _kernels.short_tour(np.vstack([np.zeros(3), twists]), half)
     return np.array(tour, dtype=int) - 1
-
-
-def best_order(
-    error: Callable[[np.ndarray], float], first: np.ndarray, tries: int, rng: np.random.Generator
-) -> np.ndarray:
-    """Return an order of small simulated error: random changes, kept where they lessen it.
-
-    Parameters
-    ----------
-    error : function
-        Order (J,) to error.
-    first : (J,)
-        Where to start.
-    tries : int
-        Evaluations.
-    rng : numpy.random.Generator
-    """
-    best, least = np.array(first), error(first)
-    for _ in range(tries if len(first) > 1 else 0):
-        i, j = np.sort(rng.choice(len(first), 2, replace=False))
-        other = best.copy()
-        if rng.random() < 0.5:
-            other[i : j + 1] = other[i : j + 1][::-1]
-        else:
-            other[[i, j]] = other[[j, i]]
-        value = error(other)
-        if value < least:
-            best, least = other, value
-    return best

@@ -23,8 +23,7 @@ from ..motion_solver import MotionSolver, check_options, make_options
 from ..requests import Goal, Request, Solution, fit_goal, force_solution, goal_solution
 from .average import fit_mean_force, mean_force_error
 from .family import RotationFamily
-from .library import Library
-from .plan import RotationPlan, best_order, nearest_order, plan_rotations, with_return_strokes
+from .plan import RotationPlan, nearest_order, plan_rotations, with_return_strokes
 
 FEW = (2, 4)
 """Numbers of parts up to which half and three quarters of the period will do on the cycle map: the
@@ -37,7 +36,6 @@ PUSH = 0.04
 """Drift of the part that is to go first, in plans towards targets [m/s]."""
 
 CLOSURES = ("sequence", "strokes")
-ORDERS = ("auto", "nearest", "priority", "simulated")
 
 AVERAGED, FINE, FINEST = (20, 4), (60, 20), (600, 200)
 """Steps in every ramp and hold when an average force is corrected, when that is done for good, and
@@ -51,9 +49,6 @@ SHAKE = 0.3
 
 SPREAD = 0.3
 """Random part of the costs of rotations in further plans: it picks other rotations, as good."""
-
-ORDER_TRIES = 200
-"""Sequences that are simulated in search of a better order."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +66,6 @@ class RotationOptions:
         Least time from one rotation to the next [s]: smooths the motion (3.2).
     closure : str
         `sequence`: the motion closes as a whole; `strokes`: each rotation is turned back at once.
-    order : str
-        `nearest`: least change of twist; `priority`: section 3.1.4; `simulated`: the one of some
-        hundred with the least error on the cycle map; `auto`: `nearest` for average forces, which
-        know of no order, as ramps then take the least time; `priority` on the cycle map, as parts
-        and plate stay closest to where they were.
     most_price : float
         Most time that a unit of force on a part may cost [cycles / (mu m g)]: what costs more, such
         as parting two parts that almost touch, is given up in the plan.
@@ -93,7 +83,6 @@ class RotationOptions:
     speed: float = 0.25
     blend: float = 0.0
     closure: str = "sequence"
-    order: str = "auto"
     most_price: float = 30.0
     tolerance: float = 1e-3
     iterations: int = 40
@@ -112,11 +101,8 @@ class RotationOptions:
             restarts=(0, 10_000),
             seed=(0, 2**31 - 1),
         )
-        for name, allowed in (("closure", CLOSURES), ("order", ORDERS)):
-            if getattr(self, name) not in allowed:
-                raise PlateError(
-                    f"{name} is {getattr(self, name)!r}, allowed: {', '.join(allowed)}"
-                )
+        if self.closure not in CLOSURES:
+            raise PlateError(f"closure is {self.closure!r}, allowed: {', '.join(CLOSURES)}")
 
 
 class Start(NamedTuple):
@@ -140,21 +126,14 @@ class RotationSolver(MotionSolver):
     ----------
     rig : Rig
         Plate, friction and limits.
-    centres : (N, 2), optional
-        Centres of rotation [m], plate_home: these and no others. If left out, sequences start from
-        a library of centres and translations, and their centres move as the request asks.
     **options
         Fields of `RotationOptions`.
     """
 
-    def __init__(self, rig: Rig, centres: np.ndarray | None = None, **options: float | str) -> None:
-        self.options: RotationOptions = make_options(RotationOptions, options, "centres")
+    def __init__(self, rig: Rig, **options: float | str) -> None:
+        self.options: RotationOptions = make_options(RotationOptions, options)
         super().__init__(rig, self.options.seed)
-        self._free = centres is None
-        if centres is None:
-            self.library = Library.around(rig.plate.half)
-        else:
-            self.library = Library.about(_checked(centres), rig.plate.half)
+        self.library = self._reach
         self._warm: Start | None = None
         self._last: tuple[np.ndarray, Start] | None = None
         self._basis: np.ndarray | None = None
@@ -279,17 +258,7 @@ class RotationSolver(MotionSolver):
             turns = goal.turns
             curl = turns.middle * 4 / (goal.friction_accel * period**2)
             curl = np.where(turns.weight > 0, curl, np.nan)
-        plan = self._plan(goal.position, force, curl, spread)
-        if self.options.order != "simulated":
-            return self._family(plan, period)
-
-        def error(order: np.ndarray) -> float:
-            family, parameters = self._family(plan.in_order(order), period)
-            return fit_goal(goal, family, parameters, 0.0, 0).cost
-
-        first = np.arange(len(plan.fraction))
-        best = best_order(error, first, ORDER_TRIES, self._rng)
-        return self._family(plan.in_order(best), period)
+        return self._family(self._plan(goal.position, force, curl, spread), period)
 
     def _plan(
         self,
@@ -309,9 +278,8 @@ class RotationSolver(MotionSolver):
         self._basis = plan.times.basis
         if fill:
             plan = plan.filled()
-        if options.order == "priority" or (options.order == "auto" and not fill):
-            return plan.in_order(np.argsort(-plan.priority, kind="stable"))
-        return plan.in_order(nearest_order(plan.twist, half))
+            return plan.in_order(nearest_order(plan.twist, half))
+        return plan.in_order(np.argsort(-plan.priority, kind="stable"))
 
     def _family(self, plan: RotationPlan, period: float, averaged: bool = False) -> Start:
         """Return the plan as a family of motions, and the plan's parameters in it."""
@@ -323,18 +291,8 @@ class RotationSolver(MotionSolver):
             self._limits,
             period,
             options.speed,
-            self._free,
             options.blend,
             AVERAGED if averaged else None,
             averaged,
         )
         return Start(family, family.parameters(plan.fraction))
-
-
-def _checked(centres: np.ndarray) -> np.ndarray:
-    centres = np.array(centres, dtype=float)
-    if centres.ndim != 2 or centres.shape[1] != 2 or len(centres) < 3:
-        raise PlateError(f"centres have shape {centres.shape}, allowed: (N, 2) with N at least 3")
-    if not np.all(np.isfinite(centres)):
-        raise PlateError("centres have values that are not finite")
-    return centres

@@ -6,7 +6,7 @@ told apart by how far outlines remain from each other, by size and by colour. A 
 image fits better lies on its other face: that is not its type.
 
 A nearest neighbour on Hu moments, size and colour names known parts as well and faster, but gives
-no angle, and names what is of no type: `bench/stages/classes.py` has the figures.
+no angle, and names what is of no type.
 """
 
 from __future__ import annotations
