@@ -11,10 +11,18 @@ import pytest
 
 from plate_bringup import qualify
 from plate_bringup.loop import Setup
-from plate_bringup.production import Act, Production, Robot, Tally, filled, produce
+from plate_bringup.production import (
+    Act,
+    Production,
+    Robot,
+    Tally,
+    check_robot,
+    filled,
+    produce,
+)
 from plate_core import PlateError, load_rig
 from plate_core.motion import usage
-from plate_core.tasks import load_scenario
+from plate_core.tasks import PartGroup, load_scenario
 from plate_sim import Grip, Simulation
 from plate_solver import EFFORT
 from tasks.feeding import BASE, run_case
@@ -135,6 +143,21 @@ def test_recipes_that_cannot_be_filled_are_refused():
     with pytest.raises(PlateError, match="fill is 101, allowed: 1 to 100"):
         filled(load_scenario("feed"), 101)
     assert filled(load_scenario("feed"), 5).task.hopper.least == 4  # 12 of 15
+
+
+def test_a_production_begins_with_what_nobody_wants_in_the_recipe():
+    recipe = load_scenario("feed")
+    placed = PartGroup("black", 2, ((0.0, 0.0), (0.1, 0.0)))
+    found = filled(replace(recipe, parts=(placed, PartGroup("grey", 8))), 10)
+    assert found.parts == (PartGroup("black", 1), PartGroup("grey", 8))
+
+
+def test_a_robot_may_not_stand_over_the_plate_for_longer_than_its_part_is_reserved():
+    recipe = load_scenario("feed")
+    with pytest.raises(PlateError, match=r"valid_s is 1 s, allowed: 1.1 and above.* robot of 2 s"):
+        produce(Setup(replace(recipe, task=replace(recipe.task, valid_s=1.0))), 2.0, 1.0)
+    asks, leaves = (acts(Robot(2.0, 0.0), 3.0, 0.0)[1][k][1] for k in (1, 4))
+    check_robot(replace(recipe.task, valid_s=leaves - asks + 1e-9), 2.0)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

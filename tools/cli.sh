@@ -31,7 +31,7 @@ fetch() { # repository commit
 
 case "$(cat .venv/.foundation)" in jazzy*) say "your ROS has them: sudo apt install ros-jazzy-ros-base"; exit ;; esac
 exec 9< tools/setup.sh
-flock 9 # as set-up does
+flock -n 9 || { say "waiting for a set-up of this folder to end"; flock 9; }
 : > "$log"
 pip=(.venv/bin/python -m pip --disable-pip-version-check --no-input -qq install)
 say "fetching from $SOURCES"

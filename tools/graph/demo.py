@@ -22,6 +22,7 @@ from record.judge import judge, summary
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
+from plate_bringup.production import check_robot
 from plate_core import PlateError, Rig, did_you_mean, load_rig
 from plate_core.tasks import (
     AssembleTask,
@@ -175,6 +176,8 @@ def checked(args: argparse.Namespace) -> Plan:
         raise PlateError(f"picks is {args.picks}, allowed: 1 to {MOST_PICKS}")
     if not 0.3 <= args.robot_cycle <= 60:
         raise PlateError(f"robot cycle is {args.robot_cycle:g} s, allowed: 0.3 to 60")
+    if isinstance(scenario.task, FeedTask):
+        check_robot(scenario.task, args.robot_cycle)
     if args.port and args.transport == "sim":
         raise PlateError(f"port is {args.port!r} with transport sim, allowed with it: no port")
     for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,

@@ -22,8 +22,8 @@ from plate_sim import Grip, Move, Simulation
 from .loop import Setup, run
 
 __all__ = [
-    "ASKS", "COMES", "LEAVES", "Act", "FeederCell", "Production", "Robot", "Tally", "filled",
-    "percentiles", "produce",
+    "ASKS", "COMES", "LEAVES", "Act", "FeederCell", "Production", "Robot", "Tally", "check_robot",
+    "filled", "percentiles", "produce",
 ]  # fmt: skip
 
 LEAVES, ASKS, COMES = 0.15, 0.6, 0.85
@@ -311,8 +311,26 @@ def status_of(report: FeedReport) -> FeedStatus:
     )
 
 
+def check_robot(task: FeedTask, cycle_s: float) -> None:
+    """Refuse a robot whose cycle [s] is so long that its part is no longer reserved while it stands
+    over the plate.
+
+    Raises
+    ------
+    PlateError
+        If it is.
+    """
+    least = (1 + LEAVES - ASKS) * cycle_s
+    if task.valid_s < least:
+        raise PlateError(
+            f"valid_s is {task.valid_s:g} s, allowed: {least:g} and above, which a robot of "
+            f"{cycle_s:g} s takes from the answer until it has left the plate"
+        )
+
+
 def filled(recipe: Scenario, fill: int) -> Scenario:
-    """Return a recipe whose hopper keeps so many parts on the plate, and that begins with one.
+    """Return a recipe whose hopper keeps so many parts on the plate, and that begins with one of
+    those that are wanted, and the others that it has.
 
     Raises
     ------
@@ -326,8 +344,13 @@ def filled(recipe: Scenario, fill: int) -> Scenario:
         raise PlateError(f"fill is {fill}, allowed: 1 to {MOST_PARTS}")
     hopper = task.hopper
     least = max(1, round(fill * hopper.least / hopper.fill))
-    first = task.picks[0].label
-    groups = tuple(replace(group, count=int(group.label == first)) for group in recipe.parts)
+    wanted = [pick.label for pick in task.picks]
+    groups = tuple(
+        replace(group, count=int(group.label == wanted[0]), position=None)
+        if group.label in wanted
+        else group
+        for group in recipe.parts
+    )
     return replace(
         recipe,
         parts=groups,
@@ -357,12 +380,13 @@ def produce(
     Raises
     ------
     PlateError
-        If the task ends, which it should not.
+        If the task ends, which it should not, or the robot is too slow for the recipe.
     """
     recipe = setup.recipe
     rig = rig or load_rig(recipe.rig)
     if not isinstance(recipe.task, FeedTask):
         raise PlateError(f"recipe is {recipe.name!r}, allowed: one of the kind feed")
+    check_robot(recipe.task, cycle_s)
     cell = FeederCell(recipe.task, rig, cycle_s)
     for moment in run(setup, rig, cell=cell):
         cell.tally.cpu_s += moment.step_s

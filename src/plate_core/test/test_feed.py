@@ -29,7 +29,7 @@ parts:
 task:
   kind: feed
   picks:
-    - {class: black, ready: 2, window_m: [[0.2, 0.1], [0.0, -0.1]]}
+    - {class: black, ready: 2, window_m: [[0.0, -0.1], [0.2, 0.1]]}
   clearance_m: 0.006
   chute: left
   hopper: {fill: 15, least: 12, rate_ps: 10, place_m: [-0.18, 0], spread_m: 0.05}
@@ -62,18 +62,21 @@ def test_a_recipe_is_read(tmp_path):
         ("class: black, ready", "class: red, ready", "class is 'red'"),
         ("ready: 2", "ready: 0", "ready is 0"),
         ("ready: 2", "ready: 16", "at most the hopper's fill: it is 16 of 15"),
+        ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.2, 0.1], [0.0, -0.1]]", "lower left corner, then"),
+        ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.0, 0.2], [-0.1, 0.1]]", "lower left corner, then"),
         ("[0.2, 0.1]", "[0.4, 0.1]", r"window of black is .*0.4"),
-        ("[[0.2, 0.1], [0.0, -0.1]]", "[[0.2, 0.14], [0, 0.137]]", "black is nowhere 14 mm or mo"),
+        ("[[0.0, -0.1], [0.2, 0.1]]", "[[0, 0.137], [0.2, 0.14]]", "black is nowhere 14 mm or mo"),
         ("ready: 2", "ready: 2, angle_deg: 10", "angles? of black"),
         ("clearance_m: 0.006", "clearance_m: -1", "clearance_m is -1"),
         ("chute: left", "chute: up", "chute is 'up'"),
         ("fill: 15", "fill: 10", "least is 12, allowed: at most fill, which is 10"),
         ("spread_m: 0.05", "spread_m: 0.05, mix: {black: 0.5}", "sum up to 1"),
+        ("spread_m: 0.05", "spread_m: 0.05, mix: {grey: 1}", "0 of each class of picks: black too"),
         ("spread_m: 0.05", "spread_m: 0.05, mix: {blak: 1}", r"not 'blak' \(did you mean black"),
         (
-            "[[0.2, 0.1], [0.0, -0.1]]",
-            "[[0, 0], [0, 0]]",
-            "ready of black is 2, allowed: at most 1: the window of 0 by 0 mm",
+            "[[0.0, -0.1], [0.2, 0.1]]",
+            "[[0, 0], [1e-3, 1e-3]]",
+            "ready of black is 2, allowed: at most 1: the window of 1 by 1 mm",
         ),
         ("[-0.18, 0]", "[-0.38, 0]", "place_m is .-0.38, 0. m, allowed"),
         ("rate_ps: 10, ", "", "rate_ps"),

@@ -422,19 +422,20 @@ class Feeder:
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
         self._hold(known.part)
+        late = "" if self._reserved else ", but was no longer reserved: the plate may have moved"
         self._reserved = self._late = None
         name = known.part.id
         if taken:
             self._taken += 1
             self._failures.pop(name, None)
-            return Reply(Code.DONE, f"{name} is taken")
+            return Reply(Code.DONE, f"{name} is taken{late}")
         x, y = known.part.x, known.part.y
         before = self._failures.pop(name, _Failures(0, x, y))
         count = before.count + 1 if math.hypot(x - before.x, y - before.y) <= MOVED_M else 1
         self._failures[name] = _Failures(count, x, y)
         while len(self._failures) > MOST_PARTS:
             del self._failures[next(iter(self._failures))]
-        return Reply(Code.DONE, f"{name} lies there still, picks failed there: {count}")
+        return Reply(Code.DONE, f"{name} lies there still, picks failed there: {count}{late}")
 
     def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
         """Bring all parts to the chute, and end the task then; None: it waits."""

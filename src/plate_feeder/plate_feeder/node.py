@@ -19,6 +19,7 @@ from plate_core.ros import (
     CALLS,
     DATA,
     LATCHED,
+    RESULT_S,
     NodeOptions,
     SafeLifecycleNode,
     msg_to_pick,
@@ -147,7 +148,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         ):
             server = ActionServer(
                 self, action, name, self._result, handle_accepted_callback=accepted,
-                cancel_callback=self._on_cancel,
+                cancel_callback=self._on_cancel, result_timeout=RESULT_S,
             )  # fmt: skip
             self.keep(ActionServer.destroy, server)
         _, goal = scenario_to_goal(scenario)

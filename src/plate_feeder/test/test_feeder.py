@@ -245,7 +245,9 @@ def test_a_reservation_ends_in_time_and_may_be_reported_later():
     name = cell.answer().part.id
     cell.run(round(TASK.valid_s / PERIOD_S) + 1)
     assert cell.feeder.reserved is None
-    assert cell.do("part_taken", name, True).code is Code.DONE
+    late = cell.do("part_taken", name, True)
+    assert late.code is Code.DONE
+    assert late.text == f"{name} is taken, but was no longer reserved: the plate may have moved"
     assert cell.feeder.quantity().taken == 1
     assert cell.do("part_taken", name, True).code is Code.NOT_RESERVED
 

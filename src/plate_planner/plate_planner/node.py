@@ -30,6 +30,7 @@ from plate_core.ros import (
     FRAME,
     LATCHED,
     NEWEST,
+    RESULT_S,
     NodeOptions,
     SafeLifecycleNode,
     forces_to_msg,
@@ -245,7 +246,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         for name, action in ACTIONS.items():
             server = ActionServer(
                 self, action, name, self._result, handle_accepted_callback=self._on_goal,
-                cancel_callback=self._on_cancel,
+                cancel_callback=self._on_cancel, result_timeout=RESULT_S,
             )  # fmt: skip
             self.keep(ActionServer.destroy, server)
 

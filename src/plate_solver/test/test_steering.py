@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import PlateCycle
+from plate_core import PlateCycle, PlateError
 from plate_core.motion import is_rest, usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, SinusoidSolver
@@ -20,6 +20,7 @@ from plate_solver.maps import (
     finely_sampled,
     trace,
 )
+from plate_solver.requests import Turns
 from plate_solver.sinusoids import limited_sinusoids
 from plate_solver.sinusoids.basis import TAIL_S
 from plate_solver.sinusoids.descent import Motions, Problem, descend
@@ -155,6 +156,16 @@ def test_a_part_stays_beyond_the_edge_only_where_that_is_asked(weight, bound):
     np.testing.assert_allclose(goal.ends.edge_low, -bound)
     error, _ = goal.error(start.T.ravel())
     assert np.any(error != 0) == (weight == 0)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, -0.5, np.inf])
+def test_weights_that_say_nothing_are_refused(wrong):
+    none, turns = np.zeros((2, 2)), np.zeros(2)
+    with pytest.raises(PlateError, match=rf"^weight has {wrong:g}, allowed: 0 and above$"):
+        Goal(none, none, none, none, 2.45, weight=np.array([[1.0, 1.0], [1.0, wrong]]))
+    turns = Turns(turns, np.zeros((2, 3)), turns, turns, np.array([0.01, wrong]))
+    with pytest.raises(PlateError, match=f"^weight of turns has {wrong:g}, "):
+        Goal(none, none, none, none, 2.45, turns=turns)
 
 
 @pytest.mark.parametrize("count", [1, 16, 17])

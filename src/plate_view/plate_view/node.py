@@ -23,7 +23,7 @@ from .scene import Scene, replay_scene, rig_scene, type_scene
 from .server import PageServer, Socket
 from .top_view import TopView
 
-FRAME_S, SLOW_S = 0.05, 0.5
+FRAME_S, SLOW_S = 0.04, 0.5
 """Least time between two messages of a kind to the browsers, and of what changes slowly [s]."""
 
 

@@ -44,7 +44,7 @@ from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
-from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST, TRANSFORMS
+from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST, RESULT_S, TRANSFORMS
 from .unlocked import UnlockedSubscription, deserialized
 
 __all__ = [
@@ -57,6 +57,7 @@ __all__ = [
     "IMAGE",
     "LATCHED",
     "NEWEST",
+    "RESULT_S",
     "TRANSFORMS",
     "Diagnostics",
     "NodeExecutor",

@@ -58,3 +58,6 @@ TRANSFORMS = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 """/tf, as tf2_ros has it; /tf_static is latched."""
+
+RESULT_S = 60
+"""So long an action keeps its results, 4 kB each, for those who ask late [s]: by default 900."""

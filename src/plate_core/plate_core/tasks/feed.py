@@ -56,7 +56,9 @@ def _pick(fields: Fields, labels: tuple[str, ...]) -> Pick:
     window = fields.value(keys.PICK["window_m"])
     low, high = FULL
     if window is not None:
-        (x0, y0), (x1, y1) = np.min(window, axis=0).tolist(), np.max(window, axis=0).tolist()
+        if not np.all(window[0] < window[1]):
+            raise fields.fail("window_m", "[x, y] of the lower left corner, then of the upper right")
+        (x0, y0), (x1, y1) = window.tolist()
         low, high = (x0, y0), (x1, y1)
     angle = fields.value(keys.PICK["angle_deg"])
     pick = Pick(
@@ -83,6 +85,8 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
             raise fields.fail("mix", f"the classes of parts: {known}; not {unknown[0]!r}{hint}")
         if abs(sum(mix.values()) - 1) > WHOLE:
             raise fields.fail("mix", f"fractions of {known} that sum up to 1")
+        if none := [pick.label for pick in picks if not mix.get(pick.label)]:
+            raise fields.fail("mix", f"more than 0 of each class of picks: {', '.join(none)} too")
     fill = fields.value(keys.HOPPER["fill"])
     least = fields.value(keys.HOPPER["least"])
     if least is not None and least > fill:

@@ -293,8 +293,8 @@ PICK = Section(
     "Parts of one class that are to be ready.",
     (
         class_key(),
-        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Two opposite corners [x, y] of the pick "
-            "window: their centres are to lie in it.", None,
+        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Corners [x, y] of the pick window, lower "
+            "left and upper right: their centres are to lie in it.", None,
             "the plate, but for the stroke and 1.25 radii along its edges"),
         Key("ready", Whole(1, 100), "How many are to be ready at once.", 1),
         Key("angle_deg", Number(-360, 360), "In which they are to lie.", None, "any"),
@@ -311,8 +311,8 @@ HOPPER = Section(
         Key("rate_ps", Number(0.1, 1000), "Parts a second that drop while it is open."),
         Key("place_m", PLACE, "Where they drop [x, y]."),
         Key("spread_m", Number(0.001, 1), "How far around it they drop."),
-        Key("mix", Table("for each class a fraction, 1 in all"), "Classes of the parts that drop.",
-            None, "the classes of `picks`, each as often"),
+        Key("mix", Table("for each class a fraction, 1 in all"), "Classes of the parts that drop; "
+            "some of each in `picks`.", None, "the classes of `picks`, each as often"),
     ),
 )  # fmt: skip
 

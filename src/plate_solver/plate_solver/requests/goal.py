@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from plate_core import PlateCycle
+from plate_core import PlateCycle, PlateError
 
 from ..fit import Fit, fit
 from ..maps import (
@@ -97,6 +97,11 @@ class Goal:
         State of the plate at the start, as `PlateCycle.state`; None: at rest.
     free_end : bool
         Whether the plate may end in any state; else at rest.
+
+    Raises
+    ------
+    PlateError
+        If a weight is negative, infinite or no number.
     """
 
     position: np.ndarray
@@ -116,6 +121,11 @@ class Goal:
     def __post_init__(self) -> None:
         same = np.broadcast_to(self.friction_accel, len(self.position))
         object.__setattr__(self, "friction_accel", np.array(same, dtype=float))
+        for of, weight in (("", self.weight), (" of turns", getattr(self.turns, "weight", 0.0))):
+            values = np.atleast_1d(weight)
+            wrong = values[~((values >= 0) & (values < np.inf))]
+            if len(wrong):
+                raise PlateError(f"weight{of} has {wrong[0]:g}, allowed: 0 and above")
 
     @cached_property
     def ends(self) -> Ends:
