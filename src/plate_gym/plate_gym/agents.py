@@ -1,5 +1,5 @@
-"""Agents to be beaten: ours (Methods B and A on the cycle map, B by images, B on the averaged map)
-and random motions."""
+"""Agents to be beaten: ours (Methods B and A on the cycle map, B by images, B on the averaged map),
+the paper's Method A, and random motions."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from plate_solver import Controller, SinusoidSolver
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.shapes import learn_plate
 
+from .classic import Classic
 from .env import PlateEnv
 from .motions import Motions
 from .plates import IDLE_S
@@ -189,6 +190,7 @@ class Averaged(Ours):
 
 
 AGENTS: dict[str, type[Agent]] = {
-    "B": Ours, "A": MethodA, "B_by_image": ByImage, "averaged": Averaged, "random": Random
+    "B": Ours, "A": MethodA, "B_by_image": ByImage, "averaged": Averaged, "1998": Classic,
+    "random": Random,
 }  # fmt: skip
 """Those that this package has, by name."""
