@@ -58,3 +58,20 @@ def test_better_and_faster_agents_come_first(tmp_path):
         "| [fast](../../benchmarks/fast.json) | 0:4 | 100 (51 to 100) | 5.0 | 2.5 | 0 | 0 |"
     )
     assert "| 25 (5 to 70) | 1.0 |" in lines[2]
+
+
+def test_the_network_that_has_learned_says_where_parts_are_to_come(monkeypatch):
+    """It is of the task's size, makes use of what it sees, and its actions are in the space."""
+    from plate_gym import PlateEnv
+    from plate_gym.agents import Brief
+    from plate_gym.bench import agent_class
+
+    monkeypatch.syspath_prepend(ROOT / "examples/agents")
+    env = PlateEnv("Sort4-v1", action="progress")
+    actions = []
+    for seed in (0, 1):
+        seen, info = env.reset(seed=seed)
+        agent = agent_class("learned:Learned")(Brief.of(env), 0)
+        actions.append(agent.act(seen, info))
+        assert env.action_space.contains(actions[-1])
+    assert abs(actions[1] - actions[0]).max() > 1e-3
