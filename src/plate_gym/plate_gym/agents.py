@@ -23,6 +23,8 @@ from .env import PlateEnv
 from .motions import Motions
 from .plates import IDLE_S
 
+__all__ = ["AGENTS", "KNOWN", "Agent", "Brief"]
+
 KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace")
 """What an agent gets of `info`: what a real plate would tell, and where references are."""
 

@@ -22,6 +22,8 @@ from plate_planner.tasks import (
 )
 from plate_sim.world import WorldState
 
+__all__ = ["Judge", "Memory"]
+
 START_S = 0.2
 """When references leave the starts of their paths [s]: with the answer to the second image."""
 
