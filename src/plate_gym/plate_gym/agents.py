@@ -1,5 +1,5 @@
-"""Agents to be beaten: ours (Methods B and A on the cycle map, B by images, B on the averaged map)
-and random motions."""
+"""Agents to be beaten: ours (Methods B and A on the cycle map, B by images, B on the averaged map),
+the paper's Method A, and random motions."""
 
 from __future__ import annotations
 
@@ -13,16 +13,20 @@ from gymnasium import Space
 from plate_core import Parts, PlateCycle, Rig, Wanted
 from plate_core.tasks import Scenario
 from plate_planner import Planner
+from plate_planner.tasks import FollowMemory
 from plate_solver import Controller, SinusoidSolver
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.shapes import learn_plate
 
+from .classic import Classic
 from .env import PlateEnv
 from .motions import Motions
 from .plates import IDLE_S
 
-KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled")
-"""What an agent gets of `info`: what a real plate would tell."""
+__all__ = ["AGENTS", "KNOWN", "Agent", "Brief"]
+
+KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace")
+"""What an agent gets of `info`: what a real plate would tell, and where references are."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,12 @@ class Ours:
         if not len(parts):  # no image has come
             return running if running.closes else PlateCycle.rest(IDLE_S)
         self._state = self._planner.see(self._state, parts, time)
+        follow = self._state.memory
+        if isinstance(follow, FollowMemory):  # references are where the judge has them
+            pace, start = float(info["pace"][0]), time + running.period
+            path_s = float(info["path_s"])
+            follow = replace(follow, anchor=start, progress=path_s, scaling=(pace, pace))
+            self._state = replace(self._state, memory=follow)
         self._state, wanted, _ = self._planner.answer(self._state)
         cycle = self._answer(wanted, running)
         self._state = self._planner.hear(self._state, cycle, time)
@@ -182,6 +192,7 @@ class Averaged(Ours):
 
 
 AGENTS: dict[str, type[Agent]] = {
-    "B": Ours, "A": MethodA, "B_by_image": ByImage, "averaged": Averaged, "random": Random
+    "B": Ours, "A": MethodA, "B_by_image": ByImage, "averaged": Averaged, "1998": Classic,
+    "random": Random,
 }  # fmt: skip
 """Those that this package has, by name."""

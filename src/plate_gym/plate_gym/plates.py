@@ -13,12 +13,11 @@ import numpy as np
 
 from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted
 from plate_driver.setpoints import prepare
-from plate_planner.tasks import PoseMemory
 from plate_sim.plate import Playback, next_playback
 from plate_sim.world import Simulation
 from plate_solver import Controller
 
-from .judge import Judge, Score
+from .judge import Judge, Memory, Score
 from .motions import Motions
 from .tasks import WORLDS, chosen, scenario_of
 
@@ -86,7 +85,7 @@ class Plate:
         self._noise = np.random.default_rng((seed, 1))
         self._seed = seed
         self.time = 0.0
-        self.memory: PoseMemory | None = shared.judge.begin(self.simulation.state)
+        self.memory: Memory = shared.judge.begin(self.simulation.state, IDLE_S)
         self.met_since: float | None = None
         self.done = False
         self.dropped, self.to_go_m, self.first_m = 0, 0.0, 0.0
@@ -120,7 +119,8 @@ class Plate:
             return self.image.copy()
         result = self.seen.copy()
         result[:, 5] = np.minimum(self.time - result[:, 5], NEVER_S)
-        return np.clip(result, *self._shared.bounds, out=result)
+        goals = self._shared.judge.references(self.memory, self.simulation.state.ids)
+        return np.clip(np.hstack([result, goals]), *self._shared.bounds)
 
     def begin(self, cycle: PlateCycle) -> None:
         """Take in that the cycle that ran has ended, and begin the next."""
@@ -129,6 +129,8 @@ class Plate:
             self._playback = Playback(cycle)
         else:
             self._playback = next_playback(self._playback, cycle, HOLD_CYCLES, IDLE_S)
+        state, period = self.simulation.state, self.running.period
+        self.memory = self._shared.judge.look(self.memory, state, self.time, period)
         self._look()
 
     def answer(self, action: Any) -> PlateCycle:
@@ -222,7 +224,8 @@ class Plates:
         self.reach_m = np.array([t.reach_m for t in types])
         self.turned = any(t.symmetry for t in types)
         high = np.array([*(self.rig.plate.half + OUT_M), FASTEST_MPS, FASTEST_MPS, np.pi, NEVER_S])
-        self.bounds = np.append(-high[:5], 0.0), high
+        goals = np.tile(high[:2], 2 * self.judge.follows)
+        self.bounds = np.concatenate([-high[:5], [0.0], -goals]), np.append(high, goals)
         camera = self.rig.camera
         self.image_shape = (camera.height_px, camera.width_px) + (3,) * camera.colour
         self._threads = threads
@@ -264,13 +267,14 @@ class Plates:
             lost = plate.simulation.state.dropped - plate.dropped
             gained = (plate.to_go_m - score.to_go_m[k]) / plate.first_m
             plate.dropped, plate.to_go_m = plate.dropped + lost, score.to_go_m[k]
-            self._mark(plate, bool(score.there[k].all()))
-            reward[k], ended[k] = gained - lost + plate.done, plate.done or plate.dropped > 0
+            self._mark(plate, bool(score.met[k]))
+            failed = plate.dropped > 0 or score.failed[k]
+            reward[k], ended[k] = gained - lost + plate.done, plate.done or failed
             over[k] = not ended[k] and plate.time >= self.scenario.time_limit_s - ROUNDING_S
         return Step(reward, ended, over, self._info(rows, score))
 
     def _mark(self, plate: Plate, met: bool) -> None:
-        """Take in whether all parts are there: the task is done when they have been long enough."""
+        """Take in whether all is as asked: the task is done when it has been so long enough."""
         if not met or plate.dropped:
             plate.met_since = None
             return
@@ -294,6 +298,8 @@ class Plates:
             "limit_share": np.array([p.limit_share for p in plates]),
             "scaled": np.array([p.scaled for p in plates]),
         }
+        told = [self.judge.told(p.memory) for p in plates]
+        info |= {name: np.array([each[name] for each in told]) for name in told[0]}
         if self.action == "cycle":
             running = np.empty(len(plates), object)
             running[:] = [p.running for p in plates]

@@ -67,6 +67,8 @@ def observation_space(plates: Plates) -> spaces.Space:
 
     `parts` (M, 6), a row for each part, always the same: x, y [m, plate_home], drift along x and y
     [m/s], angle [rad], and how long ago the part was seen [s]; a part that was never seen is at 0.
+    (M, 10) where paths are followed: then where it is to be when the next cycle begins, x and y
+    [m, plate_home], and 0.1 s later.
     `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
     """
     if plates.observation == "image":

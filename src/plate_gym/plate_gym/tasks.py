@@ -55,6 +55,9 @@ TASKS = {
     "Assemble8-v1": ("assemble_8", "3eff4724f5357ad9"),
     "AlignBars-v1": ("align_6", "c306df5349d3345c"),
     "Letters-v1": ("assemble_letters", "9324afcf78a51f3f"),
+    "Follow1-v1": ("follow_1", "7ff500bbf5727d5f"),
+    "Follow2-v1": ("follow_2", "a308ffcb1e295d1c"),
+    "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
 }
 """Name -> scenario, and the digest of all that its file and its rig's say."""
 

@@ -51,6 +51,7 @@ def equal(one, many):
     [
         ("Sort10-v1", "motion", "parts"), ("Sort4-v1", "forces", "parts"),
         ("Letters-v1", "progress", "parts"), ("Assemble8-v1", "cycle", "image"),
+        ("Follow5-v1", "motion", "parts"),
     ],
 )  # fmt: skip
 def test_gymnasium_finds_nothing_wrong(gym, task, action, observation, recwarn):
@@ -87,6 +88,7 @@ def test_tasks_say_what_they_said(gym):
         ("Letters-v1", {"world": "friction"}, 3),
         ("Sort4-v1", {"world": "misses", "observation": "image"}, 2),
         ("Sort4-v1", {"action": "forces"}, 2),
+        ("Follow2-v1", {}, 6),
     ],
 )
 def test_many_plates_do_as_one(gym, task, settings, steps):
@@ -257,6 +259,53 @@ def test_what_counts(gym):
     assert not info["success"]
 
 
+def test_who_is_where_the_path_leads_has_followed_it(gym):
+    """Two laps on a circle of 120 mm: 8.02 s at the greatest speed whose v^2/r is 0.12 mu g."""
+    env = gym.PlateEnv("Follow1-v1")
+    seen, info = env.reset(seed=0)
+    still, rewards, ended = np.zeros(env.action_space.shape), [], False
+    while not ended:
+        env.plates.plates[0].simulation.place("black_1", "", seen[0, 6:8])
+        angle = 0.2 / 0.12 * np.clip(info["path_s"], 0, 7.5398)
+        assert seen[0, 6:8] == pytest.approx([0.12 * np.cos(angle), 0.12 * np.sin(angle)], abs=1e-3)
+        seen, reward, ended, over, info = env.step(still)
+        rewards.append(reward)
+    assert info["success"]
+    assert not over
+    assert sum(rewards) == pytest.approx(2)
+    assert 8.02 + 0.2 < info["time_s"] < 10
+    assert info["error_m"][0] < 1e-9
+
+
+def test_references_wait_and_end_with_who_leaves_them(gym):
+    """For a part that stays behind, at half of `max_error_m`: for ever."""
+    env = gym.PlateEnv("Follow2-v1")
+    env.reset(seed=0)
+    still = np.zeros(env.action_space.shape)
+    for _ in range(20):
+        seen, reward, ended, _, info = env.step(still)
+    off = np.hypot(*(seen[:, 6:8] - seen[:, :2]).T)
+    assert np.all((off > 0.0145) & (off < 0.0175))  # 4 mm in a cycle at full pace
+    assert np.all(info["error_m"] < off)  # root mean square
+    assert (reward, ended, info["pace"][1]) == (0, False, 0)
+    for distance in (0.0302, 0.0305):
+        env.plates.plates[0].simulation.place("black_1", "", seen[0, 6:8] + [0, distance])
+        _, _, ended, _, info = env.step(still)
+        assert (ended, bool(info["success"])) == (distance > 0.0303, False)
+
+
+def test_ours_follows_the_references_that_it_is_told(gym):
+    from plate_gym.agents import AGENTS, Brief
+
+    env = gym.PlateEnv("Follow2-v1", action="cycle")
+    seen, info = env.reset(seed=0)
+    agent = AGENTS["B"](Brief.of(env), 0)
+    for _ in range(12):
+        seen, *_, info = env.step(agent.act(seen, info))
+    assert np.max(info["error_m"]) < 2e-4
+    assert np.min(np.hypot(*(seen[:, :2] - seen[:, 6:8]).T)) > 3e-3  # at 40 mm/s
+
+
 def test_what_is_seen(gym):
     """Parts where they are but for noise, as late and as often missed as the world has them."""
     env = gym.PlateEnv("Sort10-v1")
@@ -381,5 +430,5 @@ def test_the_guide_is_right(capsys):
     for name in TASKS:
         scenario, _ = scenario_of(name)
         (row,) = [line for line in table.splitlines() if f"{name.removesuffix('-v1')}" in line]
-        assert f"{scenario.task.hold_s:.1f} |" in row
+        assert f"{getattr(scenario.task, 'hold_s', 0.0):.1f} |" in row
         assert f"{scenario.time_limit_s:.0f}" in row.rsplit("|", 2)[1]

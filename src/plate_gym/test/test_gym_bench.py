@@ -315,7 +315,7 @@ def test_wrong_names_are_refused(bench, settings, words):
     assert words in str(problem.value)
 
 
-@pytest.mark.parametrize("name", ["A", "averaged", "random"])
+@pytest.mark.parametrize("name", ["A", "averaged", "1998", "random"])
 def test_the_other_agents_act(bench, name):
     from plate_gym import PlateEnv
     from plate_gym.agents import Brief
@@ -328,6 +328,24 @@ def test_the_other_agents_act(bench, name):
         seen, *_, info = env.step(agent.act(seen, info))
     assert info["limit_share"] > 0.9
     assert name != "A" or info["to_go_m"] < 0.9 * way
+
+
+def test_the_papers_method_has_the_forces_it_asks_for(bench, monkeypatch):
+    """On the averaged map, where the plate turns so slowly that it takes no time to turn round:
+    what gives a part 30 mm/s in 0.2 s, of 0.25 times 9.81 m/s^2."""
+    from plate_gym import PlateEnv, classic
+    from plate_gym.agents import Brief
+    from plate_solver import average_force
+
+    monkeypatch.setattr(classic, "SPEED_MPS", 2e-3)
+    env = PlateEnv("Sort4-v1", action="cycle")
+    seen, info = env.reset(seed=0)
+    cycle, place = bench.agent_class("1998")(Brief.of(env), 0).act(seen, info), seen[:, :2]
+    force = average_force(cycle, place, np.zeros_like(place))
+    asked = 0.03 / (0.25 * 9.81 * 0.2) * np.array([-1, -1, 1, 1])
+    assert force == pytest.approx(np.column_stack([asked, 0 * asked]), abs=2e-3)
+    with pytest.raises(PlateError, match="assemble_letters asks for angles, allowed: tasks that"):
+        bench.episode("1998", "nominal", "Letters-v1", 0)
 
 
 def ended(main):

@@ -17,7 +17,7 @@ from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
-from .targets import CROWD
+from .targets import CROWD, assign
 from .task import SIGHT_M, SIGHT_RAD, Assessment, DriftRequest, Situation, TaskRules
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "Sorter",
     "TaskOptions",
     "TaskRules",
+    "assign",
     "pd_drift",
     "rules_for",
 ]

@@ -1,0 +1,85 @@
+"""Motions straight from a search: CMA-ES over the 18 numbers of `motion`, cycle by cycle, in a
+simulator of the rig as its file says it. Needs `pip install cma`. In this folder:
+
+    python -m plate_gym.bench --agent cma_es:CmaEs --task Sort4-v1 --seeds 0:20
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cma
+import numpy as np
+
+from plate_core import PlateCycle
+from plate_gym.agents import Brief
+from plate_gym.judge import Judge, Memory
+from plate_sim.world import Simulation, WorldState
+
+TRIED, ROUNDS, SPREAD = 12, 8, 0.4
+"""Motions in a round, and rounds, of a decision; how far the first are from the last answer."""
+
+COAST_S = 0.03
+"""Parts count as if they kept their last velocity for so long [s]."""
+
+EDGE_M, EDGE_COST = 0.02, 3.0
+"""Nearer to an edge than this each metre costs so much [metres of way]."""
+
+IDLE_S = 0.1
+"""How long the plate rests before the first answer [s]."""
+
+
+class CmaEs:
+    """Takes of some hundred motions the one after which least is left to do."""
+
+    action, observation = "motion", "parts"
+
+    def __init__(self, brief: Brief, seed: int) -> None:
+        self._motions, self._rng = brief.motions, np.random.default_rng(seed)
+        self._inner = brief.rig.plate.half - EDGE_M
+        self._judge = Judge(brief.scenario.task, brief.rig)
+        self._worlds = [Simulation(brief.rig, brief.scenario) for _ in range(TRIED)]
+        self._now = self._worlds[0].state
+        self._memory: Memory = None
+        self._running, self._last = PlateCycle.rest(IDLE_S), np.zeros(brief.motions.size)
+
+    def act(self, observation: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+        """Return the best motion that was tried."""
+        seen = observation[:, 5] == 0
+        at, turned = self._now.position.copy(), self._now.angle.copy()
+        at[seen], turned[seen] = observation[seen, :2], observation[seen, 4]
+        self._now = replace(self._now, position=at, angle=turned)
+        self._memory = self._memory or self._judge.begin(self._now, IDLE_S)
+        self._goal = observation[:, 8:10]
+        self._now = self._after([self._running])[0]
+        chance = {"randn": lambda *shape: self._rng.standard_normal(shape), "seed": np.nan}
+        search = cma.CMAEvolutionStrategy(
+            self._last, SPREAD, {"popsize": TRIED, "verbose": -9, **chance}
+        )
+        for _ in range(ROUNDS):
+            tried = search.ask()
+            cycles = [self._motions.cycle(np.clip(own, -1, 1))[0] for own in tried]
+            search.tell(tried, self._cost(self._after(cycles)))
+        self._last = np.clip(search.best.x, -1, 1)
+        self._running = self._motions.cycle(self._last)[0]
+        return self._last
+
+    def _after(self, cycles: list[PlateCycle]) -> list[WorldState]:
+        """Return what comes of each cycle from now on."""
+        worlds = self._worlds[: len(cycles)]
+        for world in worlds:
+            world.state = self._now
+        Simulation.run_together(worlds, cycles, 1)
+        return [world.state for world in worlds]
+
+    def _cost(self, states: list[WorldState]) -> list[float]:
+        """Return what is left to do [m], and what is too near to an edge."""
+        states = [replace(s, position=s.position + COAST_S * s.velocity) for s in states]
+        place = np.array([s.position for s in states])
+        beyond = np.maximum(np.abs(place) - self._inner, 0).sum(axis=(1, 2))
+        if self._judge.follows:
+            left = np.linalg.norm(place - self._goal, axis=2).sum(axis=1)
+        else:
+            left = self._judge.score([self._memory] * len(states), states).to_go_m
+        return list(left + EDGE_COST * beyond)

@@ -1,0 +1,84 @@
+"""Method A as the paper has it (sections 3.1, 4.1): PD for each part, and the smallest weights of
+24 rotations by SVD of the averaged map."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from plate_core import Parts, PlateCycle, PlateError, part_class
+from plate_core.tasks import AssembleTask, FollowTask, Side, SortTask
+from plate_planner.tasks import assign
+from plate_solver import Limits
+from plate_solver.rotations import Library, RotationFamily, grid, solve_weights
+
+from .judge import AHEAD_S
+
+if TYPE_CHECKING:
+    from .agents import Brief
+
+GOAL = 0.8
+"""Where parts are pushed to that are sorted [half side]."""
+
+GAIN, FASTEST_MPS = 1.5, 0.03
+"""Drift that is wanted, for each metre to go [1/s], and at most."""
+
+MOST_GAIN = 3.0
+"""Bound on inverse singular values (3.1.5)."""
+
+PERIOD_S, SPEED_MPS, RETURN = 0.2, 0.3, 2.5
+"""Of a cycle; of the plate's fastest corner in a stroke back, and that over its speed in the stroke
+before: each rotation closes by itself, so its mean force is what they differ by."""
+
+
+class Classic:
+    """Knows tasks without angles: parts are sorted to sides, put to places, led along paths."""
+
+    action, observation = "cycle", "parts"
+
+    def __init__(self, brief: Brief, seed: int) -> None:
+        self._task, self._ids, rig = brief.scenario.task, brief.ids, brief.rig
+        if isinstance(self._task, SortTask):
+            sides = [self._task.regions[part_class(name)] for name in self._ids]
+            self._side = np.array([[side.x, side.y] for side in sides if isinstance(side, Side)])
+        elif not isinstance(self._task, AssembleTask | FollowTask):
+            raise PlateError(f"{brief.scenario.name} asks for angles, allowed: tasks that do not")
+        self._half, self._limits = rig.plate.half, Limits.of(rig, 1.0)
+        self._library = Library.about(grid(self._half), self._half)
+        self._push = rig.friction.accel * PERIOD_S
+        self._goal: np.ndarray | None = None
+
+    def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
+        """Return the rotations, each with its stroke back, whose mean forces are as PD wants."""
+        place = observation[:, :2]
+        force = (self._drift(observation) - observation[:, 2:4]) / self._push
+        matrix = self._library.forces(place)
+        weight, _ = solve_weights(matrix, force.T.ravel(), MOST_GAIN)
+        share = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
+        nearest = self._library.clearance(place)
+        order = np.argsort(-share / nearest, kind="stable")  # 3.1.4
+        out = np.sign(weight)[order, None] * self._library.twist[order] / RETURN
+        share = share[order] / max(1.0, float(np.sum(share)))
+        spent = np.outer(share, [RETURN, 1.0]).ravel() / (RETURN + 1)
+        twist = np.stack([out, -RETURN * out], axis=1).reshape(-1, 3)
+        # At rest the slightest motion counts in full: what is left is spent to and fro.
+        spent = np.append(spent, np.full(2, (1 - np.sum(share)) / 2))
+        twist = np.vstack([twist, out[:1], -out[:1]])
+        family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS, free=False)
+        return family.cycle(family.parameters(spent))
+
+    def _drift(self, seen: np.ndarray) -> np.ndarray:
+        """Return the drift that is wanted of each part (M, 2) [m/s]."""
+        place, feed = seen[:, :2], np.zeros(2)
+        if isinstance(self._task, FollowTask):
+            goal, feed = seen[:, 6:8], (seen[:, 8:10] - seen[:, 6:8]) / AHEAD_S
+        elif isinstance(self._task, AssembleTask):
+            if self._goal is None:
+                places = np.array(self._task.place)
+                row = assign(self._task.labels, places, Parts.make(self._ids, place))
+                self._goal = places[row]
+            goal = self._goal
+        else:
+            goal = np.where(self._side == 0, place, self._side * GOAL * self._half)
+        return feed + np.clip(GAIN * (goal - place), -FASTEST_MPS, FASTEST_MPS)

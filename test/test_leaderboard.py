@@ -1,0 +1,77 @@
+"""Results in benchmarks/ are results, of agents that are here; the leaderboard is made of them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = sorted((ROOT / "benchmarks").glob("*"))
+
+pytestmark = pytest.mark.needs("gymnasium")
+
+
+def test_the_page_is_made_of_the_results():
+    import leaderboard
+
+    assert leaderboard.PAGE.read_text(encoding="utf-8") == leaderboard.page()
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_result_is_well_formed_and_summed_up_as_its_rows_are(path):
+    from plate_gym import TASKS
+    from plate_gym.agents import AGENTS
+    from plate_gym.bench import summary, validate
+
+    assert path.suffix == ".json"
+    result = json.loads(path.read_text(encoding="utf-8"))
+    validate(result)
+    assert set(result["tasks"]) <= set(TASKS)
+    for found in result["tasks"].values():
+        assert json.loads(json.dumps(summary(found["rows"]))) == found
+        assert sorted(row["seed"] for row in found["rows"]) == list(range(len(found["rows"])))
+    module, _, name = result["agent"].partition(":")
+    own = ROOT / f"examples/agents/{module}.py"
+    assert result["agent"] in AGENTS or f"class {name}" in own.read_text(encoding="utf-8")
+
+
+def test_better_and_faster_agents_come_first(tmp_path):
+    import leaderboard
+
+    from plate_gym.bench import ROW, summary
+
+    def result(agent, successes, time_s):
+        rows = [
+            {key: kind() for key, kind in ROW.items()}
+            | {"seed": seed, "success": seed < successes, "time_s": time_s, "error_mm": 2.5}
+            for seed in range(4)
+        ]
+        head = {"world": "nominal", "commit": "", "sources": "", "versions": {}}
+        return head | {"agent": agent, "tasks": {"Sort4-v1": summary(rows)}}
+
+    for agent, successes, time_s in (("slow", 4, 9.0), ("bad", 1, 1.0), ("fast", 4, 5.0)):
+        text = json.dumps(result(agent, successes, time_s))
+        (tmp_path / f"{agent}.json").write_text(text, encoding="utf-8")
+    lines = [line for line in leaderboard.tables(tmp_path).splitlines() if line.startswith("| [")]
+    assert [line.split("]")[0] for line in lines] == ["| [fast", "| [slow", "| [bad"]
+    assert lines[0] == (
+        "| [fast](../../benchmarks/fast.json) | 0:4 | 100 (51 to 100) | 5.0 | 2.5 | 0 | 0 |"
+    )
+    assert "| 25 (5 to 70) | 1.0 |" in lines[2]
+
+
+def test_the_network_that_has_learned_says_where_parts_are_to_come(monkeypatch):
+    """It is of the task's size, makes use of what it sees, and its actions are in the space."""
+    from plate_gym import PlateEnv
+    from plate_gym.agents import Brief
+    from plate_gym.bench import agent_class
+
+    monkeypatch.syspath_prepend(ROOT / "examples/agents")
+    env = PlateEnv("Sort4-v1", action="progress")
+    actions = []
+    for seed in (0, 1):
+        seen, info = env.reset(seed=seed)
+        agent = agent_class("learned:Learned")(Brief.of(env), 0)
+        actions.append(agent.act(seen, info))
+        assert env.action_space.contains(actions[-1])
+    assert abs(actions[1] - actions[0]).max() > 1e-3

@@ -1,0 +1,77 @@
+"""Write the tables of docs/guide/leaderboard.md, from the results in benchmarks/*.json.
+
+python tools/leaderboard.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plate_gym import TASKS
+from plate_gym.bench import ranges, validate
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, RESULTS = ROOT / "docs/guide/leaderboard.md", ROOT / "benchmarks"
+
+MARK = "<!-- made of benchmarks/ -->\n"
+"""What stands above it in the page is written by hand."""
+
+COLUMNS = ("agent", "seeds", "done [%]", "plate time [s]", "error [mm]", "lost", "decision [ms]")
+
+
+def page() -> str:
+    """Return the page: what is written by hand, and the tables."""
+    return PAGE.read_text("utf-8").split(MARK)[0] + MARK + tables(RESULTS)
+
+
+def tables(folder: Path) -> str:
+    """Return a table for each task and world, of the results in a folder.
+
+    Raises
+    ------
+    PlateError
+        If a file is no result.
+    """
+    results = {path.name: json.loads(path.read_text("utf-8")) for path in folder.glob("*.json")}
+    for result in results.values():
+        validate(result)
+    text = ""
+    for task in TASKS:
+        there = {name: result for name, result in results.items() if task in result["tasks"]}
+        worlds = {result["world"] for result in there.values()}
+        for world in sorted(worlds, key=lambda world: (world != "nominal", world)):
+            rows = sorted(
+                row(name, result["agent"], result["tasks"][task])
+                for name, result in there.items()
+                if result["world"] == world
+            )
+            lines = [" | ".join(COLUMNS), " | ".join(["---"] * len(COLUMNS))]
+            lines += [line for _, _, line in rows]
+            text += f"\n## {task}, {world}\n\n" + "".join(f"| {line} |\n" for line in lines)
+    return text
+
+
+def row(file: str, agent: str, found: dict[str, Any]) -> tuple[float, float, str]:
+    """Return the row of an agent's result, behind what rows are ordered by."""
+    low, high = (100 * share for share in found["success_interval"])
+    share, took = 100 * found["success"], found.get("time_s", np.inf)
+    cells = [
+        f"[{agent}](../../benchmarks/{file})",
+        ranges(sorted(own["seed"] for own in found["rows"])),
+        f"{share:.0f} ({low:.0f} to {high:.0f})",
+        f"{took:.1f}" if np.isfinite(took) else "-",
+        f"{np.median([own['error_mm'] for own in found['rows']]):.3g}",
+        str(found["dropped"]),
+        f"{found['decision_ms']:.3g}",
+    ]
+    return -share, took, " | ".join(cells)
+
+
+if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    PAGE.write_text(page(), encoding="utf-8")
