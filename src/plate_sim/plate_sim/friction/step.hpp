@@ -20,8 +20,8 @@
 #include "friction/disc.hpp"
 #include "friction/patch.hpp"
 #include "friction/reversal.hpp"
+#include "plate/course.hpp"
 #include "plate/ground.hpp"
-#include "plate/pieces.hpp"
 
 namespace plate {
 
@@ -243,7 +243,7 @@ inline int shorter(int size, double ahead) {
 // The motion after a step that is cut until each part of it is fine enough.
 //
 // first: the plate at its start. ahead: as `attempt` returns it for the whole step.
-inline Motion advance_in_parts(Table table, double start, double step, double none,
+inline Motion advance_in_parts(const Course& course, double start, double step, double none,
                                const PlateSample& first, double ahead, const GroundEffect& ground,
                                Motion motion, const Body& body, const Mesh& mesh) {
     constexpr int FINEST = 1 << HALVINGS;
@@ -252,8 +252,8 @@ inline Motion advance_in_parts(Table table, double start, double step, double no
     bool to_end = ahead > 0;
     while (true) {
         const double t = start + done * step / FINEST, h = step * size / FINEST;
-        plate[1] = sample(table, t + 0.5 * h);
-        plate[2] = sample(table, t + h);
+        plate[1] = course.at(t + 0.5 * h);
+        plate[2] = course.at(t + h);
         const Attempt made = attempt(plate, h, size == 1, none, ground, motion, body, mesh);
         if (!made.fine) {
             size = shorter(size, made.ahead), to_end = made.ahead > 0;
@@ -287,27 +287,49 @@ inline Attempt reverse(const PlateSample* plate, double h, const GroundEffect& g
 
 namespace plate {
 
-// Move the discs that slide steadily through a step, as `advance` would; tell which.
+// Parts that `glide` moves at once: states have a multiple of so many columns.
+constexpr int LANES = 4;
+
+// What `glide` needs of the parts, rows of (5, P): mu g times the step [m/s]; the square of the
+// slip [m2/s2] from which on friction changes little in a step, infinite where there is no disc;
+// squared radius and radius of gyration [m2], and the former over the latter.
+constexpr int DV = 0, LEAST = 1, RADIUS2 = 2, GYRATION2 = 3, RATIO = 4, GLIDER = 5;
+
+// Fill column i of it for a body, that is there or not; return whether it may glide.
+inline bool set_glider(const View<double, 2>& gliders, int i, const Body& body, double step,
+                       bool here) {
+    const double dv = body.mu_g * step, least = stepping::DISC_STIFF / stepping::GENTLE * dv;
+    const bool can = here && body.radius > 0 && body.even();
+    gliders(DV, i) = dv;
+    gliders(LEAST, i) = can && dv > 0 ? least * least : std::numeric_limits<double>::infinity();
+    gliders(RADIUS2, i) = body.radius * body.radius, gliders(GYRATION2, i) = body.gyration2;
+    gliders(RATIO, i) = gliders(RADIUS2, i) / body.gyration2;
+    return can;
+}
+
+// Move the discs that slide steadily through a step, as `advance` would; return how many.
 //
 // plate: samples of the plate's motion at the step's start, middle and end. step [s]. state (6, P):
-// P a multiple of LANES (step.py); changed. discs (4, P): mu g [m/s2], squared radius and radius of
-// gyration [m2], and 1 where there is a disc. done (P,): set to 1 where the disc has been moved,
-// else to 0. NaN and infinity mark lanes that do not glide.
-PLATE_WIDE inline void glide(const PlateSample* plate, double step, const GroundEffect& ground,
-                             View<double, 2> state, View<const double, 2> discs,
-                             View<double, 1> done) {
+// changed. done (P,): set to 1 where the disc has been moved, else to 0. NaN and infinity mark
+// lanes that do not glide.
+PLATE_WIDE inline int glide(const PlateSample* plate, double step, const GroundEffect& ground,
+                            View<double, 2> state, View<const double, 2> gliders, double* done) {
     using namespace stepping;
     const PlateSample start = plate[0], middle = plate[1], end = plate[2];
     const double fall_x = step * ground.gravity_x, fall_y = step * ground.gravity_y;
     const double half = 0.5 * step;
-    for (int first = 0; first < done.size(0); first += BLOCK) {
+    double all = 0;
+    for (int first = 0; first < gliders.size(1); first += BLOCK) {
         double *__restrict x = state[X] + first, *__restrict vx = state[VX] + first;
         double *__restrict y = state[Y] + first, *__restrict vy = state[VY] + first;
         double *__restrict angle = state[ANGLE] + first, *__restrict spin = state[SPIN] + first;
-        const double *__restrict mu_g = discs[0] + first, *__restrict radius2 = discs[1] + first;
-        const double *__restrict gyration2 = discs[2] + first, *__restrict there = discs[3] + first;
-        double* __restrict moved = done.data + first;
-        const int count = std::min(BLOCK, done.size(0) - first);
+        const double* __restrict dv = gliders[DV] + first;
+        const double* __restrict least = gliders[LEAST] + first;
+        const double* __restrict ratio = gliders[RATIO] + first;
+        const double* __restrict radius2 = gliders[RADIUS2] + first;
+        const double* __restrict gyration2 = gliders[GYRATION2] + first;
+        double* __restrict moved = done + first;
+        const int count = LANES * std::min(BLOCK / LANES, (gliders.size(1) - first) / LANES);
         // Slips at the start and in the middle, and squares of (speed of the rim / of the centre)
         double ax[BLOCK], ay[BLOCK], ac[BLOCK], a2[BLOCK], ak2[BLOCK];
         double bx[BLOCK], by[BLOCK], bc[BLOCK], b2[BLOCK], bk2[BLOCK];
@@ -321,35 +343,36 @@ PLATE_WIDE inline void glide(const PlateSample* plate, double step, const Ground
 #pragma omp simd
         for (int i = 0; i < count; i++) {
             const disc::Push push = disc::series(ak2[i]);
-            const double share = 0.5 * (mu_g[i] * step) / std::sqrt(a2[i]);
+            const double share = 0.5 * dv[i] / std::sqrt(a2[i]);
             const double px = x[i] + half * vx[i], py = y[i] + half * vy[i];
             const Slip free = slip(middle, px, py, vx[i], vy[i], spin[i]);
             bx[i] = free.x - 0.5 * fall_x - share * push.force * ax[i];
             by[i] = free.y - 0.5 * fall_y - share * push.force * ay[i];
-            bc[i] = free.turn - share * push.torque * (radius2[i] / gyration2[i]) * ac[i];
+            bc[i] = free.turn - share * push.torque * ratio[i] * ac[i];
             b2[i] = bx[i] * bx[i] + by[i] * by[i];
             bk2[i] = radius2[i] * bc[i] * bc[i] / b2[i];
         }
-#pragma omp simd
+#pragma omp simd reduction(+ : all)
         for (int i = 0; i < count; i++) {
-            const double dv = mu_g[i] * step, g2 = gyration2[i];
+            const double g2 = gyration2[i];
             const Slip a{ax[i], ay[i], ac[i]}, b{bx[i], by[i], bc[i]};
             const disc::Push push = disc::series(bk2[i]);
-            const double share = dv / std::sqrt(b2[i]);
+            const double share = dv[i] / std::sqrt(b2[i]);
             const double ux = vx[i] + fall_x + share * push.force * b.x;
             const double uy = vy[i] + fall_y + share * push.force * b.y;
-            const double uc = spin[i] + share * push.torque * (radius2[i] / g2) * b.turn;
+            const double uc = spin[i] + share * push.torque * ratio[i] * b.turn;
             const double px = x[i] + half * (vx[i] + ux), py = y[i] + half * (vy[i] + uy);
             const Slip z = slip(end, px, py, ux, uy, uc);
             // Does it slide fast enough, and nearly in one direction? (`alike`)
-            const double size2 = dot(a, a, g2), middle2 = dot(b, b, g2), end2 = dot(z, z, g2);
+            const double size2 = a2[i] + g2 * a.turn * a.turn;  // as `dot(a, a, g2)`
+            const double middle2 = b2[i] + g2 * b.turn * b.turn, end2 = dot(z, z, g2);
             const double ab = dot(a, b, g2), az = dot(a, z, g2);
-            const double least = (DISC_STIFF / GENTLE * dv) * (DISC_STIFF / GENTLE * dv);
             const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,
                                          az * std::abs(az) - STEADY * STEADY * size2 * end2);
-            const bool steady = (std::min(size2, middle2) >= least) & (there[i] * dv > 0) &
+            const bool steady = (std::min(size2, middle2) >= least[i]) &
                                 (std::max(ak2[i], bk2[i]) <= disc::SERIES) & (turn > 0);
             moved[i] = steady ? 1.0 : 0.0;
+            all += moved[i];
             x[i] = steady ? px : x[i];
             y[i] = steady ? py : y[i];
             angle[i] = steady ? angle[i] + half * (spin[i] + uc) : angle[i];
@@ -358,13 +381,14 @@ PLATE_WIDE inline void glide(const PlateSample* plate, double step, const Ground
             spin[i] = steady ? uc : spin[i];
         }
     }
+    return static_cast<int>(all);
 }
 
 // Advance part i by a step, in place.
 //
-// start, step [s]: when the step begins in the table's motion, and its length. plate: samples at
+// start, step [s]: when the step begins in the course, and its length. plate: samples at
 // its start, middle and end.
-inline void advance(Table table, double start, double step, const PlateSample* plate,
+inline void advance(const Course& course, double start, double step, const PlateSample* plate,
                     const GroundEffect& ground, View<double, 2> state, int i, const Body& body,
                     const Mesh& mesh) {
     using namespace stepping;
@@ -376,7 +400,7 @@ inline void advance(Table table, double start, double step, const PlateSample* p
         made = reverse(plate, step, ground, motion, body);
     if (!made.fine) made = attempt(plate, step, false, none, ground, motion, body, mesh);
     if (!made.fine)
-        made.after = advance_in_parts(table, start, step, none, plate[0], made.ahead, ground,
+        made.after = advance_in_parts(course, start, step, none, plate[0], made.ahead, ground,
                                       motion, body, mesh);
     state(X, i) = made.after.x, state(Y, i) = made.after.y, state(ANGLE, i) = made.after.angle;
     state(VX, i) = made.after.vx, state(VY, i) = made.after.vy, state(SPIN, i) = made.after.spin;
