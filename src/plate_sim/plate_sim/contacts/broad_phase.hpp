@@ -17,26 +17,23 @@ struct Pair {
     int i, j;
 };
 
-// Least and greatest of some x and y [m].
-struct Bounds {
-    double low_x, high_x, low_y, high_y;
-};
-
 // The pairs of parts on the plate (`here`, (M,)) whose rims are near.
 struct NearPairs {
     std::vector<Pair> pairs;
     double skin = INFINITE;  // parts may move so far [m] towards each other until it is out of date
     double gap = INFINITE;   // the least gap [m] of any two, at most the skin
-    AlignedNumbers mark_x, mark_y;  // where parts were when it was made, room for all columns
-    std::vector<int> order;         // all parts in order of x then
-
-    explicit NearPairs(int columns) : mark_x(columns), mark_y(columns) {}
+    std::vector<double> x, y;  // where parts were when it was made: the state's marks
+    std::vector<int> order;    // all parts in order of x then
 
     // List them anew.
     void find(const State& state, Bodies bodies, View<const bool, 1> here) {
         const int count = here.size(0);
-        const double *x = state[X], *y = state[Y];
-        std::copy_n(x, state.size(1), mark_x.data()), std::copy_n(y, state.size(1), mark_y.data());
+        x.resize(count), y.resize(count);
+        for (int i = 0; i < count; i++) {
+            Group& group = state.group(i);
+            x[i] = group.mark[X][State::lane(i)] = state(X, i);
+            y[i] = group.mark[Y][State::lane(i)] = state(Y, i);
+        }
         for (int i = order.size(); i < count; i++) order.push_back(i);
         double most = 0.0;
         for (int a = 0; a < count; a++) {
@@ -64,14 +61,6 @@ struct NearPairs {
                 }
             }
         }
-    }
-
-    // Bound on how far [m] any two parts moved towards each other since the list was made, by how
-    // far parts have moved along x and y at least and at most.
-    static double approach(const Bounds& moved) {
-        if (moved.high_x < moved.low_x) return 0.0;  // there are none
-        const double wide = moved.high_x - moved.low_x, high = moved.high_y - moved.low_y;
-        return std::sqrt(wide * wide + high * high);
     }
 };
 

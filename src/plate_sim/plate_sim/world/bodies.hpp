@@ -10,11 +10,12 @@
 #include <vector>
 
 #include <plate/view.hpp>
+#include <plate/wide.hpp>
 
 #include "contacts/resolve.hpp"
-#include "friction/step.hpp"
-#include "plate/ground.hpp"
+#include "friction/glide.hpp"
 #include "plate/course.hpp"
+#include "plate/ground.hpp"
 
 namespace plate {
 
@@ -41,47 +42,65 @@ struct Job {
 // More than what rounding makes of 1 in a few sums and products.
 constexpr double ROUNDED = 1 + 1e-12;
 
-// Where parts are [m], and how far they have moved from marks [m].
+// Of the parts on the plate, least and greatest x and y [m], and how far they have moved along x
+// and along y from their marks [m].
 struct Extent {
-    contacts::Bounds at, moved;
-};
+    double low[4], high[4];
 
-// Of all for which `away` (P,) is 0; it is infinite for the others.
-PLATE_WIDE inline Extent extent(const View<double, 2>& state, int lanes, const double* mark_x,
-                                const double* mark_y, const double* away) {
-    double low[4][LANES], high[4][LANES];
-    std::fill_n(low[0], 4 * LANES, contacts::INFINITE);
-    std::fill_n(high[0], 4 * LANES, -contacts::INFINITE);
-    const double *x = state[X], *y = state[Y];
-    for (int first = 0; first < lanes; first += LANES)
-        for (int k = 0; k < LANES; k++) {
-            const int i = first + k;
-            const double at[] = {x[i], y[i], x[i] - mark_x[i], y[i] - mark_y[i]};
-            for (int row = 0; row < 4; row++) {
-                low[row][k] = std::min(low[row][k], at[row] + away[i]);
-                high[row][k] = std::max(high[row][k], at[row] - away[i]);
+    [[gnu::always_inline]] explicit Extent(std::span<const Group> groups) {
+        double lows[4][LANES], highs[4][LANES];
+        std::fill_n(lows[0], 4 * LANES, contacts::INFINITE);
+        std::fill_n(highs[0], 4 * LANES, -contacts::INFINITE);
+        for (const Group& g : groups) {
+#pragma omp simd
+            for (int i = 0; i < LANES; i++) {
+                const double x = g.state[X][i], y = g.state[Y][i];
+                const double values[] = {x, y, x - g.mark[X][i], y - g.mark[Y][i]};
+                for (int row = 0; row < 4; row++) {
+                    lows[row][i] = std::min(lows[row][i], values[row] + g.away[i]);
+                    highs[row][i] = std::max(highs[row][i], values[row] - g.away[i]);
+                }
             }
         }
-    for (int k = 1; k < LANES; k++)
         for (int row = 0; row < 4; row++) {
-            low[row][0] = std::min(low[row][0], low[row][k]);
-            high[row][0] = std::max(high[row][0], high[row][k]);
+            low[row] = *std::min_element(lows[row], lows[row] + LANES);
+            high[row] = *std::max_element(highs[row], highs[row] + LANES);
         }
-    return {{low[0][0], high[0][0], low[1][0], high[1][0]},
-            {low[2][0], high[2][0], low[3][0], high[3][0]}};
-}
+    }
 
-// Whether all within bounds is on a plate, and not on its edge but for rounding.
-inline bool inside(const contacts::Bounds& at, const PlateSample& plate, const double* half) {
-    const double x = std::max(std::abs(at.low_x - plate.x), std::abs(at.high_x - plate.x));
-    const double y = std::max(std::abs(at.low_y - plate.y), std::abs(at.high_y - plate.y));
-    const double turn = std::abs(plate.theta);  // its sine is no more, its cosine no more than 1
-    return ROUNDED * (x + turn * y) <= half[0] && ROUNDED * (y + turn * x) <= half[1];
+    // Bound on how far [m] any two parts moved towards each other since they were at their marks.
+    double approach() const {
+        if (high[2] < low[2]) return 0.0;  // there are none
+        const double wide = high[2] - low[2], tall = high[3] - low[3];
+        return std::sqrt(wide * wide + tall * tall);
+    }
+
+    // Whether all are within a plate's edges, and by more than rounding.
+    bool within(const PlateSample& plate, const double* half) const {
+        const double x = std::max(std::abs(low[0] - plate.x), std::abs(high[0] - plate.x));
+        const double y = std::max(std::abs(low[1] - plate.y), std::abs(high[1] - plate.y));
+        const double turn = std::abs(plate.theta);  // at least its sine
+        return ROUNDED * (x + turn * y) <= half[0] && ROUNDED * (y + turn * x) <= half[1];
+    }
+};
+
+// Make steps, at most so many, as long as all of `count` parts glide, none comes nearer to another
+// by a gap [m], and none is near an edge; return how many. Of the step that needs more the gliding
+// is done.
+PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
+                             const GroundEffect& ground, const double* half, double gap, int count,
+                             int most) {
+    for (int made = 0; made < most; made++, plate += 2) {
+        if (glide(plate, step, ground, groups) < count) return made;
+        const Extent extent(groups);
+        if (extent.approach() >= gap || !extent.within(plate[2], half)) return made;
+    }
+    return most;
 }
 
 // Take parts whose centre is beyond the plate's edge away; return whether there were any.
-inline bool drop(View<double, 2> state, View<bool, 1> here, const PlateSample& plate,
-                 const double* half, double* away, double* least) {
+inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plate,
+                 const double* half) {
     const double c = std::cos(plate.theta), s = std::sin(plate.theta);
     bool any = false;
     for (int i = 0; i < here.size(0); i++) {
@@ -91,7 +110,8 @@ inline bool drop(View<double, 2> state, View<bool, 1> here, const PlateSample& p
         if (here(i) && beyond) {
             here(i) = false;
             state(VX, i) = state(VY, i) = state(SPIN, i) = 0.0;
-            away[i] = least[i] = contacts::INFINITE;
+            Group& group = state.group(i);
+            group.away[State::lane(i)] = group.least[State::lane(i)] = contacts::INFINITE;
             any = true;
         }
     }
@@ -103,7 +123,6 @@ inline bool drop(View<double, 2> state, View<bool, 1> here, const PlateSample& p
 inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contacts::Rules& rules,
                              double allowed, const double* half) {
     const int count = job.states.size(0);
-    const int lanes = (count + LANES - 1) / LANES * LANES, columns = (count / LANES + 1) * LANES;
     const Course course(job.times, job.factors, job.legs);
     const double step = course.period() / job.steps;
     const std::vector<PlateSample> plate = samples(course, 2 * job.steps);
@@ -113,31 +132,28 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         return std::pair(job.states(i, X), job.states(i, Y)) <
                std::pair(job.states(j, X), job.states(j, Y));
     });
-    // Columns of parts, of none, and the last one of the walls
-    AlignedNumbers numbers(6 * columns + (GLIDER + 2) * lanes);
-    const View<double, 2> state{numbers.data(), {6, columns}}, gliders{state[6], {GLIDER, lanes}};
-    double *done = gliders[GLIDER], *away = done + lanes;
+    std::vector<Group, Aligned<Group>> groups(count / LANES + 1);
+    const State state{groups};
+    std::vector<Body> bodies(state.walls() + 1, Body{0, 1});
     const auto kept = std::make_unique<bool[]>(count);
     const View<bool, 1> here{kept.get(), {count}};
-    std::vector<Body> bodies(columns, Body{0, 1});
-    std::fill_n(away, lanes, contacts::INFINITE);
     bool together = false;
-    for (int i = 0; i < count; i++) {
-        for (int row = 0; row < 6; row++) state(row, i) = job.states(order[i], row);
-        bodies[i] = shapes.bodies[order[i]], bodies[i].mu_g = job.limit[order[i]];
-        here(i) = job.here(order[i]);
-        if (here(i)) away[i] = 0;
+    for (int i = 0; i <= state.walls(); i++) {
+        if (i < count) {
+            for (int row = 0; row < 6; row++) state(row, i) = job.states(order[i], row);
+            bodies[i] = shapes.bodies[order[i]], bodies[i].mu_g = job.limit[order[i]];
+            here(i) = job.here(order[i]);
+        }
+        together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
-    for (int i = 0; i < lanes; i++)
-        together |= set_glider(gliders, i, bodies[i], step, away[i] == 0);
     together &= job.ground.slope == 0;
-    const View<const double, 2> discs{gliders.data, gliders.shape};
+    const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);  // without the walls
     const int points = shapes.mesh.size(1);
     std::vector<double> forces(7 * points);
     std::copy_n(shapes.mesh.data, 4 * points, forces.data());
     const Mesh mesh{forces.data(), {7, points}};
     const View<const bool, 1> there{here.data, here.shape};
-    contacts::NearPairs near(columns);
+    contacts::NearPairs near;
     contacts::Contacts contacts{state, bodies, there, {shapes.pieces, shapes.corners}, rules, step,
                                 half};
     contacts::Overlap start;
@@ -151,33 +167,43 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         for (int i = 0; i < count; i++)
             for (int row = 0; row < 6; row++) record[6 * order[i] + row] = state(row, i);
     };
-    int recorded = 0;
-    for (int cycle = 0; cycle < job.cycles; cycle++) {
-        for (int at = 0; at < job.steps; at++) {
-            const PlateSample* now = &plate[2 * at];
-            if (job.record.size(0) && (std::int64_t{cycle} * job.steps + at) % job.every == 0)
-                note(job.record[recorded++]);
-            const int moved =
-                together ? glide(now, step, job.ground, state, discs, done) : 0;
-            for (int i = 0; i < count && moved < count; i++)
-                if (done[i] == 0 && here(i))
-                    advance(course, at * step, step, now, job.ground, state, i, bodies[i], mesh);
-            const Extent parts = extent(state, lanes, near.mark_x.data(), near.mark_y.data(), away);
-            bool pushed = false;
-            if (rules.meets) {
-                double drift = near.approach(parts.moved);
-                if (drift >= near.skin) {
-                    near.find(state, bodies, there);
-                    drift = 0.0;
-                }
-                const std::span pairs(near.pairs.data(), drift >= near.gap ? near.pairs.size() : 0);
-                pushed = !pairs.empty() || rules.walls;
-                if (pushed) contacts.resolve(pairs, now[2]);
-            }
-            if (!rules.walls && (pushed || !inside(parts.at, now[2], half)) &&
-                drop(state, here, now[2], half, away, gliders[LEAST]) && rules.meets)
-                near.find(state, bodies, there);
+    int recorded = 0, left = std::count(here.data, here.data + count, true);
+    for (std::int64_t made = 0; made < std::int64_t{job.cycles} * job.steps;) {
+        int at = made % job.steps, end = job.steps;
+        if (job.record.size(0)) {
+            const int since = made % job.every;
+            if (since == 0) note(job.record[recorded++]);
+            end = std::min(end, at + job.every - since);
         }
+        if (together) {
+            const double gap = rules.walls ? 0 : near.gap;  // near walls every step needs more
+            const int cruised =
+                cruise(parts, &plate[2 * at], step, job.ground, half, gap, left, end - at);
+            made += cruised, at += cruised;
+            if (at == end) continue;
+        }
+        const PlateSample* now = &plate[2 * at];
+        for (int i = 0; i < count; i++)
+            if (state.group(i).moved[State::lane(i)] == 0 && here(i))
+                advance(course, at * step, step, now, job.ground, state, i, bodies[i], mesh);
+        const Extent extent(parts);
+        bool pushed = false;
+        if (rules.meets) {
+            double drift = extent.approach();
+            if (drift >= near.skin) {
+                near.find(state, bodies, there);
+                drift = 0.0;
+            }
+            const std::span pairs(near.pairs.data(), drift >= near.gap ? near.pairs.size() : 0);
+            pushed = !pairs.empty() || rules.walls;
+            if (pushed) contacts.resolve(pairs, now[2]);
+        }
+        if (!rules.walls && (pushed || !extent.within(now[2], half)) &&
+            drop(state, here, now[2], half)) {
+            left = std::count(here.data, here.data + count, true);
+            if (rules.meets) near.find(state, bodies, there);
+        }
+        made++;
     }
     if (job.record.size(0)) note(job.record[job.record.size(0) - 1]);
     note(job.states.data);
