@@ -56,7 +56,7 @@ class Motions:
         while np.any(beyond := used > CERTAIN):  # turns enter with their square: twice, as a rule
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
-        return [self._basis.cycle(one) for one in own], used
+        return self._basis.cycles(own), used
 
     def _use(self, own: np.ndarray) -> np.ndarray:
         """Return the greatest shares (N,) of a limit that coefficients (N, h, 3) use: bounds."""

@@ -1,4 +1,5 @@
-// The plate's pose and twist at any instant of a motion: x, y and theta at once.
+// The plate's pose and twist at any instant of a motion, x, y and theta at once: for steps of finite
+// parts.
 #pragma once
 #include <algorithm>
 #include <vector>

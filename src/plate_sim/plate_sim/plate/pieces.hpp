@@ -1,5 +1,5 @@
-// The plate's exact motion: the quintic pieces of a cycle in one table, and the only evaluation of
-// the plate's pose, twist and acceleration that integrators use. See pieces.py.
+// The plate's exact motion: the quintic pieces of a cycle in one table, and the evaluation of the
+// plate's pose, twist and acceleration that the judge of points uses. See pieces.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
