@@ -65,7 +65,7 @@ class Classic:
         # At rest the slightest motion counts in full: what is left is spent to and fro.
         spent = np.append(spent, np.full(2, (1 - np.sum(share)) / 2))
         twist = np.vstack([twist, out[:1], -out[:1]])
-        family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS, free=False)
+        family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS)
         return family.cycle(family.parameters(spent))
 
     def _drift(self, seen: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from plate_core import PlateError
 from plate_sim.world import Simulation
 
-from .plates import Plates
+from .plates import Plate, Plates
 from .spaces import action_space, observation_space
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
@@ -80,15 +80,15 @@ class PlateEnv(gym.Env):
         super().reset(seed=seed)
         info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
         self._show()
-        return self.plates.plates[0].observation, first(info)
+        return self.plates.observed()[0], first(info)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Let the cycle that runs end; what the action asks for comes after it."""
-        check_begun(self.plates)
+        check_begun(self.plates.plates)
         actions = checked_actions(self.action_space, [action])
         reward, ended, over, info = self.plates.step([0], actions)
         self._show()
-        seen = self.plates.plates[0].observation
+        seen = self.plates.observed()[0]
         return seen, float(reward[0]), bool(ended[0]), bool(over[0]), first(info)
 
     def render(self) -> np.ndarray | None:
@@ -105,7 +105,7 @@ class PlateEnv(gym.Env):
             self._picture()
 
     def _picture(self) -> np.ndarray:
-        check_begun(self.plates)
+        check_begun(self.plates.plates)
         self._film = self._film or Film(self.plates, self.render_mode == "human")
         return self._film.picture(0)
 
@@ -179,19 +179,21 @@ class PlateVectorEnv(VectorEnv):
                 own = operator.index(own)
                 self._chance[k] = seeding.np_random(own)[0]
             worlds.append(drawn(self._chance[k]) if own is None else own)
-        check_begun(self.plates, ~mask)
+        check_begun([self.plates.plates[k] for k in np.flatnonzero(~mask)])
         self._ended[mask] = False
         info = self._whole(self.plates.reset(rows, worlds), mask)
-        return self._seen(), info
+        return self.plates.observed(), info
 
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Let the cycle that runs end, on each plate."""
-        check_begun(self.plates)
+        check_begun(self.plates.plates)
         if len(actions) != self.num_envs:
             raise PlateError(f"actions are {len(actions)}, allowed: {self.num_envs}, one a plate")
-        each = checked_actions(self.single_action_space, iterate(self.action_space, actions))
+        if not isinstance(actions, np.ndarray):
+            actions = iterate(self.action_space, actions)
+        each = checked_actions(self.single_action_space, actions)
         anew, rows = (np.flatnonzero(m).tolist() for m in (self._ended, ~self._ended))
         info: dict[str, Any] = {}
         reward = np.zeros(self.num_envs)
@@ -204,18 +206,15 @@ class PlateVectorEnv(VectorEnv):
             reward[rows], ended[rows], over[rows] = step.reward, step.ended, step.over
             info = self._whole(step.info, ~self._ended, info)
         self._ended = ended | over
-        return self._seen(), reward, ended, over, info
+        return self.plates.observed(), reward, ended, over, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture (height, width, 3) of each plate."""
         if self.render_mode is None:
             return None
-        check_begun(self.plates)
+        check_begun(self.plates.plates)
         self._film = self._film or Film(self.plates, False)
         return tuple(self._film.picture(row) for row in range(self.num_envs))
-
-    def _seen(self) -> np.ndarray:
-        return np.stack([plate.observation for plate in self.plates.plates])
 
     def _whole(
         self, info: dict[str, np.ndarray], rows: np.ndarray, others: dict[str, Any] | None = None
@@ -231,19 +230,24 @@ class PlateVectorEnv(VectorEnv):
         return result
 
 
-def check_begun(plates: Plates, rows: Any = slice(None)) -> None:
-    """Refuse to go on with plates, all or those of a mask, that nobody has reset."""
-    if any(plate is None for plate in np.array(plates.plates, object)[rows]):
+def check_begun(plates: Sequence[Plate]) -> None:
+    """Refuse to go on with plates that nobody has reset."""
+    if any(plate is None for plate in plates):
         raise gym.error.ResetNeeded("there is no episode yet: call reset first")
 
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
     """Return actions, within the bounds; refuse what is not in the space by more than rounding."""
+    box = space if isinstance(space, gym.spaces.Box) else None
+    if box and isinstance(actions, np.ndarray) and actions.shape[1:] == box.shape:  # all at once
+        close = np.clip(actions, box.low, box.high)
+        if np.can_cast(close.dtype, float) and np.max(np.abs(close - actions)) <= ROUNDING:
+            return list(close)
     result = []
     for action in actions:
         near = action
-        if isinstance(space, gym.spaces.Box) and np.shape(action) == space.shape:
-            near = np.clip(action, space.low, space.high)
+        if box and np.shape(action) == box.shape:
+            near = np.clip(action, box.low, box.high)
             near = near if np.max(np.abs(near - action)) <= ROUNDING else action
         if not space.contains(near):
             said = type(action).__name__

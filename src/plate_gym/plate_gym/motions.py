@@ -33,26 +33,32 @@ class Motions:
         self._bounds = [control_points(self._basis.times, spline, order, 1) for order in range(3)]
         self.size = 3 * self._basis.size
         self._scale = np.ones((self._basis.size, 3))
-        alone = [self._use(row.reshape(-1, 3)) for row in np.eye(self.size)]
-        self._scale = CERTAIN / np.array(alone).reshape(-1, 3)
+        alone = self._use(np.eye(self.size).reshape(self.size, -1, 3))
+        self._scale = CERTAIN / alone.reshape(-1, 3)
 
     def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
-        """Return the motion of an action, and the share of the limits that it uses, at most 1.
+        """Return the motion of one action (size,), and its share of the limits."""
+        (cycle,), used = self.cycles(action[None])
+        return cycle, float(used[0])
+
+    def cycles(self, actions: np.ndarray) -> tuple[list[PlateCycle], np.ndarray]:
+        """Return the motions of actions, and the shares (N,) of the limits that they use, at most
+        1.
 
         Parameters
         ----------
-        action : (size,)
+        actions : (N, size)
             From -1 to 1: for each function of time x, y and theta. One alone uses the whole of a
             limit at 1. Together they are scaled down, all alike, as far as they exceed the limits.
         """
-        own = self._scale * action.reshape(-1, 3)
+        own = self._scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
-        while used > CERTAIN:  # turns enter with their square: twice at most, as a rule
-            own = own * (CERTAIN**2 / used)
-            used = self._use(own)
-        return self._basis.cycle(own), used
+        while np.any(beyond := used > CERTAIN):  # turns enter with their square: twice, as a rule
+            own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
+            used[beyond] = self._use(own[beyond])
+        return self._basis.cycles(own), used
 
-    def _use(self, own: np.ndarray) -> float:
-        """Return the greatest share of a limit that coefficients (h, 3) use: a bound."""
-        pose, twist, accel = (bound @ own for bound in self._bounds)
-        return limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, False)
+    def _use(self, own: np.ndarray) -> np.ndarray:
+        """Return the greatest shares (N,) of a limit that coefficients (N, h, 3) use: bounds."""
+        each = zip(*(bound @ own for bound in self._bounds), strict=True)
+        return np.array([limit_use(p, t, a, EQUAL_WEIGHT, self._limits, False) for p, t, a in each])

@@ -4,7 +4,7 @@ counted. Environments of one plate and of many are views of it."""
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -82,7 +82,7 @@ class Plate:
         self.simulation = Simulation(
             shared.rig, shared.scenario, seed, world.disturbances, mu_scale=world.mu_scale
         )
-        self._noise = np.random.default_rng((seed, 1))
+        self.noise = np.random.default_rng((seed, 1))
         self._seed = seed
         self.time = 0.0
         self.memory: Memory = shared.judge.begin(self.simulation.state, IDLE_S)
@@ -100,7 +100,6 @@ class Plate:
         if shared.observation == "image" and shared.rig.types:
             bare = [self.simulation.capture_bare() for _ in range(BARE_IMAGES)]
             self.bare = np.stack(bare)
-        self._look()
 
     @property
     def running(self) -> PlateCycle:
@@ -112,16 +111,6 @@ class Plate:
         """Our solver, for levels of action that need one."""
         return Controller(self._shared.rig, seed=self._seed)
 
-    @property
-    def observation(self) -> np.ndarray:
-        """What is seen: see `observation_space`."""
-        if self._shared.observation == "image":
-            return self.image.copy()
-        result = self.seen.copy()
-        result[:, 5] = np.minimum(self.time - result[:, 5], NEVER_S)
-        goals = self._shared.judge.references(self.memory, self.simulation.state.ids)
-        return np.clip(np.hstack([result, goals]), *self._shared.bounds)
-
     def begin(self, cycle: PlateCycle) -> None:
         """Take in that the cycle that ran has ended, and begin the next."""
         self.time += self._playback.cycle.period
@@ -131,14 +120,15 @@ class Plate:
             self._playback = next_playback(self._playback, cycle, HOLD_CYCLES, IDLE_S)
         state, period = self.simulation.state, self.running.period
         self.memory = self._shared.judge.look(self.memory, state, self.time, period)
-        self._look()
+
+    def capture(self) -> None:
+        """Take in the image of the start of the cycle that runs."""
+        image = self.simulation.capture()
+        self.image = self.image if image is None else image  # a missed one changes nothing
 
     def answer(self, action: Any) -> PlateCycle:
-        """Return the cycle of an action, within the limits."""
+        """Return the cycle of an action, within the limits; not of `motion`."""
         level = self._shared.action
-        if level == "motion":
-            cycle, self.limit_share = self._shared.motions.cycle(np.asarray(action, float))
-            return cycle
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
             began = clocks()
@@ -168,24 +158,6 @@ class Plate:
             angles = AngleTargets(goal, goal, np.abs(action[:, 4]) * self._shared.reach_m)
         gap = GAP * rig.parts.radius_m
         return Wanted.make(self._parts(), targets=Targets(place, place, weight, gap, angles))
-
-    def _look(self) -> None:
-        """Take in the image of the start of the cycle that runs."""
-        if self._shared.observation == "image":
-            image = self.simulation.capture()
-            self.image = self.image if image is None else image  # a missed one changes nothing
-            return
-        sight = self.simulation.sight()
-        if sight is None:
-            return
-        before, rows = self.seen, sight.seen & self.simulation.state.on_plate
-        noise = self._noise.standard_normal((len(rows), 3))
-        now = np.empty_like(before)
-        now[:, :2] = sight.position + CENTRE_NOISE_M * noise[:, :2]
-        now[:, 2:4] = (now[:, :2] - before[:, :2]) / (self.time - before[:, 5:])
-        now[:, 4] = (sight.angle + ANGLE_NOISE * noise[:, 2] + np.pi) % (2 * np.pi) - np.pi
-        now[:, 5] = self.time
-        self.seen = np.where(rows[:, None], now, before)
 
 
 class Plates:
@@ -243,6 +215,7 @@ class Plates:
         """Begin anew on some plates; returns what `Step.info` has."""
         for row, seed in zip(rows, seeds, strict=True):
             self.plates[row] = Plate(self, seed)
+        self._look([self.plates[row] for row in rows])
         score = self._score(rows)
         for row, to_go in zip(rows, score.to_go_m, strict=True):
             plate = self.plates[row]
@@ -254,12 +227,12 @@ class Plates:
     def step(self, rows: Sequence[int], actions: Sequence[Any]) -> Step:
         """Let a cycle pass on some plates."""
         plates = [self.plates[row] for row in rows]
-        each = map if self._pool is None or self.action == "motion" else self._pool.map
-        answers = list(each(Plate.answer, plates, actions))
+        answers = self._answers(plates, actions)
         worlds, running = [p.simulation for p in plates], [p.running for p in plates]
         Simulation.run_together(worlds, running, self._threads)
-        each = map if self._pool is None or self.observation == "parts" else self._pool.map
-        list(each(Plate.begin, plates, answers))
+        for plate, cycle in zip(plates, answers, strict=True):
+            plate.begin(cycle)
+        self._look(plates)
         score = self._score(rows)
         count = len(plates)
         reward, ended, over = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
@@ -272,6 +245,54 @@ class Plates:
             reward[k], ended[k] = gained - lost + plate.done, plate.done or failed
             over[k] = not ended[k] and plate.time >= self.scenario.time_limit_s - ROUNDING_S
         return Step(reward, ended, over, self._info(rows, score))
+
+    def observed(self) -> np.ndarray:
+        """Return what is seen of each plate (N, ...): see `observation_space`."""
+        if self.observation == "image":
+            return np.stack([plate.image for plate in self.plates])
+        result = np.stack([plate.seen for plate in self.plates])
+        time = np.array([plate.time for plate in self.plates])
+        result[..., 5] = np.minimum(time[:, None] - result[..., 5], NEVER_S)
+        goals = [self.judge.references(p.memory, p.simulation.state.ids) for p in self.plates]
+        return np.clip(np.concatenate([result, np.stack(goals)], axis=2), *self.bounds)
+
+    def _answers(self, plates: Sequence[Plate], actions: Sequence[Any]) -> list[PlateCycle]:
+        """Return the cycles of actions, within the limits."""
+        if self.action != "motion":
+            return list(self._each(Plate.answer, plates, actions))
+        cycles, shares = self.motions.cycles(np.array(actions, float))
+        for plate, share in zip(plates, shares, strict=True):
+            plate.limit_share = share
+        return cycles
+
+    def _look(self, plates: Sequence[Plate]) -> None:
+        """Take in what is seen at the start of the cycles that run."""
+        if self.observation == "image":
+            list(self._each(Plate.capture, plates))
+            return
+        shown = [(plate, plate.simulation.sight()) for plate in plates]
+        looked = [(plate, sight) for plate, sight in shown if sight is not None]
+        if not looked:
+            return
+        there = [sight.seen & plate.simulation.state.on_plate for plate, sight in looked]
+        noise = np.stack([p.noise.standard_normal((len(p.seen), 3)) for p, _ in looked])
+        time = np.array([plate.time for plate, _ in looked])[:, None, None]
+        before = np.stack([plate.seen for plate, _ in looked])
+        now = np.empty_like(before)
+        now[..., :2] = np.stack([sight.position for _, sight in looked])
+        now[..., :2] += CENTRE_NOISE_M * noise[..., :2]
+        now[..., 2:4] = (now[..., :2] - before[..., :2]) / (time - before[..., 5:])
+        angle = np.stack([sight.angle for _, sight in looked]) + ANGLE_NOISE * noise[..., 2]
+        now[..., 4] = (angle + np.pi) % (2 * np.pi) - np.pi
+        now[..., 5:] = time
+        now = np.where(np.stack(there)[..., None], now, before)
+        for (plate, _), seen in zip(looked, now, strict=True):
+            plate.seen = seen
+
+    @property
+    def _each(self) -> Callable[..., Iterable[Any]]:
+        """`map`, on all cores."""
+        return map if self._pool is None else self._pool.map
 
     def _mark(self, plate: Plate, met: bool) -> None:
         """Take in whether all is as asked: the task is done when it has been so long enough."""

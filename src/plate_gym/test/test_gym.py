@@ -189,7 +189,7 @@ def test_an_image_is_the_callers(gym):
     seen = env.reset(seed=0)[0]
     before = seen.copy()
     seen[:] = 0
-    assert np.array_equal(env.plates.plates[0].observation, before)
+    assert np.array_equal(env.plates.observed()[0], before)
 
 
 @pytest.mark.parametrize("task", ["Sort4-v1", "Letters-v1"])

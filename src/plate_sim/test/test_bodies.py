@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from plate_core import PlateCycle, PlateError
 from plate_core.rig import to_plate
 from plate_sim import Ground, PlateMotion, simulate, simulate_bodies
+from plate_sim.contacts import Contacts
 from plate_sim.friction import bar, disc, on_feet, union
 
 MU, G = 0.25, 9.81
@@ -154,6 +155,54 @@ def test_a_part_on_a_gently_shaken_plate_rides_with_it(shape):
     inside = [to_plate(p, x)[0] for p, x in zip(poses, run.position, strict=True)]
     assert np.ptp(inside, axis=0) == pytest.approx(0, abs=1e-12)
     assert np.ptp(run.angle[:, 0] - poses[:, 2]) == pytest.approx(0, abs=1e-12)
+
+
+def test_parts_that_do_not_meet_do_as_each_alone():
+    """To the last bit, in whatever group they are moved: discs, a bar and a tripod among them."""
+    rng, count = np.random.default_rng(8), 69
+    parts = [disc(0.008), disc(0.012)] * 34 + [disc(0.01)]
+    parts[20], parts[41] = bar(0.04, 0.008), TRIPOD
+    place, angle = rng.uniform(-0.2, 0.2, (count, 2)), rng.uniform(-3, 3, count)
+    speed, spin = 0.1 * rng.normal(size=(count, 2)), rng.normal(size=count)
+    mu = rng.uniform(0, 0.4, count)
+    run = simulate_bodies(
+        random_cycle(4), parts, place, angle, speed, spin, mu, samples=0, cycles=2
+    )
+    for i in range(count):
+        own = slice(i, i + 1)
+        one = simulate_bodies(
+            random_cycle(4), parts[i], place[own], angle[own], speed[own], spin[own], mu[own],
+            samples=0, cycles=2,
+        )  # fmt: skip
+        for name in ("position", "angle", "velocity", "spin"):
+            assert np.array_equal(getattr(one, name)[:, 0], getattr(run, name)[:, i])
+
+
+@pytest.mark.parametrize("walls", [False, True])
+def test_how_often_parts_are_recorded_changes_nothing(walls):
+    """Discs meet, and leave a turning plate where they pass its edge."""
+    rng, half = np.random.default_rng(9), np.array([0.1, 0.07])
+    place = np.stack(np.meshgrid([-0.09, -0.03, 0.03, 0.09], [-0.06, 0, 0.06]), -1).reshape(-1, 2)
+    cycle, speed = random_cycle(4, 2.0), 6 * place + 0.1 * rng.normal(size=(12, 2))
+    every, some, end = (
+        simulate_bodies(
+            cycle, disc(0.01), place, 0, speed, 0, MU, cycles=3, samples=samples, half=half,
+            contacts=Contacts(0.5, 0.2, walls=walls),
+        )
+        for samples in (250, 50, 0)
+    )  # fmt: skip
+    for name in ("position", "angle", "velocity", "spin"):
+        assert np.array_equal(getattr(every, name)[::5], getattr(some, name))
+        assert np.array_equal(getattr(every, name)[-1:], getattr(end, name))
+    poses = cycle.pose(every.time[:250])
+    poses = np.concatenate([np.tile(poses, (3, 1)), poses[:1]])
+    inside = np.array([to_plate(p, x) for p, x in zip(poses, every.position, strict=True)])
+    beyond = np.any(np.abs(inside) > half, axis=2)
+    gone = beyond.any(axis=0)
+    assert np.array_equal(every.on_plate, ~gone)
+    assert walls or 0 < np.count_nonzero(gone) < 12
+    for i in np.flatnonzero(gone):
+        assert not np.ptp(every.position[np.argmax(beyond[:, i]) :, i], axis=0).any()
 
 
 def test_turned_frame_and_order_of_parts():

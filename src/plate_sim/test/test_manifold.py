@@ -9,7 +9,7 @@ from plate_sim.contacts import Contacts
 from plate_sim.friction import bar, disc, polygon, union
 from plate_sim.plate import LEVEL
 from plate_sim.world import STEP
-from plate_sim.world.bodies import job_of
+from plate_sim.world.bodies import Shapes, columns, run_plates
 
 G = 9.81
 L_SHAPE = union(
@@ -163,15 +163,18 @@ def test_a_shaken_crowd_overlaps_by_20_micrometres_at_most(shape, count, pull):
 def test_a_part_beyond_the_edge_is_gone():
     place = np.array([[0.295, 0.0], [0.27, 0.0], [0.0, 0.0]])
     speed = np.array([[0.5, 0], [0, 0], [0, 0]])
-    run = job_of(
-        PlateCycle.rest(0.1), disc(0.012), np.full(3, 0.01), (place, 0, speed, 0),
-        np.array([True, True, False]), G, Contacts(), LEVEL, HALF, 500, 1, 1,
-    ).run()  # fmt: skip
-    assert run.on_plate.tolist() == [False, True, False]
-    assert run.position[-1, 0] == pytest.approx([0.3, 0], abs=2e-4)
-    assert run.velocity[-1, 0].tolist() == [0, 0]
-    assert run.position[-1, 1:].tolist() == place[1:].tolist()
-    assert run.position.shape == (501, 3, 2)
+    states = columns([(place, np.zeros(3), speed, np.zeros(3))])
+    here = np.array([[True, True, False]])
+    (record,) = run_plates(
+        [PlateCycle.rest(0.1)], [500], Shapes.of([disc(0.012)] * 3), states, here,
+        np.full((1, 3), 0.01), [LEVEL.effect(G)], Contacts(), HALF, 1, 1, "abc",
+    )  # fmt: skip
+    assert here.tolist() == [[False, True, False]]
+    assert record[-1, 0, :2] == pytest.approx([0.3, 0], abs=2e-4)
+    assert record[-1, 0, 3:].tolist() == [0, 0, 0]
+    assert record[-1, 1:, :2].tolist() == place[1:].tolist()
+    assert record.shape == (501, 3, 6)
+    assert np.array_equal(states[0], record[-1])
 
 
 def test_names_do_not_matter_for_a_crowd():
@@ -201,11 +204,14 @@ def test_names_do_not_matter_for_a_crowd():
     ],
 )
 def test_parts_that_overlap_at_the_start_are_refused(parts, place, message):
+    still = np.zeros(2), np.zeros((2, 2)), np.zeros(2)
     with pytest.raises(PlateError, match="overlap by") as error:
-        job_of(
-            PlateCycle.rest(0.1), parts, np.ones(2), (place, 0, np.zeros((2, 2)), 0),
-            np.ones(2, bool), G, Contacts(), LEVEL, HALF, 500, 1, 0, ["a", "b"],
-        ).run()  # fmt: skip
+        run_plates(
+            [PlateCycle.rest(0.1)] * 2, [500] * 2, Shapes.of(parts),
+            columns([(np.array([[0, 0], [0.1, 0]]), *still), (np.array(place), *still)]),
+            np.ones((2, 2), bool), np.ones((2, 2)), [LEVEL.effect(G)] * 2, Contacts(), HALF, 1, 0,
+            ["a", "b"],
+        )  # fmt: skip
     assert message in str(error.value)
 
 

@@ -9,77 +9,73 @@ CANVAS = np.zeros((4, 5), np.float32)
 
 
 def run_arguments():
-    """A disc and a square of two pieces."""
+    """A disc and a square of two pieces, on two plates."""
     square = np.array([[0, 0], [0.01, 0], [0.01, 0.01], [0, 0.01]])
-    bodies = np.zeros((9, 10))
+    bodies = np.zeros((2, 10))
     bodies[:, 1] = 1.0
     bodies[0, 2:6] = 0.01, 0.01, 0.01, 1.0
     bodies[1, 3:6] = 0.01, 0.01, 1.0
     bodies.view(np.int64)[1, 6:] = 0, 3, 0, 2
-    table = np.zeros((1, 24))
-    table[0, 1] = 0.1
-    state = np.zeros((6, 9))
-    state[0, 0] = 1.0
+    states = np.zeros((2, 2, 6))
+    states[:, 0, 0] = 1.0
+    factors = np.zeros((3, 6, 3))
+    factors[0, 1, 0] = 1.0  # along x
     return {
-        "table": table, "steps": 2, "cycles": 3, "every": 1, "gravity_x": 0.0, "gravity_y": 0.0,
-        "static_ratio": 1.0, "slope": 0.0, "state": state, "bodies": bodies,
-        "discs": np.zeros((4, 8)),
-        "mesh": np.ones((7, 3)), "pieces": np.array([[0, 4], [4, 8]]),
+        "times": np.array([0, 0.1, 0, 0.05, 0.1]), "coefficients": factors,
+        "counts": np.array([[1, 2], [2, 2]]), "cycles": 3, "every": 1,
+        "ground": np.tile([0, 0, 1.0, 0], (2, 1)), "states": states, "limit": np.ones((2, 2)),
+        "here": np.ones((2, 2), bool), "record": np.zeros((2, 7, 2, 6)), "bodies": bodies,
+        "mesh": np.ones((4, 3)), "pieces": np.array([[0, 4], [4, 8]]),
         "corners": np.column_stack([*np.tile(square, (2, 1)).T, np.ones((8, 3))]),
         "restitution": 0.0, "friction": 0.0, "meets": True, "walls": True, "allowed": 0.1,
-        "half": np.ones(2), "here": np.ones(2, bool), "record": np.zeros((7, 2, 6)),
+        "half": np.ones(2), "threads": 2,
     }  # fmt: skip
 
 
 def test_parts_run_with_right_arguments():
-    assert _kernels.run(**run_arguments()) == (-1, -1, 0.0, 0.0)
+    assert _kernels.run(**run_arguments()).tolist() == 2 * [[-1, -1, 0.0, 0.0]]
 
 
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        ("table", np.zeros((1, 23))),
-        ("table", np.zeros((0, 24))),
-        ("steps", 0),
+        ("times", np.zeros(4)),
+        ("coefficients", np.zeros((2, 6, 3))),
+        ("coefficients", np.zeros((3, 6, 2))),
+        ("counts", np.array([[1, 2], [2, 0]])),
+        ("counts", np.array([[1, 2], [3, 2]])),
+        ("counts", np.array([[3, 2], [0, 2]])),
+        ("counts", np.array([[1, 2]])),
         ("every", 0),
         ("cycles", 4),
-        ("state", np.zeros((6, 8))),
-        ("state", np.zeros((6, 9), np.float32)),
-        ("state", np.zeros((9, 6)).T),
-        ("bodies", np.zeros((9, 9))),
-        ("discs", np.zeros((4, 9))),
-        ("mesh", np.ones((4, 3))),
-        ("mesh", np.ones((7, 2))),
+        ("ground", np.zeros((2, 3))),
+        ("states", np.zeros((2, 3, 6))),
+        ("states", np.zeros((2, 2, 6), np.float32)),
+        ("states", np.zeros((6, 2, 2)).T),
+        ("limit", np.ones((2, 3))),
+        ("here", np.ones((2, 3), bool)),
+        ("here", np.ones((2, 2))),
+        ("record", np.zeros((2, 7, 3, 6))),
+        ("record", np.zeros((2, 6, 2, 6))),
+        ("record", np.zeros((1, 7, 2, 6))),
+        ("bodies", np.zeros((2, 9))),
+        ("mesh", np.ones((7, 3))),
+        ("mesh", np.ones((4, 2))),
         ("pieces", np.array([[0, 4], [4, 9]])),
         ("pieces", np.array([[-1, 4], [4, 8]])),
         ("pieces", np.array([[4, 8], [0, 4]])),
         ("pieces", np.array([[0, 8]])),
         ("corners", np.zeros((8, 4))),
         ("half", np.ones(1)),
-        ("here", np.ones(9, bool)),
-        ("here", np.ones(2)),
-        ("record", np.zeros((7, 3, 6))),
-        ("record", np.zeros((6, 2, 6))),
     ],
 )
 def test_a_run_of_parts_refuses(name, wrong):
-    with pytest.raises((TypeError, ValueError)):
-        _kernels.run(**{**run_arguments(), name: wrong})
-
-
-@pytest.mark.parametrize(("name", "wrong"), [("table", np.zeros((1, 23))), ("here", np.ones(2))])
-def test_many_runs_refuse_what_one_refuses(name, wrong):
-    """Before any of them has begun."""
+    """Before any plate has begun."""
     right = run_arguments()
-    right["table"][0, 8] = 1.0  # along x
-    before = right["state"].copy()
-    calls = [tuple(right.values()), tuple({**run_arguments(), name: wrong}.values())]
+    before = right["states"].copy()
     with pytest.raises((TypeError, ValueError)):
-        _kernels.run_many(calls, 2)
-    with pytest.raises(ValueError, match="another number of arguments"):
-        _kernels.run_many([calls[0], ()], 2)
-    assert np.array_equal(right["state"], before)
-    assert _kernels.run_many(calls[:1], 2) == [(-1, -1, 0.0, 0.0)]
+        _kernels.run(**{**right, name: wrong})
+    assert np.array_equal(right["states"], before)
 
 
 def part_arguments():

@@ -47,6 +47,17 @@ def test_cycle_agrees_with_the_samples_it_was_found_on(rig, number, period, at_r
     np.testing.assert_allclose(cycle.accel(t), accel, atol=5e-3 * np.abs(accel).max())
 
 
+def test_many_cycles_are_as_each_alone(rig):
+    """To the last bit."""
+    family = sinusoid_basis(4, 0.1, True)
+    many = np.stack([random_motion(family, rig, seed) for seed in range(3)])
+    for own, cycle in zip(many, family.cycles(many), strict=True):
+        alone = family.cycle(own)
+        assert np.array_equal(cycle.coefficients, alone.coefficients)
+        for one, other in zip(cycle.knots, alone.knots, strict=True):
+            assert np.array_equal(one, other)
+
+
 @pytest.mark.parametrize(("number", "period", "at_rest"), FAMILIES)
 def test_rest_at_the_edge(rig, number, period, at_rest):
     family = sinusoid_basis(number, period, at_rest)

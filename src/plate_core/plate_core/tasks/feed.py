@@ -57,7 +57,9 @@ def _pick(fields: Fields, labels: tuple[str, ...]) -> Pick:
     low, high = FULL
     if window is not None:
         if not np.all(window[0] < window[1]):
-            raise fields.fail("window_m", "[x, y] of the lower left corner, then of the upper right")
+            raise fields.fail(
+                "window_m", "[x, y] of the lower left corner, then of the upper right"
+            )
         (x0, y0), (x1, y1) = window.tolist()
         low, high = (x0, y0), (x1, y1)
     angle = fields.value(keys.PICK["angle_deg"])

@@ -22,14 +22,18 @@ struct NearPairs {
     std::vector<Pair> pairs;
     double skin = INFINITE;  // parts may move so far [m] towards each other until it is out of date
     double gap = INFINITE;   // the least gap [m] of any two, at most the skin
-    std::vector<double> mark_x, mark_y;  // where parts were when it was made
-    std::vector<int> order;              // all parts in order of x then
+    std::vector<double> x, y;  // where parts were when it was made: the state's marks
+    std::vector<int> order;    // all parts in order of x then
 
     // List them anew.
     void find(const State& state, Bodies bodies, View<const bool, 1> here) {
         const int count = here.size(0);
-        const double *x = state[X], *y = state[Y];
-        mark_x.assign(x, x + count), mark_y.assign(y, y + count);
+        x.resize(count), y.resize(count);
+        for (int i = 0; i < count; i++) {
+            Group& group = state.group(i);
+            x[i] = group.mark[X][State::lane(i)] = state(X, i);
+            y[i] = group.mark[Y][State::lane(i)] = state(Y, i);
+        }
         for (int i = order.size(); i < count; i++) order.push_back(i);
         double most = 0.0;
         for (int a = 0; a < count; a++) {
@@ -57,21 +61,6 @@ struct NearPairs {
                 }
             }
         }
-    }
-
-    // Bound on how far [m] any two parts moved towards each other since the list was made.
-    double approach(const State& state, View<const bool, 1> here) const {
-        const double *x = state[X], *y = state[Y];
-        double low_x = INFINITE, low_y = INFINITE, high_x = -INFINITE, high_y = -INFINITE;
-        for (int i = 0; i < here.size(0); i++) {
-            if (!here(i)) continue;
-            const double dx = x[i] - mark_x[i], dy = y[i] - mark_y[i];
-            low_x = std::min(low_x, dx), high_x = std::max(high_x, dx);
-            low_y = std::min(low_y, dy), high_y = std::max(high_y, dy);
-        }
-        if (high_x < low_x) return 0.0;
-        const double wide = high_x - low_x, high = high_y - low_y;
-        return std::sqrt(wide * wide + high * high);
     }
 };
 

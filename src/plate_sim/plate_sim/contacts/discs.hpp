@@ -86,10 +86,10 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
 }
 
 // Let a disc that is `depth` [m] in a wall, whose inward normal is n, collide with it; the last
-// column of the state is the plate's pose and twist.
+// of the state is the plate's pose and twist.
 inline void collide_with_wall(const State& state, Bodies bodies, int i, double depth, double nx,
                               double ny, const Rules& rules, double step) {
-    const int wall = state.size(1) - 1;
+    const int wall = state.walls();
     const double radius = bodies[i].radius;
     const double rx = state(X, i) - state(X, wall), ry = state(Y, i) - state(Y, wall);
     double wx = state(VX, i) - state(VX, wall), wy = state(VY, i) - state(VY, wall);

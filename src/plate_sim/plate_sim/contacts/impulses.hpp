@@ -35,9 +35,7 @@ constexpr double ROUNDING = 1e-12;
 // Two points whose impulses differ by a smaller share than this act as one.
 constexpr double RANK = 1e-9;
 
-using State = View<double, 2>;  // as in friction/step.hpp
-
-// One for each column of a state; the last one is the walls'.
+// One for each part of a state; the last one is the walls'.
 using Bodies = std::span<const Body>;
 
 // Restitution and friction coefficient of contacts; whether parts touch each other at all, and

@@ -122,9 +122,9 @@ struct Contacts {
     std::vector<int> edge{};
 
     // End closing speeds and overlaps after a step, in place, of near pairs and at the walls of the
-    // plate. The last column of the state and the last body are the walls'.
+    // plate. The last of the state and of the bodies are the walls'.
     void resolve(std::span<const Pair> pairs, const PlateSample& plate) {
-        const int wall = state.size(1) - 1;
+        const int wall = state.walls();
         const double twist[] = {plate.x, plate.y, plate.theta, plate.vx, plate.vy, plate.spin};
         for (int row = 0; row < 6; row++) state(row, wall) = twist[row];
         const double c = std::cos(plate.theta), s = std::sin(plate.theta);
@@ -170,7 +170,7 @@ struct Contacts {
 
     // The same of `edge` and the parts that are within MARGIN of a wall.
     int near_walls(double c, double s, double& margin) {
-        const int wall = state.size(1) - 1;
+        const int wall = state.walls();
         int count = 0;
         for (int i = 0; i < here.size(0); i++) {
             const double reach = bodies[i].reach, size = (1 + MARGIN) * reach;
@@ -199,7 +199,7 @@ struct Contacts {
     // Let a part meet the walls; return how deep [m] it was in them.
     double meet_walls(int i, double c, double s) {
         const Body& body = bodies[i];
-        const int wall = state.size(1) - 1;
+        const int wall = state.walls();
         double deepest = 0.0;
         for (int side = 0; side < 4; side++) {
             const double sign = side % 2 ? -1.0 : 1.0, far = half[side / 2];

@@ -8,7 +8,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "plate/pieces.hpp"
+#include "plate/course.hpp"
+#include "vectors.hpp"
 
 namespace plate::reversing {
 

@@ -6,27 +6,30 @@
 // before. The shortest are implicit Euler steps. A part that sticks at both ends of a step rides
 // with the plate exactly, so it cannot creep.
 //
-// Discs that slide steadily are most of all parts in most steps: `glide` moves them all at once,
-// without branches, several per instruction; `advance` does what is left, part by part.
+// Discs that slide steadily are most of all parts in most steps: `glide` of glide.hpp moves them,
+// several per instruction; `advance` does what is left, part by part.
 #pragma once
 #include <plate/view.hpp>
-#include <plate/wide.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <span>
 
 #include "friction/disc.hpp"
 #include "friction/patch.hpp"
 #include "friction/reversal.hpp"
+#include "plate/course.hpp"
 #include "plate/ground.hpp"
-#include "plate/pieces.hpp"
 
 namespace plate {
 
-// Rows of a state (6, P): place [m], angle [rad] and their rates, in plate_home, of P parts.
+// Rows of a state: place [m], angle [rad] and their rates, in plate_home.
 constexpr int X = 0, Y = 1, ANGLE = 2, VX = 3, VY = 4, SPIN = 5;
+
+// Parts that lie side by side, in one vector.
+constexpr int LANES = 4;
 
 // What does not change of a part: a record of BODY in step.py, or the same bytes as ten numbers.
 struct Body {
@@ -37,6 +40,27 @@ struct Body {
     bool even() const { return first_point == end_point; }
 };
 static_assert(sizeof(Body) == 10 * sizeof(double));
+
+// Parts side by side: their state, and what moves them together (glide.hpp).
+struct Group {
+    double state[6][LANES];
+    // mu g times the step [m/s]; the squared slip [m2/s2] from which on they may glide, infinite
+    // for all but discs; squared radius and radius of gyration [m2], and the former over the latter
+    double dv[LANES], least[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
+    double moved[LANES];    // 1 for those that glided in this step
+    double away[LANES];     // 0 for those on the plate, else infinite
+    double mark[2][LANES];  // where they were at some time [m]
+};
+
+// The state of parts; the last one is the walls'.
+struct State {
+    std::span<Group> groups;
+
+    Group& group(int i) const { return groups[static_cast<unsigned>(i) / LANES]; }
+    static int lane(int i) { return static_cast<unsigned>(i) % LANES; }
+    double& operator()(int row, int i) const { return group(i).state[row][lane(i)]; }
+    int walls() const { return static_cast<int>(groups.size()) * LANES - 1; }
+};
 
 }  // namespace plate
 
@@ -52,9 +76,6 @@ constexpr double STUCK = 1e-3;
 constexpr double GENTLE = 0.5;
 // A disc's friction changes at most about so much [mu g] when its slip changes by its own size.
 constexpr double DISC_STIFF = 3.0;
-// Discs that `glide` takes through each stage of a step before the next stage: one vector of them
-// then does not wait for the roots of another.
-constexpr int BLOCK = 64;
 
 // State of one part: place [m], angle [rad], and their rates, plate_home.
 struct Motion {
@@ -243,7 +264,7 @@ inline int shorter(int size, double ahead) {
 // The motion after a step that is cut until each part of it is fine enough.
 //
 // first: the plate at its start. ahead: as `attempt` returns it for the whole step.
-inline Motion advance_in_parts(Table table, double start, double step, double none,
+inline Motion advance_in_parts(const Course& course, double start, double step, double none,
                                const PlateSample& first, double ahead, const GroundEffect& ground,
                                Motion motion, const Body& body, const Mesh& mesh) {
     constexpr int FINEST = 1 << HALVINGS;
@@ -252,8 +273,8 @@ inline Motion advance_in_parts(Table table, double start, double step, double no
     bool to_end = ahead > 0;
     while (true) {
         const double t = start + done * step / FINEST, h = step * size / FINEST;
-        plate[1] = sample(table, t + 0.5 * h);
-        plate[2] = sample(table, t + h);
+        plate[1] = course.at(t + 0.5 * h);
+        plate[2] = course.at(t + h);
         const Attempt made = attempt(plate, h, size == 1, none, ground, motion, body, mesh);
         if (!made.fine) {
             size = shorter(size, made.ahead), to_end = made.ahead > 0;
@@ -287,85 +308,12 @@ inline Attempt reverse(const PlateSample* plate, double h, const GroundEffect& g
 
 namespace plate {
 
-// Move the discs that slide steadily through a step, as `advance` would; tell which.
-//
-// plate: samples of the plate's motion at the step's start, middle and end. step [s]. state (6, P):
-// P a multiple of LANES (step.py); changed. discs (4, P): mu g [m/s2], squared radius and radius of
-// gyration [m2], and 1 where there is a disc. done (P,): set to 1 where the disc has been moved,
-// else to 0. NaN and infinity mark lanes that do not glide.
-PLATE_WIDE inline void glide(const PlateSample* plate, double step, const GroundEffect& ground,
-                             View<double, 2> state, View<const double, 2> discs,
-                             View<double, 1> done) {
-    using namespace stepping;
-    const PlateSample start = plate[0], middle = plate[1], end = plate[2];
-    const double fall_x = step * ground.gravity_x, fall_y = step * ground.gravity_y;
-    const double half = 0.5 * step;
-    for (int first = 0; first < done.size(0); first += BLOCK) {
-        double *__restrict x = state[X] + first, *__restrict vx = state[VX] + first;
-        double *__restrict y = state[Y] + first, *__restrict vy = state[VY] + first;
-        double *__restrict angle = state[ANGLE] + first, *__restrict spin = state[SPIN] + first;
-        const double *__restrict mu_g = discs[0] + first, *__restrict radius2 = discs[1] + first;
-        const double *__restrict gyration2 = discs[2] + first, *__restrict there = discs[3] + first;
-        double* __restrict moved = done.data + first;
-        const int count = std::min(BLOCK, done.size(0) - first);
-        // Slips at the start and in the middle, and squares of (speed of the rim / of the centre)
-        double ax[BLOCK], ay[BLOCK], ac[BLOCK], a2[BLOCK], ak2[BLOCK];
-        double bx[BLOCK], by[BLOCK], bc[BLOCK], b2[BLOCK], bk2[BLOCK];
-#pragma omp simd
-        for (int i = 0; i < count; i++) {
-            const Slip a = slip(start, x[i], y[i], vx[i], vy[i], spin[i]);
-            ax[i] = a.x, ay[i] = a.y, ac[i] = a.turn;
-            a2[i] = a.x * a.x + a.y * a.y;
-            ak2[i] = radius2[i] * a.turn * a.turn / a2[i];
-        }
-#pragma omp simd
-        for (int i = 0; i < count; i++) {
-            const disc::Push push = disc::series(ak2[i]);
-            const double share = 0.5 * (mu_g[i] * step) / std::sqrt(a2[i]);
-            const double px = x[i] + half * vx[i], py = y[i] + half * vy[i];
-            const Slip free = slip(middle, px, py, vx[i], vy[i], spin[i]);
-            bx[i] = free.x - 0.5 * fall_x - share * push.force * ax[i];
-            by[i] = free.y - 0.5 * fall_y - share * push.force * ay[i];
-            bc[i] = free.turn - share * push.torque * (radius2[i] / gyration2[i]) * ac[i];
-            b2[i] = bx[i] * bx[i] + by[i] * by[i];
-            bk2[i] = radius2[i] * bc[i] * bc[i] / b2[i];
-        }
-#pragma omp simd
-        for (int i = 0; i < count; i++) {
-            const double dv = mu_g[i] * step, g2 = gyration2[i];
-            const Slip a{ax[i], ay[i], ac[i]}, b{bx[i], by[i], bc[i]};
-            const disc::Push push = disc::series(bk2[i]);
-            const double share = dv / std::sqrt(b2[i]);
-            const double ux = vx[i] + fall_x + share * push.force * b.x;
-            const double uy = vy[i] + fall_y + share * push.force * b.y;
-            const double uc = spin[i] + share * push.torque * (radius2[i] / g2) * b.turn;
-            const double px = x[i] + half * (vx[i] + ux), py = y[i] + half * (vy[i] + uy);
-            const Slip z = slip(end, px, py, ux, uy, uc);
-            // Does it slide fast enough, and nearly in one direction? (`alike`)
-            const double size2 = dot(a, a, g2), middle2 = dot(b, b, g2), end2 = dot(z, z, g2);
-            const double ab = dot(a, b, g2), az = dot(a, z, g2);
-            const double least = (DISC_STIFF / GENTLE * dv) * (DISC_STIFF / GENTLE * dv);
-            const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,
-                                         az * std::abs(az) - STEADY * STEADY * size2 * end2);
-            const bool steady = (std::min(size2, middle2) >= least) & (there[i] * dv > 0) &
-                                (std::max(ak2[i], bk2[i]) <= disc::SERIES) & (turn > 0);
-            moved[i] = steady ? 1.0 : 0.0;
-            x[i] = steady ? px : x[i];
-            y[i] = steady ? py : y[i];
-            angle[i] = steady ? angle[i] + half * (spin[i] + uc) : angle[i];
-            vx[i] = steady ? ux : vx[i];
-            vy[i] = steady ? uy : vy[i];
-            spin[i] = steady ? uc : spin[i];
-        }
-    }
-}
-
 // Advance part i by a step, in place.
 //
-// start, step [s]: when the step begins in the table's motion, and its length. plate: samples at
+// start, step [s]: when the step begins in the course, and its length. plate: samples at
 // its start, middle and end.
-inline void advance(Table table, double start, double step, const PlateSample* plate,
-                    const GroundEffect& ground, View<double, 2> state, int i, const Body& body,
+inline void advance(const Course& course, double start, double step, const PlateSample* plate,
+                    const GroundEffect& ground, const State& state, int i, const Body& body,
                     const Mesh& mesh) {
     using namespace stepping;
     const Motion motion{state(X, i),  state(Y, i),  state(ANGLE, i),
@@ -376,7 +324,7 @@ inline void advance(Table table, double start, double step, const PlateSample* p
         made = reverse(plate, step, ground, motion, body);
     if (!made.fine) made = attempt(plate, step, false, none, ground, motion, body, mesh);
     if (!made.fine)
-        made.after = advance_in_parts(table, start, step, none, plate[0], made.ahead, ground,
+        made.after = advance_in_parts(course, start, step, none, plate[0], made.ahead, ground,
                                       motion, body, mesh);
     state(X, i) = made.after.x, state(Y, i) = made.after.y, state(ANGLE, i) = made.after.angle;
     state(VX, i) = made.after.vx, state(VY, i) = made.after.vy, state(SPIN, i) = made.after.spin;

@@ -1,5 +1,5 @@
 """The plate: its motion and the drive that gives it, tables from the solver, and its surface.
-Public: the names below; `pieces` is the one evaluation of the plate's motion for kernels."""
+Public: the names below; for kernels `pieces.hpp` and `course.hpp` evaluate the motion."""
 
 from .drive import PlateState
 from .ground import LEVEL, Ground

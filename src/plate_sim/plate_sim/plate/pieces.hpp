@@ -1,10 +1,9 @@
-// The plate's exact motion: the quintic pieces of a cycle in one table, and the only evaluation of
-// the plate's pose, twist and acceleration that integrators use. See pieces.py.
+// The plate's exact motion: the quintic pieces of a cycle in one table, and the evaluation of the
+// plate's pose, twist and acceleration that the judge of points uses. See pieces.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
 #include <span>
-#include <vector>
 
 #include "vectors.hpp"
 
@@ -26,11 +25,6 @@ struct Scales {
     Vec line, gravity;
 };
 static_assert(sizeof(Scales) == 8 * sizeof(double));
-
-// The plate at an instant: pose [m, m, rad] and twist [m/s, m/s, rad/s].
-struct PlateSample {
-    double x, y, theta, vx, vy, spin;
-};
 
 // A point part: place [m] and velocity [m/s].
 struct Point {
@@ -78,21 +72,6 @@ inline double locate(Table table, double t, int& k) {
     }
     if (t < table[k].start || t >= table[k].end) k = seek(table, t, piece_at(table, t / period));
     return t;
-}
-
-// Pose and twist at time t [s]; before and after the cycle it goes on.
-inline PlateSample sample(Table table, double t) {
-    const Piece& piece = table[seek(table, t, piece_at(table, t / table.back().end))];
-    const double u = t - piece.start;
-    return {place(piece.x, u), place(piece.y, u), place(piece.theta, u),
-            slope(piece.x, u), slope(piece.y, u), slope(piece.theta, u)};
-}
-
-// The (steps + 1) samples at the ends of equal steps through the motion.
-inline std::vector<PlateSample> samples(Table table, int steps) {
-    std::vector<PlateSample> rows(steps + 1);
-    for (int k = 0; k <= steps; k++) rows[k] = sample(table, table.back().end * k / steps);
-    return rows;
 }
 
 // Slip w = v_s - v [m/s] of a part at time t; k is set to its piece. v_s = O' + theta' x (P - O).

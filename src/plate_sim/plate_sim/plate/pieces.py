@@ -1,7 +1,7 @@
 """The plate's exact motion for kernels: the quintic pieces of a cycle in one table.
 
-`pieces.hpp` has the only evaluation of the plate's pose, twist and acceleration that integrators
-use.
+`pieces.hpp` has the evaluation of the plate's pose, twist and acceleration that the judge of points
+uses; steps of finite parts need pose and twist alone, all axes at once (`course.hpp`).
 
 The surface under a part at P has the velocity v_s = O' + theta' x (P - O), equation (2) of the
 paper; its rate along the part's path is O'' + theta'' x (P - O) + theta' x (v - O').

@@ -3,30 +3,104 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <memory>
+#include <numeric>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include <plate/view.hpp>
+#include <plate/wide.hpp>
 
 #include "contacts/resolve.hpp"
-#include "friction/step.hpp"
+#include "friction/glide.hpp"
+#include "plate/course.hpp"
 #include "plate/ground.hpp"
-#include "plate/pieces.hpp"
 
 namespace plate {
 
 // What is needed of the footprints of parts: `Shapes` of bodies.py.
 struct Shapes {
     std::span<const Body> bodies;
-    View<const double, 2> discs;
-    Mesh mesh;
+    View<const double, 2> mesh;
     std::span<const contacts::Convex> pieces;
     contacts::Corners corners;
 };
 
+// What one plate's parts are to do: as bodies.py says, states (M, 6), mu g (M,) and `here` (M,) in
+// their own order, as are records (k, M, 6).
+struct Job {
+    const double *times, *factors;  // of `Course`
+    int legs, steps, cycles, every;
+    GroundEffect ground;
+    View<double, 2> states;
+    const double* limit;
+    View<bool, 1> here;
+    View<double, 3> record;
+};
+
+// More than what rounding makes of 1 in a few sums and products.
+constexpr double ROUNDED = 1 + 1e-12;
+
+// Of the parts on the plate, least and greatest x and y [m], and how far they have moved along x
+// and along y from their marks [m].
+struct Extent {
+    double low[4], high[4];
+
+    [[gnu::always_inline]] explicit Extent(std::span<const Group> groups) {
+        double lows[4][LANES], highs[4][LANES];
+        std::fill_n(lows[0], 4 * LANES, contacts::INFINITE);
+        std::fill_n(highs[0], 4 * LANES, -contacts::INFINITE);
+        for (const Group& g : groups) {
+#pragma omp simd
+            for (int i = 0; i < LANES; i++) {
+                const double x = g.state[X][i], y = g.state[Y][i];
+                const double values[] = {x, y, x - g.mark[X][i], y - g.mark[Y][i]};
+                for (int row = 0; row < 4; row++) {
+                    lows[row][i] = std::min(lows[row][i], values[row] + g.away[i]);
+                    highs[row][i] = std::max(highs[row][i], values[row] - g.away[i]);
+                }
+            }
+        }
+        for (int row = 0; row < 4; row++) {
+            low[row] = *std::min_element(lows[row], lows[row] + LANES);
+            high[row] = *std::max_element(highs[row], highs[row] + LANES);
+        }
+    }
+
+    // Bound on how far [m] any two parts moved towards each other since they were at their marks.
+    double approach() const {
+        if (high[2] < low[2]) return 0.0;  // there are none
+        const double wide = high[2] - low[2], tall = high[3] - low[3];
+        return std::sqrt(wide * wide + tall * tall);
+    }
+
+    // Whether all are within a plate's edges, and by more than rounding.
+    bool within(const PlateSample& plate, const double* half) const {
+        const double x = std::max(std::abs(low[0] - plate.x), std::abs(high[0] - plate.x));
+        const double y = std::max(std::abs(low[1] - plate.y), std::abs(high[1] - plate.y));
+        const double turn = std::abs(plate.theta);  // at least its sine
+        return ROUNDED * (x + turn * y) <= half[0] && ROUNDED * (y + turn * x) <= half[1];
+    }
+};
+
+// Make steps, at most so many, as long as all of `count` parts glide, none comes nearer to another
+// by a gap [m], and none is near an edge; return how many. Of the step that needs more the gliding
+// is done.
+PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
+                             const GroundEffect& ground, const double* half, double gap, int count,
+                             int most) {
+    for (int made = 0; made < most; made++, plate += 2) {
+        if (glide(plate, step, ground, groups) < count) return made;
+        const Extent extent(groups);
+        if (extent.approach() >= gap || !extent.within(plate[2], half)) return made;
+    }
+    return most;
+}
+
 // Take parts whose centre is beyond the plate's edge away; return whether there were any.
-inline bool drop(View<double, 2> state, View<bool, 1> here, double* glides,
-                 const PlateSample& plate, const double* half) {
+inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plate,
+                 const double* half) {
     const double c = std::cos(plate.theta), s = std::sin(plate.theta);
     bool any = false;
     for (int i = 0; i < here.size(0); i++) {
@@ -35,74 +109,105 @@ inline bool drop(View<double, 2> state, View<bool, 1> here, double* glides,
             std::abs(c * rx + s * ry) > half[0] || std::abs(c * ry - s * rx) > half[1];
         if (here(i) && beyond) {
             here(i) = false;
-            state(VX, i) = state(VY, i) = state(SPIN, i) = glides[i] = 0.0;
+            state(VX, i) = state(VY, i) = state(SPIN, i) = 0.0;
+            Group& group = state.group(i);
+            group.away[State::lane(i)] = group.least[State::lane(i)] = contacts::INFINITE;
             any = true;
         }
     }
     return any;
 }
 
-// Set a record (M, 6) to the states of parts.
-inline void note(View<double, 2> state, int count, double* record) {
-    for (int i = 0; i < count; i++)
-        for (int row = 0; row < 6; row++) *record++ = state(row, i);
-}
-
 // Advance parts through cycles of the plate, in place, as bodies.py says; return what overlaps most
 // at the start: if by a greater share than `allowed` nothing has moved.
-inline contacts::Overlap run(Table table, int steps, int cycles, int every,
-                             const GroundEffect& ground, View<double, 2> state,
-                             const Shapes& shapes, const contacts::Rules& rules,
-                             double allowed, const double* half, View<bool, 1> here,
-                             View<double, 3> record) {
-    const int count = here.size(0), lanes = shapes.discs.size(1);
-    const double step = table.back().end / steps;
-    const std::vector<PlateSample> plate = samples(table, 2 * steps);
-    std::vector<double> rows(shapes.discs.data, shapes.discs.data + 4 * lanes), moved(lanes);
-    const View<double, 2> discs{rows.data(), {4, lanes}};
-    const View<double, 1> done{moved.data(), {lanes}};
+inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contacts::Rules& rules,
+                             double allowed, const double* half) {
+    const int count = job.states.size(0);
+    const Course course(job.times, job.factors, job.legs);
+    const double step = course.period() / job.steps;
+    const std::vector<PlateSample> plate = samples(course, 2 * job.steps);
+    std::vector<int> order(count);  // by place: results do not depend on the order of names
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(), [&](int i, int j) {
+        return std::pair(job.states(i, X), job.states(i, Y)) <
+               std::pair(job.states(j, X), job.states(j, Y));
+    });
+    std::vector<Group, Aligned<Group>> groups(count / LANES + 1);
+    const State state{groups};
+    std::vector<Body> bodies(state.walls() + 1, Body{0, 1});
+    const auto kept = std::make_unique<bool[]>(count);
+    const View<bool, 1> here{kept.get(), {count}};
     bool together = false;
-    for (int i = 0; i < count; i++) {
-        discs(3, i) *= here(i);
-        together |= discs(3, i) != 0;
+    for (int i = 0; i <= state.walls(); i++) {
+        if (i < count) {
+            for (int row = 0; row < 6; row++) state(row, i) = job.states(order[i], row);
+            bodies[i] = shapes.bodies[order[i]], bodies[i].mu_g = job.limit[order[i]];
+            here(i) = job.here(order[i]);
+        }
+        together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
+    together &= job.ground.slope == 0;
+    const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);  // without the walls
+    const int points = shapes.mesh.size(1);
+    std::vector<double> forces(7 * points);
+    std::copy_n(shapes.mesh.data, 4 * points, forces.data());
+    const Mesh mesh{forces.data(), {7, points}};
     const View<const bool, 1> there{here.data, here.shape};
     contacts::NearPairs near;
-    contacts::Contacts contacts{state, shapes.bodies, there, {shapes.pieces, shapes.corners}, rules,
-                                step, half};
+    contacts::Contacts contacts{state, bodies, there, {shapes.pieces, shapes.corners}, rules, step,
+                                half};
     contacts::Overlap start;
     if (rules.meets) {
-        near.find(state, shapes.bodies, there);
-        start = contacts::deepest_overlap(state, shapes.bodies, contacts.outlines, near.pairs);
+        near.find(state, bodies, there);
+        start = contacts::deepest_overlap(state, bodies, contacts.outlines, near.pairs);
+        if (start.first >= 0) start.first = order[start.first], start.second = order[start.second];
         if (start.share > allowed) return start;
     }
-    int recorded = 0;
-    for (int cycle = 0; cycle < cycles; cycle++) {
-        for (int at = 0; at < steps; at++) {
-            const PlateSample* now = &plate[2 * at];
-            if (record.size(0) && (std::int64_t{cycle} * steps + at) % every == 0)
-                note(state, count, record[recorded++]);
-            std::fill(moved.begin(), moved.end(), 0.0);
-            if (together && ground.slope == 0)
-                glide(now, step, ground, state, {discs.data, discs.shape}, done);
-            for (int i = 0; i < count; i++)
-                if (done(i) == 0 && here(i))
-                    advance(table, at * step, step, now, ground, state, i, shapes.bodies[i],
-                            shapes.mesh);
-            if (rules.meets) {
-                double drift = near.approach(state, there);
-                if (drift >= near.skin) {
-                    near.find(state, shapes.bodies, there);
-                    drift = 0.0;
-                }
-                const std::span pairs(near.pairs.data(), drift >= near.gap ? near.pairs.size() : 0);
-                if (!pairs.empty() || rules.walls) contacts.resolve(pairs, now[2]);
-            }
-            if (!rules.walls && drop(state, here, discs[3], now[2], half) && rules.meets)
-                near.find(state, shapes.bodies, there);
+    const auto note = [&](double* record) {
+        for (int i = 0; i < count; i++)
+            for (int row = 0; row < 6; row++) record[6 * order[i] + row] = state(row, i);
+    };
+    int recorded = 0, left = std::count(here.data, here.data + count, true);
+    for (std::int64_t made = 0; made < std::int64_t{job.cycles} * job.steps;) {
+        int at = made % job.steps, end = job.steps;
+        if (job.record.size(0)) {
+            const int since = made % job.every;
+            if (since == 0) note(job.record[recorded++]);
+            end = std::min(end, at + job.every - since);
         }
+        if (together) {
+            const double gap = rules.walls ? 0 : near.gap;  // near walls every step needs more
+            const int cruised =
+                cruise(parts, &plate[2 * at], step, job.ground, half, gap, left, end - at);
+            made += cruised, at += cruised;
+            if (at == end) continue;
+        }
+        const PlateSample* now = &plate[2 * at];
+        for (int i = 0; i < count; i++)
+            if (state.group(i).moved[State::lane(i)] == 0 && here(i))
+                advance(course, at * step, step, now, job.ground, state, i, bodies[i], mesh);
+        const Extent extent(parts);
+        bool pushed = false;
+        if (rules.meets) {
+            double drift = extent.approach();
+            if (drift >= near.skin) {
+                near.find(state, bodies, there);
+                drift = 0.0;
+            }
+            const std::span pairs(near.pairs.data(), drift >= near.gap ? near.pairs.size() : 0);
+            pushed = !pairs.empty() || rules.walls;
+            if (pushed) contacts.resolve(pairs, now[2]);
+        }
+        if (!rules.walls && (pushed || !extent.within(now[2], half)) &&
+            drop(state, here, now[2], half)) {
+            left = std::count(here.data, here.data + count, true);
+            if (rules.meets) near.find(state, bodies, there);
+        }
+        made++;
     }
-    if (record.size(0)) note(state, count, record[record.size(0) - 1]);
+    if (job.record.size(0)) note(job.record[job.record.size(0) - 1]);
+    note(job.states.data);
+    for (int i = 0; i < count; i++) job.here(order[i]) = here(i);
     return start;
 }
 

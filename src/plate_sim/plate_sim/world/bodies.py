@@ -23,10 +23,9 @@ from .. import _kernels
 from ..contacts import INELASTIC, Contacts
 from ..friction.checks import LARGEST, check_motion, for_each, friction_accel, pairs, whole
 from ..friction.footprint import Footprint
-from ..friction.step import BODY, LANES
-from ..plate.ground import LEVEL, Ground
+from ..friction.step import BODY
+from ..plate.ground import LEVEL, Ground, GroundEffect
 from ..plate.motion import PlateMotion
-from ..plate.pieces import tabulate
 
 STEP = 2e-4
 """Default longest integration step [s]: parts then move at most some 0.2 mm between contacts."""
@@ -37,8 +36,8 @@ SAMPLES = 64
 START_OVERLAP = 0.1
 """Greatest overlap at the start, as a share of half the slimmer part's width."""
 
-NO_POINTS = np.zeros((7, 0)), np.empty((0, 2), np.int64), np.empty((0, 5))
-"""Mesh, pieces and corners of discs alone."""
+COLUMNS: tuple[slice | int, ...] = slice(2), 2, slice(3, 5), 5
+"""Of a state: position, angle, velocity, spin."""
 
 ENDLESS = np.full(2, np.inf)
 """Half sides of an endless plate [m]."""
@@ -72,23 +71,25 @@ class BodyTrajectory:
         cls, time: np.ndarray, states: np.ndarray, on_plate: np.ndarray
     ) -> BodyTrajectory:
         """Split states (k, M, 6): x, y, angle and their rates."""
-        return cls(
-            time, states[..., :2], states[..., 2], states[..., 3:5], states[..., 5], on_plate
-        )
+        position, angle, velocity, spin = (states[..., own] for own in COLUMNS)
+        return cls(time, position, angle, velocity, spin, on_plate)
+
+    @classmethod
+    def recorded(cls, record: np.ndarray, interval: float, on_plate: np.ndarray) -> BodyTrajectory:
+        """Split a record (k, M, 6) of states at an interval [s]."""
+        return cls.of_states(np.arange(len(record)) * interval, record, on_plate)
 
 
 class Shapes(NamedTuple):
-    """What compiled code needs of the footprints of M parts; P columns as in a state.
+    """What compiled code needs of the footprints of M parts.
 
     Attributes
     ----------
-    bodies : (P, 10)
-        `BODY` of the parts; the last is that of the walls, which nothing moves.
-    discs : (4, P - 1)
-        mu g [m/s2], squared radius and radius of gyration [m2], and 1 where there is a disc.
-    mesh : (7, n)
+    bodies : (M, 10)
+        `BODY` of each.
+    mesh : (4, n)
         Points of all footprints but discs: x, y [m, part's axes], share of the weight, size of the
-        cell (see `Footprint.blur`) [m], and the forces of the last step, a first guess of the next.
+        cell (see `Footprint.blur`) [m].
     pieces : (p, 2)
         First corner, and last + 1, of each convex piece of the rims of all parts but discs.
     corners : (c, 5)
@@ -97,20 +98,14 @@ class Shapes(NamedTuple):
     """
 
     bodies: np.ndarray
-    discs: np.ndarray
     mesh: np.ndarray
     pieces: np.ndarray
     corners: np.ndarray
 
     @classmethod
-    def of(cls, footprints: Sequence[Footprint], mu_g: np.ndarray) -> Shapes:
-        """Put footprints one after the other, of parts with mu g of `mu_g` (M,) [m/s2]."""
-        count = len(footprints)
-        first = footprints[0] if count else None
-        if first is not None and first.even and all(part is first for part in footprints):
-            return cls._alike(first, mu_g)
-        bodies = np.zeros(ceil(count / LANES) * LANES + 1, BODY)
-        bodies["gyration2"] = 1.0
+    def of(cls, footprints: Sequence[Footprint]) -> Shapes:
+        """Put footprints one after the other."""
+        bodies = np.zeros(len(footprints), BODY)
         mesh, corners, pieces = [np.empty((0, 4))], [np.empty((0, 5))], [np.empty((0, 2), np.int64)]
         point = piece = corner = 0
         for i, part in enumerate(footprints):
@@ -118,33 +113,18 @@ class Shapes(NamedTuple):
             bodies[i] = (
                 0.0, *part.inertial, point, point + len(part.points), piece, piece + len(outline),
             )  # fmt: skip
-            ends = corner + np.cumsum([0, *(len(p) for p in outline)])
-            pieces.append(np.column_stack([ends[:-1], ends[1:]]))
-            mesh.append(np.column_stack([part.points, part.weights, part.blur]))
-            corners.append(part.corners)
-            point, piece, corner = point + len(part.points), piece + len(outline), ends[-1]
-        bodies["mu_g"][:count] = mu_g
-        points = np.zeros((7, point))
-        points[:4] = np.concatenate(mesh).T
-        even = (bodies["radius"] > 0) & (bodies["first_point"] == bodies["end_point"])
-        discs = np.array([bodies["mu_g"], bodies["radius"] ** 2, bodies["gyration2"], even])
+            if len(part.points):
+                mesh.append(np.column_stack([part.points, part.weights, part.blur]))
+                point += len(part.points)
+            if outline:
+                ends = corner + np.cumsum([0, *(len(p) for p in outline)])
+                pieces.append(np.column_stack([ends[:-1], ends[1:]]))
+                corners.append(part.corners)
+                piece, corner = piece + len(outline), ends[-1]
         return cls(
-            bodies.view(float).reshape(-1, 10), np.ascontiguousarray(discs[:, :-1]), points,
+            bodies.view(float).reshape(-1, 10), np.ascontiguousarray(np.concatenate(mesh).T),
             np.concatenate(pieces), np.concatenate(corners),
         )  # fmt: skip
-
-    @classmethod
-    def _alike(cls, disc: Footprint, mu_g: np.ndarray) -> Shapes:
-        """Return the same of discs that are all alike, in a fraction of the time."""
-        count = len(mu_g)
-        lanes = ceil(count / LANES) * LANES
-        bodies, discs = np.zeros((lanes + 1, 10)), np.zeros((4, lanes))
-        bodies[:, 1] = discs[2] = 1.0
-        bodies[:count, 0] = discs[0, :count] = mu_g
-        bodies[:count, 1:6] = disc.inertial
-        discs[1, :count] = disc.radius * disc.radius
-        discs[2, :count], discs[3, :count] = disc.gyration2, 1.0
-        return cls(bodies, discs, *NO_POINTS)
 
 
 def simulate_bodies(
@@ -215,126 +195,113 @@ def simulate_bodies(
     if contacts is not None and contacts.walls and half is None:
         raise PlateError("contacts have walls, allowed: none on an endless plate")
     every = equal_steps(cycle.period / max(1, samples), step)
-    return job_of(
-        cycle, footprint, limit, (position, angle, velocity, spin), np.ones(len(position), bool),
-        gravity, contacts, ground, ENDLESS if half is None else half, every * max(1, samples),
-        whole("cycles", cycles), every if samples else 0,
-    ).run()  # fmt: skip
-
-
-class Job(NamedTuple):
-    """A call of the kernel, and what is needed to read its outcome.
-
-    Attributes
-    ----------
-    arguments : tuple
-        Of `_kernels.run`.
-    order : (M,)
-        Which part each of the kernel's is.
-    names : sequence
-        Of the parts, in messages.
-    """
-
-    arguments: tuple
-    order: np.ndarray
-    names: Sequence[Any]
-
-    def run(self) -> BodyTrajectory:
-        """Make the call."""
-        return self.outcome(_kernels.run(*self.arguments))
-
-    def outcome(self, overlap: tuple[int, int, float, float]) -> BodyTrajectory:
-        """Return what has become of the parts, if the kernel found no overlap.
-
-        Parameters
-        ----------
-        overlap : i, j, depth, share
-            Parts that overlap most at the start, by how much [m], and as a share of the slimmer
-            one: if that is more than `START_OVERLAP` nothing has moved.
-        """
-        i, j, depth, share = overlap
-        if share > START_OVERLAP:
-            first, second = sorted(str(self.names[self.order[k]]) for k in (i, j))
-            raise PlateError(
-                f"parts {first} and {second} overlap by {1e3 * depth:.3g} mm, "
-                f"allowed: at most {1e3 * depth / share * START_OVERLAP:.3g} mm"
-            )
-        table, steps, cycles, every = self.arguments[:4]
-        state, here, record = self.arguments[8], *self.arguments[-2:]
-        back = np.argsort(self.order)
-        period = table[-1, 1]
-        if not len(record):
-            end = state[:, back].T[None]
-            return BodyTrajectory.of_states(np.array([period * cycles]), end, here[back])
-        time = np.arange(len(record)) * (period / steps * every)
-        return BodyTrajectory.of_states(time, record[:, back], here[back])
-
-
-def job_of(
-    motion: PlateCycle | PlateMotion,
-    footprint: Footprint | Sequence[Footprint],
-    limit: np.ndarray,
-    start: tuple[np.ndarray, float | np.ndarray, np.ndarray, float | np.ndarray],
-    on_plate: np.ndarray,
-    gravity: float,
-    contacts: Contacts | None,
-    ground: Ground,
-    half: np.ndarray,
-    steps: int,
-    cycles: int,
-    every: int,
-    ids: Sequence[str] | None = None,
-) -> Job:
-    """Return the call that advances finite parts through cycles of the plate's motion, in `steps`
-    equal steps each; all is checked.
-
-    Parts are sorted by place first: results do not depend on the order of their names. Parameters
-    are those of `simulate_bodies`, and
-
-    limit : (M,)
-        mu g of each part [m/s2].
-    start : tuple
-        Position, angle, velocity, spin.
-    on_plate : (M,)
-        Which parts are there. One that is gone stays where it is, at rest, and touches nothing.
-    every : int
-        Steps from one recorded state to the next; 0: the end alone.
-    ids : sequence of str, optional
-        Names of the parts in messages, by default 0, 1, ...
-    """
-    check_motion(motion, cycles)
-    started = _columns(*start)
-    count = len(started)
+    count = len(position)
     parts = [footprint] * count if isinstance(footprint, Footprint) else list(footprint)
     if len(parts) != count or not all(isinstance(part, Footprint) for part in parts):
         raise PlateError(f"footprint is a list of {len(parts)}, allowed: {count} Footprints, or 1")
-    order = np.lexsort((started[:, 1], started[:, 0]))
-    shapes = Shapes.of([parts[i] for i in order], limit[order])
-    state = np.zeros((6, len(shapes.bodies)))
-    state[:, :count] = started[order].T
-    here = np.array(on_plate, bool)[order]
-    record = np.empty((cycles * steps // every + 1 if every else 0, count, 6))
-    touch = contacts or INELASTIC
-    arguments = (
-        tabulate(motion)[0], steps, cycles, max(every, 1), *ground.effect(gravity), state, *shapes,
-        touch.restitution, touch.friction, contacts is not None, touch.walls, START_OVERLAP,
-        np.asarray(half, float), here, record,
+    states = columns([(position, angle, velocity, spin)])
+    here = np.ones((1, count), bool)
+    steps = every * max(1, samples)
+    record = run_plates(
+        [cycle], [steps], Shapes.of(parts), states, here, limit[None], [ground.effect(gravity)],
+        contacts, ENDLESS if half is None else half, whole("cycles", cycles),
+        every if samples else 0, range(count),
     )  # fmt: skip
-    return Job(arguments, order, range(count) if ids is None else ids)
+    if not samples:
+        return BodyTrajectory.of_states(np.array([cycle.period * cycles]), states, here[0])
+    return BodyTrajectory.recorded(record[0], cycle.period / steps * every, here[0])
+
+
+def run_plates(
+    motions: Sequence[PlateCycle | PlateMotion],
+    steps: Sequence[int],
+    shapes: Shapes,
+    states: np.ndarray,
+    here: np.ndarray,
+    limit: np.ndarray,
+    grounds: Sequence[GroundEffect],
+    contacts: Contacts | None,
+    half: np.ndarray,
+    cycles: int,
+    every: int,
+    names: Sequence[Any],
+    threads: int = 1,
+) -> np.ndarray:
+    """Advance parts on N plates, M alike on each, through cycles of the plates' motions, in place.
+
+    The kernel sorts them by place first: results do not depend on the order of their names.
+
+    Parameters
+    ----------
+    motions, steps, grounds : N of each
+        Of each plate; a cycle is made in so many equal steps.
+    shapes : Shapes
+    states : (N, M, 6)
+        x, y, angle and their rates: changed.
+    here : (N, M) bool
+        Which parts are there: changed. One that is gone stays where it is, at rest, and touches
+        nothing.
+    limit : (N, M)
+        mu g of each part [m/s2].
+    contacts, half
+        As of `simulate_bodies`.
+    every : int
+        Steps from one recorded state to the next; 0: none.
+    names : M
+        Of the parts, in messages.
+    threads : int
+        Cores that may work at the same time.
+
+    Returns
+    -------
+    (N, k, M, 6)
+        The states at the start and after every so many steps; k = 0 if none are asked for.
+
+    Raises
+    ------
+    PlateError
+        If a motion is none or parts overlap at the start.
+    """
+    for motion in motions:
+        check_motion(motion, cycles)
+    frames = cycles * steps[0] // every + 1 if every else 0
+    record = np.empty((len(states), frames, *states.shape[1:]))
+    touch = contacts or INELASTIC
+    overlap = _kernels.run(
+        np.concatenate([motion.times for motion in motions]),
+        np.concatenate([motion.coefficients for motion in motions]),
+        np.array([[len(m.coefficients), n] for m, n in zip(motions, steps, strict=True)]),
+        cycles, max(every, 1), np.array(grounds, float), states, limit, here, record, *shapes,
+        touch.restitution, touch.friction, contacts is not None, touch.walls, START_OVERLAP,
+        np.asarray(half, float), threads,
+    )  # fmt: skip
+    for i, j, depth, share in overlap[overlap[:, 3] > START_OVERLAP]:
+        first, second = sorted(str(names[int(k)]) for k in (i, j))
+        raise PlateError(
+            f"parts {first} and {second} overlap by {1e3 * depth:.3g} mm, "
+            f"allowed: at most {1e3 * depth / share * START_OVERLAP:.3g} mm"
+        )
+    return record
+
+
+def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
+    """Return states (N, M, 6) of parts on N plates, checked: position, angle, velocity and spin of
+    those on each, as `simulate_bodies` has them."""
+    count = len(starts[0][0])
+    if {tuple(map(np.shape, s)) for s in starts} == {((count, 2), (count,), (count, 2), (count,))}:
+        states = np.empty((len(starts), count, 6))
+        for own, each in zip(COLUMNS, zip(*starts, strict=True), strict=True):
+            states[..., own] = each
+        if np.abs(states).max(initial=0.0) <= LARGEST:
+            return states
+    return np.stack([_columns(*start) for start in starts])  # says what is wrong
 
 
 def _columns(
     position: np.ndarray, angle: float | np.ndarray, velocity: np.ndarray, spin: float | np.ndarray
 ) -> np.ndarray:
     """Return states (M, 6), checked."""
-    count = len(position)
-    pairs_are = np.shape(position) == np.shape(velocity) == (count, 2)
-    if pairs_are and np.shape(angle) == np.shape(spin) == (count,):
-        state = np.empty((count, 6))
-        state[:, :2], state[:, 2], state[:, 3:5], state[:, 5] = position, angle, velocity, spin
-        if np.abs(state).max(initial=0.0) <= LARGEST:
-            return state
-    position = pairs("position", position)  # says what is wrong
+    position = pairs("position", position)
     count = len(position)
     velocity = pairs("velocity", velocity, count)
     angle, spin = for_each("angle", angle, count), for_each("spin", spin, count)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 from plate_core import PlateError
 
@@ -105,7 +106,7 @@ class Disturbances:
             raise PlateError(f"blur is {self.blur!r}, allowed: true or false")
         self.ground  # the two tilts together, too  # noqa: B018
 
-    @property
+    @cached_property
     def ground(self) -> Ground:
         """Return the plate's surface."""
         return Ground(self.static_ratio, (self.tilt_x, self.tilt_y), self.friction_slope)

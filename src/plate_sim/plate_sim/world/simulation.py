@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from ..camera import NOISE, Camera, Lighting, part_colours
 from ..contacts import INELASTIC, Contacts
 from ..friction.outline import footprint_of
 from ..plate import PlateMotion, PlateState, realise
+from .bodies import BodyTrajectory, Shapes
 from .disturbances import NONE, Disturbances
 from .feeding import (
     Flow,
@@ -33,7 +33,7 @@ from .feeding import (
 from .friction_field import FrictionField
 from .history import History, Passage
 from .state import WorldState
-from .step import record_cycle, run_cycle, run_together
+from .step import run_cycle, run_together
 
 EXPOSURES, LONGEST_STEP_S = 5, 3e-3
 """Least number of times during an image at which parts and plate are looked up, and the greatest
@@ -156,7 +156,8 @@ class Simulation:
         """Look up what the parts are."""
         labels = [part_class(name) for name in self.state.ids]
         self._types = [self._rig.part_type(label) for label in labels]
-        self._footprints = [footprint_of(part) for part in self._types]
+        self._shapes = Shapes.of([footprint_of(part) for part in self._types])
+        self._mu = np.array([part.mu for part in self._types], dtype=float)
         self._grey = part_colours(self._types, self._rig.camera.colour)
         self._typed = any(label in self._rig.types for label in labels)
 
@@ -168,8 +169,13 @@ class Simulation:
     @property
     def mu(self) -> np.ndarray:
         """True friction coefficients (M,) now."""
-        mu = np.array([part.mu for part in self._types], dtype=float) * self._mu_scale
+        mu = self._mu * self._mu_scale
         return self._field.friction(mu, self.state.position, self.plate.pose)
+
+    @property
+    def _limit(self) -> np.ndarray:
+        """Greatest acceleration (M,) that friction gives each part now [m/s2]."""
+        return self.mu * self._rig.friction.gravity
 
     def change(self, disturbances: Disturbances, noise: float, mu_scale: float) -> None:
         """Go on in another world. When images are taken does not change: `latency`, `image_rate`.
@@ -519,16 +525,13 @@ class Simulation:
         """Move the parts to the end of a cycle, or of a piece of one."""
         self._time += cycle.period
         motion: PlateCycle | PlateMotion = cycle
-        mu, ground = self.mu, self.disturbances.ground
+        limit = self._limit
         if self._rig.suspension is not None:
             motion, self.plate = realise(self._rig, self.plate, cycle)
-        world: dict[str, Any] = {"contacts": self._contacts, "ground": ground}
-        if not self._past:
-            self.state = run_cycle(self.state, motion, self._rig, mu, **world)
-            return
-        self.state, run = record_cycle(self.state, motion, self._rig, mu, **world)
-        plate = PlateMotion(motion.times, motion.coefficients)
-        self._history = self._history.after(Passage(plate, run, self.state.on_plate), self._past)
+        past = self._past
+        for path in self._move([self], [motion], [limit], 1, every=1 if past else 0):
+            plate = PlateMotion(motion.times, motion.coefficients)
+            self._history = self._history.after(Passage(plate, path, self.state.on_plate), past)
 
     @staticmethod
     def run_together(
@@ -536,25 +539,34 @@ class Simulation:
     ) -> None:
         """Do what `run` does, on plates with one rig, in one call on several cores: the same to the
         last bit."""
-        plain = []
+        plain: dict[tuple[str, ...], list[tuple[Simulation, PlateCycle]]] = {}
         for own, cycle in zip(simulations, cycles, strict=True):
             if own._past or own._feed or own._taken or own._rig.suspension is not None:
                 own.run(cycle)
             else:
-                plain.append((own, cycle))
+                plain.setdefault(own.state.ids, []).append((own, cycle))
                 own._time += cycle.period
-        if not plain:
-            return
-        worlds = [own for own, _ in plain]
-        gravity = worlds[0]._rig.friction.gravity
-        states = run_together(
-            [own.state for own in worlds], [cycle for _, cycle in plain],
-            [own._footprints for own in worlds], [own.mu * gravity for own in worlds],
-            worlds[0]._rig, worlds[0]._contacts, [own.disturbances.ground for own in worlds],
-            threads,
+        for alike in plain.values():
+            worlds, motions = zip(*alike, strict=True)
+            Simulation._move(worlds, motions, [world._limit for world in worlds], threads)
+
+    @staticmethod
+    def _move(
+        worlds: Sequence[Simulation],
+        motions: Sequence[PlateCycle | PlateMotion],
+        limits: Sequence[np.ndarray],
+        threads: int,
+        every: int = 0,
+    ) -> list[BodyTrajectory]:
+        """Move parts that are alike on plates with one rig; see `step.run_together`."""
+        own = worlds[0]
+        states, paths = run_together(
+            [world.state for world in worlds], motions, own._shapes, limits, own._rig,
+            own._contacts, [world.disturbances.ground for world in worlds], threads, every=every,
         )  # fmt: skip
-        for own, state in zip(worlds, states, strict=True):
-            own.state = state
+        for world, state in zip(worlds, states, strict=True):
+            world.state = state
+        return paths
 
     @property
     def _past(self) -> float:

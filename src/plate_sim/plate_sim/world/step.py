@@ -8,13 +8,11 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig, part_class
 
-from .. import _kernels
 from ..contacts import INELASTIC, Contacts
 from ..friction.checks import friction_accel
-from ..friction.footprint import Footprint
 from ..friction.outline import footprint_of
 from ..plate import LEVEL, Ground, PlateMotion
-from .bodies import STEP, BodyTrajectory, equal_steps, job_of
+from .bodies import COLUMNS, STEP, BodyTrajectory, Shapes, columns, equal_steps, run_plates
 from .state import WorldState
 
 
@@ -67,7 +65,8 @@ def record_cycle(
     ground: Ground = LEVEL,
 ) -> tuple[WorldState, BodyTrajectory]:
     """Return what `run_cycle` does, and the motion at every step."""
-    return _run(state, cycle, rig, mu, step, contacts, cycles, ground, 1)
+    after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, ground, 1)
+    return after, path
 
 
 def _run(
@@ -80,64 +79,66 @@ def _run(
     cycles: int,
     ground: Ground,
     every: int,
-) -> tuple[WorldState, BodyTrajectory]:
+) -> tuple[WorldState, list[BodyTrajectory]]:
     if cycles < 1:
         raise PlateError(f"cycles is {cycles!r}, allowed: at least 1")
-    count, gravity = len(state.ids), rig.friction.gravity
     labels = [part_class(name) for name in state.ids]
     types = {label: rig.part_type(label) for label in dict.fromkeys(labels)}
     footprints = {label: footprint_of(part) for label, part in types.items()}
     if mu is None:
         mu = np.array([types[label].mu for label in labels], dtype=float)
-    limit = friction_accel(mu, gravity, count)
-    if np.shape(state.on_plate) != (count,):
-        raise PlateError(f"on_plate has shape {np.shape(state.on_plate)}, allowed: ({count},)")
-    path = job_of(
-        cycle, [footprints[label] for label in labels], limit,
-        (state.position, state.angle, state.velocity, state.spin), state.on_plate, gravity,
-        contacts, ground, rig.plate.half, equal_steps(cycle.period, step), cycles, every, state.ids,
-    ).run()  # fmt: skip
-    return moved(state, path), path
-
-
-def moved(state: WorldState, path: BodyTrajectory) -> WorldState:
-    """Return the parts at the end of their paths."""
-    position, velocity, angle, spin = (
-        getattr(path, name)[-1].copy() for name in ("position", "velocity", "angle", "spin")
-    )
-    return WorldState(state.ids, position, velocity, path.on_plate, angle, spin)
+    limit = friction_accel(mu, rig.friction.gravity, len(labels))
+    (after,), paths = run_together(
+        [state], [cycle], Shapes.of([footprints[label] for label in labels]), [limit], rig,
+        contacts, [ground], step=step, cycles=cycles, every=every,
+    )  # fmt: skip
+    return after, paths
 
 
 def run_together(
     states: Sequence[WorldState],
     motions: Sequence[PlateCycle | PlateMotion],
-    footprints: Sequence[Sequence[Footprint]],
+    shapes: Shapes,
     limits: Sequence[np.ndarray],
     rig: Rig,
     contacts: Contacts,
     grounds: Sequence[Ground],
-    threads: int,
-) -> list[WorldState]:
-    """Return what `run_cycle` does of the parts on many plates, in one call.
+    threads: int = 1,
+    *,
+    step: float = STEP,
+    cycles: int = 1,
+    every: int = 0,
+) -> tuple[list[WorldState], list[BodyTrajectory]]:
+    """Return what `run_cycle` does of the same parts on many plates, in one call, and their motions
+    at every so many steps; none if `every` is 0.
 
     Parameters
     ----------
-    footprints, limits : sequences of M Footprints, and of arrays (M,)
-        Of the parts on each plate; mu g [m/s2].
+    shapes : Shapes
+        Of the M parts on each plate.
+    limits : sequence of (M,)
+        mu g of the parts on each [m/s2].
     threads : int
         Cores that may work at the same time.
     """
-    gravity, half = rig.friction.gravity, rig.plate.half
-    jobs = [
-        job_of(
-            motion, own, limit, (state.position, state.angle, state.velocity, state.spin),
-            state.on_plate, gravity, contacts, ground, half, equal_steps(motion.period, STEP), 1, 0,
-            state.ids,
-        )
-        for state, motion, own, limit, ground in zip(
-            states, motions, footprints, limits, grounds, strict=True
-        )
-    ]  # fmt: skip
-    found = _kernels.run_many([job.arguments for job in jobs], threads)
-    paths = (job.outcome(overlap) for job, overlap in zip(jobs, found, strict=True))
-    return [moved(state, path) for state, path in zip(states, paths, strict=True)]
+    ids, gravity = states[0].ids, rig.friction.gravity
+    moved = columns([(s.position, s.angle, s.velocity, s.spin) for s in states])
+    here = np.array([s.on_plate for s in states], bool)
+    if here.shape != moved.shape[:2]:
+        raise PlateError(f"on_plate has shape {here.shape[1:]}, allowed: ({len(ids)},)")
+    steps = [equal_steps(motion.period, step) for motion in motions]
+    effect = {ground: ground.effect(gravity) for ground in dict.fromkeys(grounds)}
+    records = run_plates(
+        motions, steps, shapes, moved, here, np.array(limits), [effect[g] for g in grounds],
+        contacts, rig.plate.half, cycles, every, ids, threads,
+    )  # fmt: skip
+    position, angle, velocity, spin = (np.ascontiguousarray(moved[..., own]) for own in COLUMNS)
+    after = [
+        WorldState(ids, *each) for each in zip(position, velocity, here, angle, spin, strict=True)
+    ]
+    if not every:
+        return after, []
+    return after, [
+        BodyTrajectory.recorded(record, motion.period / n * every, there)
+        for record, motion, n, there in zip(records, motions, steps, here, strict=True)
+    ]

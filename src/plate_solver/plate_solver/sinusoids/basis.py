@@ -135,6 +135,16 @@ class SinusoidBasis:
         pose, twist, accel = states
         return PlateCycle(self.times, pose, twist, accel, spline, tail)
 
+    def cycles(self, coefficients: np.ndarray) -> list[PlateCycle]:
+        """Return what `cycle` does of many coefficients (N, h, 3), from rest to rest."""
+        states = [basis @ coefficients for basis in self.knots]
+        for state in states:
+            state[:, -1] = state[:, 0]
+            state.setflags(write=False)
+        splines = (self.spline @ coefficients).reshape(len(coefficients), -1, 6, 3)
+        each = zip(*states, splines, strict=True)
+        return [PlateCycle(self.times, *state, spline) for *state, spline in each]
+
 
 def settling(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return pose, twist and acceleration (n, 3), at times t (n,) [s], on the way to rest from a

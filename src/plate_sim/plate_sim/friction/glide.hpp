@@ -1,0 +1,136 @@
+// Steps of discs that slide steadily, most of all parts in most steps: as `advance` makes them, but
+// of several at once, without branches.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include "friction/step.hpp"
+
+namespace plate::gliding {
+
+// Groups that go through each stage of a step before the next stage: one of them then does not wait
+// for the roots and sums of another.
+constexpr int BLOCK = 16;
+
+// Slips at the start and in the middle; squares of the speed of the centre, and of (speed of the
+// rim / of the centre); and friction of the last one of them.
+struct Stages {
+    double ax[LANES], ay[LANES], ac[LANES], a2[LANES], ak2[LANES];
+    double bx[LANES], by[LANES], bc[LANES], b2[LANES], bk2[LANES];
+    double force[LANES], torque[LANES];
+};
+
+}  // namespace plate::gliding
+
+namespace plate {
+
+// Fill in the group of part i, but for its state and mark; return whether it may glide. step [s].
+inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
+    constexpr double none = std::numeric_limits<double>::infinity();
+    const double dv = body.mu_g * step, least = stepping::DISC_STIFF / stepping::GENTLE * dv;
+    const bool glides = here && body.radius > 0 && body.even();
+    Group& group = state.group(i);
+    const int lane = State::lane(i);
+    group.dv[lane] = dv, group.least[lane] = glides && dv > 0 ? least * least : none;
+    group.radius2[lane] = body.radius * body.radius, group.gyration2[lane] = body.gyration2;
+    group.ratio[lane] = group.radius2[lane] / body.gyration2;
+    group.away[lane] = here ? 0 : none;
+    return glides;
+}
+
+// Move the discs that slide steadily through a step; return how many.
+//
+// plate: samples of the plate's motion at the step's start, middle and end. step [s]. Lanes that do
+// not glide may have NaN and infinity on the way.
+[[gnu::always_inline]] inline int glide(const PlateSample* plate, double step,
+                                        const GroundEffect& ground, std::span<Group> groups) {
+    using namespace gliding;
+    using namespace stepping;
+    const double fall_x = step * ground.gravity_x, fall_y = step * ground.gravity_y;
+    const double half = 0.5 * step;
+    double all[LANES] = {};
+    Stages stages[BLOCK];
+    for (; !groups.empty(); groups = groups.subspan(std::min<size_t>(BLOCK, groups.size()))) {
+        const int count = std::min<int>(BLOCK, groups.size());
+        for (int k = 0; k < count; k++) {
+            const Group& g = groups[k];
+            Stages& s = stages[k];
+#pragma omp simd
+            for (int i = 0; i < LANES; i++) {
+                const Slip a = slip(plate[0], g.state[X][i], g.state[Y][i], g.state[VX][i],
+                                    g.state[VY][i], g.state[SPIN][i]);
+                s.ax[i] = a.x, s.ay[i] = a.y, s.ac[i] = a.turn;
+                s.a2[i] = a.x * a.x + a.y * a.y;
+                s.ak2[i] = g.radius2[i] * a.turn * a.turn / s.a2[i];
+            }
+        }
+        for (int k = 0; k < count; k++) {
+            Stages& s = stages[k];
+#pragma omp simd
+            for (int i = 0; i < LANES; i++) {
+                const disc::Push push = disc::series(s.ak2[i]);
+                s.force[i] = push.force, s.torque[i] = push.torque;
+            }
+        }
+        for (int k = 0; k < count; k++) {
+            const Group& g = groups[k];
+            Stages& s = stages[k];
+#pragma omp simd
+            for (int i = 0; i < LANES; i++) {
+                const double vx = g.state[VX][i], vy = g.state[VY][i];
+                const double share = 0.5 * g.dv[i] / std::sqrt(s.a2[i]);
+                const Slip free = slip(plate[1], g.state[X][i] + half * vx,
+                                       g.state[Y][i] + half * vy, vx, vy, g.state[SPIN][i]);
+                s.bx[i] = free.x - 0.5 * fall_x - share * s.force[i] * s.ax[i];
+                s.by[i] = free.y - 0.5 * fall_y - share * s.force[i] * s.ay[i];
+                s.bc[i] = free.turn - share * s.torque[i] * g.ratio[i] * s.ac[i];
+                s.b2[i] = s.bx[i] * s.bx[i] + s.by[i] * s.by[i];
+                s.bk2[i] = g.radius2[i] * s.bc[i] * s.bc[i] / s.b2[i];
+            }
+        }
+        for (int k = 0; k < count; k++) {
+            Stages& s = stages[k];
+#pragma omp simd
+            for (int i = 0; i < LANES; i++) {
+                const disc::Push push = disc::series(s.bk2[i]);
+                s.force[i] = push.force, s.torque[i] = push.torque;
+            }
+        }
+        for (int k = 0; k < count; k++) {
+            Group& g = groups[k];
+            const Stages& s = stages[k];
+#pragma omp simd
+            for (int i = 0; i < LANES; i++) {
+                const double x = g.state[X][i], y = g.state[Y][i], angle = g.state[ANGLE][i];
+                const double vx = g.state[VX][i], vy = g.state[VY][i], spin = g.state[SPIN][i];
+                const double g2 = g.gyration2[i];
+                const Slip a{s.ax[i], s.ay[i], s.ac[i]}, b{s.bx[i], s.by[i], s.bc[i]};
+                const double share = g.dv[i] / std::sqrt(s.b2[i]);
+                const double ux = vx + fall_x + share * s.force[i] * b.x;
+                const double uy = vy + fall_y + share * s.force[i] * b.y;
+                const double uc = spin + share * s.torque[i] * g.ratio[i] * b.turn;
+                const double px = x + half * (vx + ux), py = y + half * (vy + uy);
+                const Slip z = slip(plate[2], px, py, ux, uy, uc);
+                // Does it slide fast enough, and nearly in one direction? (`alike`)
+                const double size2 = s.a2[i] + g2 * a.turn * a.turn;  // as `dot(a, a, g2)`
+                const double middle2 = s.b2[i] + g2 * b.turn * b.turn, end2 = dot(z, z, g2);
+                const double ab = dot(a, b, g2), az = dot(a, z, g2);
+                const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,
+                                             az * std::abs(az) - STEADY * STEADY * size2 * end2);
+                const bool steady = (std::min(size2, middle2) >= g.least[i]) &
+                                    (std::max(s.ak2[i], s.bk2[i]) <= disc::SERIES) & (turn > 0);
+                g.moved[i] = steady ? 1.0 : 0.0;
+                all[i] += g.moved[i];
+                g.state[X][i] = steady ? px : x;
+                g.state[Y][i] = steady ? py : y;
+                g.state[ANGLE][i] = steady ? angle + half * (spin + uc) : angle;
+                g.state[VX][i] = steady ? ux : vx;
+                g.state[VY][i] = steady ? uy : vy;
+                g.state[SPIN][i] = steady ? uc : spin;
+            }
+        }
+    }
+    return static_cast<int>(all[0] + all[1] + all[2] + all[3]);
+}
+
+}  // namespace plate

@@ -1,0 +1,75 @@
+// The plate's pose and twist at any instant of a motion, x, y and theta at once: for steps of finite
+// parts.
+#pragma once
+#include <algorithm>
+#include <vector>
+
+#include <plate/four.hpp>
+#include <plate/wide.hpp>
+
+namespace plate {
+
+// The plate at an instant: pose [m, m, rad] and twist [m/s, m/s, rad/s].
+struct PlateSample {
+    double x, y, theta, vx, vy, spin;
+};
+
+// A motion between two knots: times of its start and end [s]; factors of the powers of the time
+// since its start, of x, y [m], theta [rad] and nothing, and of their rates.
+struct Leg {
+    double start, end, pose[6][4], twist[5][4];
+
+    // Pose and twist at time t [s].
+    [[gnu::always_inline]] PlateSample at(double t) const {
+        const double u = t - start;
+        Four p, v, next;
+        load(p, pose[5]), load(v, twist[4]);
+        for (int power = 4; power >= 0; power--) load(next, pose[power]), p = next + u * p;
+        for (int power = 3; power >= 0; power--) load(next, twist[power]), v = next + u * v;
+        return {p[0], p[1], p[2], v[0], v[1], v[2]};
+    }
+};
+
+// A whole motion.
+struct Course {
+    std::vector<Leg> legs;
+
+    // Of K + 1 knots' times [s], and factors (K, 6, 3).
+    Course(const double* times, const double* factors, int count) : legs(count) {
+        for (Leg& leg : legs) {
+            leg.start = times[0], leg.end = times[1], times++;
+            for (int power = 0; power < 6; power++)
+                for (int axis = 0; axis < 4; axis++) {
+                    leg.pose[power][axis] = axis < 3 ? *factors++ : 0;
+                    if (power > 0) leg.twist[power - 1][axis] = power * leg.pose[power][axis];
+                }
+        }
+    }
+
+    double period() const { return legs.back().end; }
+
+    // Pose and twist at time t [s]; before and after the motion it goes on.
+    PlateSample at(double t) const {
+        const int last = static_cast<int>(legs.size()) - 1;
+        const double share = t / period() * (last + 1);
+        int k = share >= last ? last : share > 0 ? static_cast<int>(share) : 0;
+        while (k > 0 && t < legs[k].start) k--;
+        while (k < last && t >= legs[k].end) k++;
+        return legs[k].at(t);
+    }
+};
+
+// The (steps + 1) samples at the ends of equal steps through a motion.
+PLATE_WIDE inline std::vector<PlateSample> samples(const Course& course, int steps) {
+    std::vector<PlateSample> rows(steps + 1);
+    const double period = course.period();
+    const Leg *leg = &course.legs.front(), *last = &course.legs.back();
+    for (int k = 0; k <= steps; k++) {
+        const double t = period * k / steps;
+        while (leg != last && t >= leg->end) leg++;
+        rows[k] = leg->at(t);
+    }
+    return rows;
+}
+
+}  // namespace plate
