@@ -143,7 +143,7 @@ class SinusoidBasis:
             state.setflags(write=False)
         splines = (self.spline @ coefficients).reshape(len(coefficients), -1, 6, 3)
         each = zip(*states, splines, strict=True)
-        return [PlateCycle(self.times, *state, spline) for *state, spline in each]
+        return [PlateCycle(self.times, pose, twist, accel, own) for pose, twist, accel, own in each]
 
 
 def settling(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
