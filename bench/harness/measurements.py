@@ -25,7 +25,7 @@ ABOUT = {
         "inversion": "Method B: what is solved, what is proven out of reach",
         "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
         "options": "Both methods with their options, and scipy, on the stick-slip cycle",
-        "vision": "Finding discs in an image: time, misses, error of the centres",
+        "vision": "Finding discs in an image: time, misses, error of the centres; noise of drifts",
         "classes": "Types of parts: names, centres and angles",
         "shapes": "Parts of any outline in hostile scenes: recall, precision, centres, time",
         "stages": "What each stage of the loop costs for one image",
@@ -40,7 +40,6 @@ ABOUT = {
         "stability": "Stability maps: where methods fail, and where theory says so",
     },
     "tasks": {
-        "identity": "Ids over whole sorts: swaps, parts named anew; noise of the drift",
         "tasks": "Every scenario over many seeds, and in worlds that are not as believed",
         "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
         "bound": "How fast 1 to 10 parts can be moved: bounds, global search, closed loop",
