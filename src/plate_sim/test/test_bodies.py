@@ -4,13 +4,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from footprints import on_feet
 from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError
 from plate_core.rig import to_plate
 from plate_sim import Ground, PlateMotion, simulate, simulate_bodies
 from plate_sim.contacts import Contacts
-from plate_sim.friction import bar, disc, on_feet, union
+from plate_sim.friction import bar, disc, union
 
 MU, G = 0.25, 9.81
 L_SHAPE = union(

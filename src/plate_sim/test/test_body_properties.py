@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from footprints import on_feet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plate_core import PlateCycle
 from plate_sim import Ground, simulate_bodies
 from plate_sim.contacts import Contacts
-from plate_sim.friction import Footprint, bar, disc, on_feet, polygon, union
+from plate_sim.friction import Footprint, bar, disc, polygon, union
 
 G = 9.81
 L_CORNERS = [

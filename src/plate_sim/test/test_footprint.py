@@ -4,11 +4,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from footprints import friction_gap, on_feet
 from scipy.integrate import quad
 
 from plate_core import PlateError
-from plate_sim.friction import bar, disc, on_feet, polygon, union
-from plate_sim.friction.footprint import friction_gap
+from plate_sim.friction import bar, disc, polygon, union
 
 L_SHAPE = [
     [[0, 0], [0.03, 0], [0.03, 0.01], [0, 0.01]],
@@ -107,18 +107,8 @@ def test_the_limit_surface_of_a_disc_is_five_percent_inside_an_ellipsoid():
     assert size == pytest.approx(0.949, abs=1e-3)
 
 
-def test_pressure_has_its_centre_below_the_centre_of_mass():
-    part = polygon(TRIANGLE, centre=[0.006, 0.0065])
-    assert part.weights @ part.points == pytest.approx(0, abs=1e-12)
-    assert part.weights.min() > 0
-    three = on_feet(disc(0.01), feet(0.008) + [0.001, -0.002])
-    assert three.weights @ three.points == pytest.approx(0, abs=1e-12)
-    assert three.gyration2 == disc(0.01).gyration2
-
-
 def test_mass_and_inertia():
     assert disc(0.01, mass=0.5).inertia == pytest.approx(0.5 * 0.5 * 1e-4)
-    assert bar(0.1, 0.01, inertia=3e-6).inertia == 3e-6
     assert len(bar(0.01, 0.02, points=300).points) == pytest.approx(300, rel=0.1)
 
 
@@ -136,13 +126,6 @@ def test_mass_and_inertia():
         (lambda: polygon(feet(1, 5)[[0, 2, 4, 1, 3]]), "not convex"),
         (lambda: union([]), "no polygons"),
         (lambda: union([TRIANGLE, TRIANGLE]), "polygons 0 and 1 overlap"),
-        (lambda: polygon(TRIANGLE, centre=[0, 0]), "tips"),
-        (lambda: on_feet(disc(1), feet(1)[:2]), "feet has shape"),
-        (lambda: on_feet(disc(1), [[-1, 0], [0, 0], [1, 0]]), "on a line"),
-        (lambda: on_feet(disc(1), feet(1) + [0.9, 0]), "tips"),
-        (lambda: on_feet(disc(1), feet(1), [1, 1]), "weights have shape"),
-        (lambda: on_feet(disc(1), feet(1), [1, -1, 1]), "at least 0"),
-        (lambda: on_feet(disc(1), feet(1), [1, 1, 2]), "from the centre of mass"),
     ],
 )
 def test_wrong_shapes_are_refused(make, message):

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from footprints import friction_gap
 
 from plate_core import PlateCycle, config_path, load_rig
 from plate_core.rig import PartType, contains, load_part_types, rim_distance
-from plate_sim.friction import quadrature
-from plate_sim.friction.footprint import bar, disc, friction_gap
+from plate_sim.friction import bar, disc, quadrature
 from plate_sim.friction.outline import convex_pieces, footprint_of
 from plate_sim.world import WorldState, run_cycle
 

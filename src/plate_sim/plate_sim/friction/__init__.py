@@ -1,7 +1,7 @@
 """Friction between plate and parts: footprints, one step of a part, and points event by event.
 Public: the names below; `simulate` is the judge of all other integrators."""
 
-from .footprint import Footprint, bar, disc, on_feet, polygon, union
+from .footprint import Footprint, bar, disc, polygon, union
 from .outline import footprint_of
 from .point_events import TOLERANCE, Trajectory, simulate
 
@@ -12,7 +12,6 @@ __all__ = [
     "bar",
     "disc",
     "footprint_of",
-    "on_feet",
     "polygon",
     "simulate",
     "union",

@@ -13,8 +13,8 @@ The friction force and torque are in error by at most, in mu m g (times the radi
     L-shape    0.121   0.048   0.022   0.012   0.005
     triangle   0.106   0.057   0.031   0.014   0.008
 
-(`friction_gap` to 2,500 points, greatest of 2,000 slips, half of them turns about a point of the
-footprint, where the slip's direction jumps.)
+(`friction_gap` of the tests, to 2,500 points, greatest of 2,000 slips, half of them turns about a
+point of the footprint, where the slip's direction jumps.)
 """
 
 from __future__ import annotations
@@ -46,9 +46,6 @@ CELL = 0.2
 CORNERS_OF_DISC = 96
 """Corners of the polygon that a disc's outline is drawn as."""
 
-ROUNDING = 1e-9
-"""Shares that differ by less than this are equal."""
-
 
 @dataclass(frozen=True)
 class Footprint:
@@ -66,7 +63,7 @@ class Footprint:
         Share of the part's weight on each point; their sum is 1.
     blur : (n,)
         Each point stands for a cell about so large [m]: in a part that turns by the slip c, the
-        cell's mean slip is `sqrt(|slip at the point|^2 + (c blur)^2)`. 0 for a real foot.
+        cell's mean slip is `sqrt(|slip at the point|^2 + (c blur)^2)`.
     outline : tuple of (k, 2)
         Corners of the convex polygons that it consists of [m], counter-clockwise; of a disc, to
         draw it only.
@@ -154,51 +151,30 @@ class Footprint:
         return share * u, share * v, float(np.copysign(self.radius * turn, c))
 
 
-def disc(radius: float, *, mass: float = MASS, inertia: float | None = None) -> Footprint:
+def disc(radius: float, *, mass: float = MASS) -> Footprint:
     """Return the footprint of a disc [m] that presses evenly on the plate."""
     radius, mass = _positive("radius", radius, "m"), _positive("mass", mass, "kg")
     corner = 2 * np.pi * np.arange(CORNERS_OF_DISC) / CORNERS_OF_DISC
     outline = radius * np.column_stack([np.cos(corner), np.sin(corner)])
-    inertia = 0.5 * mass * radius**2 if inertia is None else _positive("inertia", inertia, "kg m2")
     none = np.empty(0)
-    return Footprint(mass, inertia, np.empty((0, 2)), none, none, (outline,), radius)
+    return Footprint(mass, 0.5 * mass * radius**2, np.empty((0, 2)), none, none, (outline,), radius)
 
 
-def bar(
-    length: float,
-    width: float,
-    *,
-    mass: float = MASS,
-    points: int = POINTS,
-    inertia: float | None = None,
-) -> Footprint:
+def bar(length: float, width: float, *, mass: float = MASS, points: int = POINTS) -> Footprint:
     """Return the footprint of a rectangle [m], its length along x."""
     half = 0.5 * np.array([_positive("length", length, "m"), _positive("width", width, "m")])
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return polygon(corners, mass=mass, points=points, inertia=inertia)
+    return polygon(corners, mass=mass, points=points)
 
 
-def polygon(
-    corners: np.ndarray,
-    *,
-    mass: float = MASS,
-    points: int = POINTS,
-    inertia: float | None = None,
-    centre: np.ndarray | None = None,
-) -> Footprint:
+def polygon(corners: np.ndarray, *, mass: float = MASS, points: int = POINTS) -> Footprint:
     """Return the footprint of a convex polygon (k, 2) [m]; see `union`."""
-    return union([corners], mass=mass, points=points, inertia=inertia, centre=centre)
+    return union([corners], mass=mass, points=points)
 
 
-def union(
-    polygons: Sequence[np.ndarray],
-    *,
-    mass: float = MASS,
-    points: int = POINTS,
-    inertia: float | None = None,
-    centre: np.ndarray | None = None,
-) -> Footprint:
-    """Return the footprint of convex polygons that lie side by side, such as an L of two bars.
+def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = POINTS) -> Footprint:
+    """Return the footprint of convex polygons that lie side by side, such as an L of two bars; of
+    uniform density.
 
     Parameters
     ----------
@@ -208,18 +184,13 @@ def union(
         [kg].
     points : int
         Number of quadrature points, about.
-    inertia : float, optional
-        About the centre of mass [kg m2]; that of uniform density if missing.
-    centre : (2,), optional
-        Centre of mass in your axes [m]; the centroid if missing. The pressure then rises linearly
-        over the footprint such that its centre lies below the centre of mass.
 
     Raises
     ------
     PlateError
-        If a polygon is not convex, two overlap, a number is not positive, or the part would tip
-        over or lift an edge.
+        If a polygon is not convex, two overlap, or a number is not positive.
     """
+    mass = _positive("mass", mass, "kg")
     if not len(polygons):
         raise PlateError("union has no polygons, allowed: at least 1")
     shapes = [quadrature.convex(corners) for corners in polygons]
@@ -238,109 +209,17 @@ def union(
     ]
     place = np.concatenate([rule[0] for rule in rules])
     weight = np.concatenate([rule[1] for rule in rules])
-    return _build(place, weight, tuple(shapes), mass, inertia, centre)
-
-
-def on_feet(footprint: Footprint, feet: np.ndarray, weights: np.ndarray | None = None) -> Footprint:
-    """Return a part that touches the plate only in some points of its footprint.
-
-    Parameters
-    ----------
-    footprint : Footprint
-        Gives outline, mass and inertia.
-    feet : (n, 2)
-        n >= 3 points [m], in the frame of `footprint`: origin in the centre of mass.
-    weights : (n,), optional
-        Share of the weight on each. If missing, equal but for a linear change over the footprint
-        that puts their centre under the centre of mass.
-
-    Raises
-    ------
-    PlateError
-        If there are fewer than three feet, or they do not bear the part where its weight is.
-    """
-    feet = quadrature.places("feet", feet, 3)
-    if weights is None:
-        share = _tilted(feet, np.full(len(feet), 1 / len(feet)), np.zeros(2))
-    else:
-        share = np.array(weights, dtype=float)
-        if share.shape != (len(feet),):
-            raise PlateError(f"weights have shape {share.shape}, allowed: ({len(feet)},)")
-        if not (np.all(share >= 0) and 0 < share.sum() < np.inf):
-            raise PlateError(f"weights are {share.tolist()}, allowed: at least 0, not all 0")
-        share = share / share.sum()
-        off = np.abs(share @ feet).max()
-        if off > 1e-6 * np.abs(feet).max():
-            raise PlateError(
-                f"weights have their centre {off:.3g} m from the centre of mass, allowed: 0"
-            )
-    return Footprint(
-        footprint.mass, footprint.inertia, feet, share, np.zeros(len(feet)), footprint.outline,
-        footprint.radius,
-    )  # fmt: skip
-
-
-def friction_gap(one: Footprint, other: Footprint, slips: int = 4000) -> float:
-    """Greatest difference of friction between two footprints, such as one and a finer one.
-
-    Over seeded slips: half of them of any direction, half turns about points of the footprint.
-    In mu m g, the torque by radius of gyration.
-    """
-    rng = np.random.default_rng(0)
-    arm = np.sqrt(other.gyration2)
-    slip = rng.normal(size=(slips, 3)) / [1, 1, arm]
-    pivot = other.points[rng.integers(len(other.points), size=slips // 2)]
-    slip[: slips // 2] = np.column_stack([pivot[:, 1], -pivot[:, 0], np.ones(len(pivot))])
-    gap = 0.0
-    for part in np.array_split(slip, 1 + slips * len(other.points) // 10**7):
-        unlike = (one.friction(part) - other.friction(part)) / [1, 1, arm]
-        gap = max(gap, float(np.linalg.norm(unlike, axis=1).max()))
-    return gap
-
-
-def _build(
-    place: np.ndarray,
-    area: np.ndarray,
-    outline: tuple[np.ndarray, ...],
-    mass: float,
-    inertia: float | None,
-    centre: np.ndarray | None,
-) -> Footprint:
-    """Return a footprint from points (n, 2) [m] that stand for areas (n,) [m2]."""
-    mass = _positive("mass", mass, "kg")
-    weight = area / area.sum()
-    middle = weight @ place
-    if centre is not None:
-        middle = quadrature.places("centre", np.reshape(centre, (1, -1)), 1)[0]
-    place = place - middle
-    if inertia is None:
-        inertia = mass * float(weight @ (place**2).sum(1))
-    share = weight if centre is None else _tilted(place, weight, np.zeros(2))
+    share = weight / weight.sum()
+    middle = share @ place
+    place -= middle
     return Footprint(
         mass,
-        _positive("inertia", inertia, "kg m2"),
+        mass * float(share @ (place**2).sum(1)),
         place,
         share,
-        CELL * np.sqrt(area),
-        tuple(corners - middle for corners in outline),
+        CELL * np.sqrt(weight),
+        tuple(corners - middle for corners in shapes),
     )
-
-
-def _tilted(place: np.ndarray, weight: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Multiply weights (n,) by a linear function of place such that their centre is `centre`."""
-    middle = weight @ place
-    arm = place - middle
-    spread = (weight[:, None] * arm).T @ arm
-    if np.linalg.det(spread) <= ROUNDING * np.trace(spread) ** 2:
-        raise PlateError("feet lie on a line, allowed: three that span a triangle")
-    share = weight * (1 + arm @ np.linalg.solve(spread, centre - middle))
-    if share.min() < -ROUNDING:
-        k = int(np.argmin(share))
-        raise PlateError(
-            f"pressure would be negative at {place[k].tolist()} m from the centre of mass: "
-            "the part tips or lifts an edge, allowed: a centre of mass further inside"
-        )
-    return np.maximum(share, 0) / np.maximum(share, 0).sum()
 
 
 def _positive(name: str, value: float, unit: str) -> float:
