@@ -134,9 +134,6 @@ class PlannerParameters(NodeOptions):
         0.1,
         3600.0,
     )
-    default_period: float = parameter(
-        PlannerOptions.default_period, "Cycle length until two images tell it [s]", 0.005, 1.0
-    )
     start_timeout_s: float = parameter(
         PlannerOptions.start_timeout_s, "Longest wait for all parts after a goal [s]", 0.0, 3600.0
     )
@@ -159,19 +156,11 @@ class PlannerParameters(NodeOptions):
         2.0,
         live=True,
     )
-    observer_gain: float = parameter(
-        FollowOptions.observer_gain,
-        "Following: fraction of what a cycle does otherwise than predicted, expected of the next",
-        0.0,
-        1.0,
-        live=True,
-    )
 
     def planner(self) -> PlannerOptions:
         """Return the core's options."""
         return PlannerOptions(
-            follow=FollowOptions(kp=self.kp, observer_gain=self.observer_gain),
-            default_period=self.default_period,
+            follow=FollowOptions(kp=self.kp),
             answer_s=self.answer_s,
             start_timeout_s=self.start_timeout_s,
             unseen_timeout_s=self.unseen_timeout_s,

@@ -153,12 +153,12 @@ def test_slopes_of_ramps_that_forces_limit():
     loads = limits.accel * limits.loads[2]
     turns = 0.2 * rng.normal(size=(4, 3))
     half = np.array([0.3, 0.15])
-    length, slope = ramps(turns, half, loads, limits.accel, 0.0)
-    assert np.all(length > 2 * ramps(turns, half, np.empty((0, 3)), limits.accel, 0.0)[0])
+    length, slope = ramps(turns, half, loads, limits.accel)
+    assert np.all(length > 2 * ramps(turns, half, np.empty((0, 3)), limits.accel)[0])
     step = 1e-7
     for j in range(4):
         for c in range(3):
             moved = turns.copy()
             moved[j, c] += step
-            by = (ramps(moved, half, loads, limits.accel, 0.0)[0] - length) / step
+            by = (ramps(moved, half, loads, limits.accel)[0] - length) / step
             np.testing.assert_allclose(by[j : j + 2], [slope[j, c], -slope[j + 1, c]], atol=1e-5)

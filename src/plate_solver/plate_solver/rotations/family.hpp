@@ -12,7 +12,7 @@ constexpr double SHORTEST = 0.02, FASTEST = 2.5, MOST_RAMPS = 0.9;
 // A family of sequences of J rotations: `Sequences` of family.py.
 struct Sequences {
     View<const double, 3> basis;  // (J, F, 3)
-    double hold_scale, period, accel, blend;
+    double hold_scale, period, accel;
     View<const double, 2> loads;  // (m, 3)
     std::array<int, 2> steps;
     Limits limits;
@@ -44,7 +44,7 @@ inline Matrix twists_of(const Parameters& theta, const Sequences& family) {
 
 inline Ramps ramps_of(const Parameters& theta, const Sequences& family) {
     const Matrix twists = twists_of(theta, family);
-    return ramps(view_of(twists), family.limits.half, family.loads, family.accel, family.blend);
+    return ramps(view_of(twists), family.limits.half, family.loads, family.accel);
 }
 
 // Knot times and twists there, as `timeline`.

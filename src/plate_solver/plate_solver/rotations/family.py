@@ -34,8 +34,8 @@ class Sequences(NamedTuple):
         Twist j is its F parameters times basis j.
     hold_scale : float
         Length of a rotation from its parameter.
-    period, accel, blend : float
-        [s], peak acceleration of ramps [m/s2], least ramp [s].
+    period, accel : float
+        [s], peak acceleration of ramps [m/s2].
     loads : (m, 3)
         As in `ramps`: the motors' forces, where they matter.
     steps : (int, int)
@@ -48,7 +48,6 @@ class Sequences(NamedTuple):
     hold_scale: float
     period: float
     accel: float
-    blend: float
     loads: np.ndarray
     steps: tuple[int, int]
     limits: Limits
@@ -83,7 +82,6 @@ class RotationFamily:
         limits: Limits,
         period: float,
         speed: float,
-        blend: float = 0.0,
         steps: tuple[int, int] | None = None,
         within_stroke: bool = False,
     ) -> None:
@@ -98,7 +96,6 @@ class RotationFamily:
             1 / len(twists),
             period,
             RAMP_PART * limits.accel,
-            blend,
             limits.accel * limits.loads[2] if limits.forceful else np.empty((0, 3)),
             steps or (RAMP_STEPS, hold_steps),
             limits._replace(stroke_m=stroke),

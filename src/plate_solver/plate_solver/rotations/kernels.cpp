@@ -30,19 +30,18 @@ static std::vector<double> copied(const Numbers& array) {
 class SequencesRecord {
 public:
     explicit SequencesRecord(const nb::tuple& record)
-        : basis(nb::cast<Box>(field(record, 0))), loads(nb::cast<Table>(field(record, 5))) {
+        : basis(nb::cast<Box>(field(record, 0))), loads(nb::cast<Table>(field(record, 4))) {
         check("basis", basis, {basis.shape(0), basis.shape(1), 3});
         check("loads", loads, {loads.shape(0), 3});
-        const nb::tuple steps = nb::cast<nb::tuple>(field(record, 6));
+        const nb::tuple steps = nb::cast<nb::tuple>(field(record, 5));
         family = {
             .basis = view(basis),
             .hold_scale = nb::cast<double>(field(record, 1)),
             .period = nb::cast<double>(field(record, 2)),
             .accel = nb::cast<double>(field(record, 3)),
-            .blend = nb::cast<double>(field(record, 4)),
             .loads = view(loads),
             .steps = steps_from(steps),
-            .limits = limits_of(nb::cast<nb::tuple>(field(record, 7))),
+            .limits = limits_of(nb::cast<nb::tuple>(field(record, 6))),
         };
         if (family.count() < 1) throw nb::value_error("there are no rotations");
     }
@@ -217,10 +216,10 @@ static nb::object chosen(Table matrix, Array<const int64_t, 1> basis) {
 }
 
 void bind_rotations(nb::module_& m) {
-    m.def("ramps", [](Table twists, Numbers half, Table loads, double accel, double least) {
+    m.def("ramps", [](Table twists, Numbers half, Table loads, double accel) {
         check("twists", twists, {twists.shape(0), 3}), check("half", half, {2});
         check("loads", loads, {loads.shape(0), 3});
-        Ramps found = ramps(view(twists), half.data(), view(loads), accel, least);
+        Ramps found = ramps(view(twists), half.data(), view(loads), accel);
         return nb::make_tuple(to_numpy(std::move(found.length)), to_numpy(std::move(found.slope)));
     });
     m.def("timeline", [](Numbers holds, Table twists, Numbers ramp, double period) {

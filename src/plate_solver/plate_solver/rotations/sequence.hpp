@@ -40,9 +40,9 @@ struct Line {
 };
 
 // Ramps between twists (J, 3), and from and to rest, for a plate of half sides `half` (2,); `loads`
-// (m, 3) are what else has the limit `accel`; `least` is the least length.
+// (m, 3) are what else has the limit `accel`.
 inline Ramps ramps(View<const double, 2> twists, const double* half, View<const double, 2> loads,
-                   double accel, double least) {
+                   double accel) {
     const int count = twists.size(0);
     Ramps found{std::vector<double>(count + 1), Matrix(count + 1, 3)};
     for (int j = 0; j <= count; j++) {
@@ -66,9 +66,7 @@ inline Ramps ramps(View<const double, 2> twists, const double* half, View<const 
         }
         found.length[j] = RAMP_PEAK * change / accel;
         double* slope = found.slope[j];
-        if (found.length[j] < least) {
-            found.length[j] = least;
-        } else if (which >= 0) {
+        if (which >= 0) {
             const double* row = loads[which];
             const double way = row[0] * d[0] + row[1] * d[1] + row[2] * d[2] > 0 ? 1 : -1;
             for (int c = 0; c < 3; c++) slope[c] = RAMP_PEAK / accel * way * row[c];

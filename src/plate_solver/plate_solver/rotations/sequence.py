@@ -1,9 +1,9 @@
 """A sequence of rotations as one closed motion in time, from rest to rest.
 
 Rotation j is held at a constant twist for a time and joined to the next by a smooth ramp (a cubic
-in the twist) as short as the acceleration allows, or as long as blending asks. What is then still
-missing to a closed motion is taken out by a smooth bump over the whole cycle, so every sequence
-closes exactly. The derivatives are exact: one backward pass over the knots (sequence.hpp).
+in the twist) as short as the acceleration allows. What is then still missing to a closed motion is
+taken out by a smooth bump over the whole cycle, so every sequence closes exactly. The derivatives
+are exact: one backward pass over the knots (sequence.hpp).
 
 Knots of J rotations: 0 at rest; 2 j + 1 and 2 j + 2 begin and end rotation j (from 0); 2 J + 1 at
 rest; 2 J + 2 the end of the period.
@@ -17,7 +17,7 @@ from .. import _kernels
 
 
 def ramps(
-    twists: np.ndarray, half: np.ndarray, loads: np.ndarray, accel: float, least: float
+    twists: np.ndarray, half: np.ndarray, loads: np.ndarray, accel: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the lengths (J + 1,) [s] of the ramps and their derivatives (J + 1, 3).
 
@@ -32,8 +32,6 @@ def ramps(
         acceleration is kept below `accel` too.
     accel : float
         Peak acceleration of the fastest corner [m/s2].
-    least : float
-        Least length of a ramp [s].
 
     Returns
     -------
@@ -41,7 +39,7 @@ def ramps(
     slope : (J + 1, 3)
         By the change of twist; the rotation after the ramp adds, the one before it takes away.
     """
-    return _kernels.ramps(twists, half, loads, accel, least)
+    return _kernels.ramps(twists, half, loads, accel)
 
 
 def timeline(

@@ -62,8 +62,6 @@ class RotationOptions:
         up to four.
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
-    blend : float
-        Least time from one rotation to the next [s]: smooths the motion (3.2).
     closure : str
         `sequence`: the motion closes as a whole; `strokes`: each rotation is turned back at once.
     most_price : float
@@ -81,7 +79,6 @@ class RotationOptions:
 
     period: float = 0.2
     speed: float = 0.25
-    blend: float = 0.0
     closure: str = "sequence"
     most_price: float = 30.0
     tolerance: float = 1e-3
@@ -94,7 +91,6 @@ class RotationOptions:
             self,
             period=(1e-3, 10.0),
             speed=(1e-3, 10.0),
-            blend=(0.0, 1.0),
             most_price=(1.0, 1e6),
             tolerance=(0.0, 1.0),
             iterations=(1, 10_000),
@@ -291,7 +287,6 @@ class RotationSolver(MotionSolver):
             self._limits,
             period,
             options.speed,
-            options.blend,
             AVERAGED if averaged else None,
             averaged,
         )
