@@ -48,7 +48,7 @@ CALLS = {
     "sinusoid_forces": (CASES, *PLACES, RULES),
     "triangular_forces": (CASES, PLACES[0], *intervals(NUMBER)),
     "invert": (START, random(5, 3 * BASIS.size), *PLACES, PLACES[1], MOTIONS, 1e-3, 2, 2),
-    "ramps": (random(2, 3), HALF, LOADS, 10.0, 0.0),
+    "ramps": (random(2, 3), HALF, LOADS, 10.0),
     "timeline": (random(3), random(2, 3), random(3), 9.0),
     "knot_poses": LINE,
     "motion": (*LINE, (2, 3)),
