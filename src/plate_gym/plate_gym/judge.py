@@ -175,7 +175,7 @@ class Judge:
         if isinstance(rules, Sorter):  # all plates at once
             place = np.concatenate([state.position for state in states])
             to_go = rules.to_go(Parts.make(names * len(states), place))
-            error = np.nan_to_num(to_go).reshape(shape)
+            error = np.where(np.isnan(to_go), 0.0, to_go).reshape(shape)
         else:
             near_m += rules.task.tolerance_m
             for row, (memory, state) in enumerate(zip(memories, states, strict=True)):
@@ -186,7 +186,9 @@ class Judge:
             if isinstance(rules, Poser):
                 near_rad = SIGHT_RAD + rules.task.tolerance_rad
         turn = np.abs(turn)
-        reach = np.array([self._rig.part_type(part_class(name)).reach_m for name in names])
+        labels = [part_class(name) for name in names]
+        reaches = {label: self._rig.part_type(label).reach_m for label in set(labels)}
+        reach = np.array([reaches[label] for label in labels])
         there = (error <= near_m) & (turn <= near_rad)
         to_go, never = np.sum(error + reach * turn, axis=1), np.zeros(len(states), bool)
         return Score(error, turn, there, to_go, np.all(there, axis=1), never)

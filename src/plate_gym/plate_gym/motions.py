@@ -53,7 +53,7 @@ class Motions:
         """
         own = self._scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
-        while np.any(beyond := used > CERTAIN):  # turns enter with their square: twice, as a rule
+        while (beyond := used > CERTAIN).any():  # turns enter with their square: twice, as a rule
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
         return self._basis.cycles(own), used

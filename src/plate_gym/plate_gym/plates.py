@@ -249,8 +249,8 @@ class Plates:
     def observed(self) -> np.ndarray:
         """Return what is seen of each plate (N, ...): see `observation_space`."""
         if self.observation == "image":
-            return np.stack([plate.image for plate in self.plates])
-        result = np.stack([plate.seen for plate in self.plates])
+            return np.array([plate.image for plate in self.plates])
+        result = np.array([plate.seen for plate in self.plates])
         time = np.array([plate.time for plate in self.plates])
         result[..., 5] = np.minimum(time[:, None] - result[..., 5], NEVER_S)
         goals = [self.judge.references(p.memory, p.simulation.state.ids) for p in self.plates]
@@ -275,17 +275,17 @@ class Plates:
         if not looked:
             return
         there = [sight.seen & plate.simulation.state.on_plate for plate, sight in looked]
-        noise = np.stack([p.noise.standard_normal((len(p.seen), 3)) for p, _ in looked])
+        noise = np.array([p.noise.standard_normal((len(p.seen), 3)) for p, _ in looked])
         time = np.array([plate.time for plate, _ in looked])[:, None, None]
-        before = np.stack([plate.seen for plate, _ in looked])
+        before = np.array([plate.seen for plate, _ in looked])
         now = np.empty_like(before)
-        now[..., :2] = np.stack([sight.position for _, sight in looked])
+        now[..., :2] = np.array([sight.position for _, sight in looked])
         now[..., :2] += CENTRE_NOISE_M * noise[..., :2]
         now[..., 2:4] = (now[..., :2] - before[..., :2]) / (time - before[..., 5:])
-        angle = np.stack([sight.angle for _, sight in looked]) + ANGLE_NOISE * noise[..., 2]
+        angle = np.array([sight.angle for _, sight in looked]) + ANGLE_NOISE * noise[..., 2]
         now[..., 4] = (angle + np.pi) % (2 * np.pi) - np.pi
         now[..., 5:] = time
-        now = np.where(np.stack(there)[..., None], now, before)
+        now = np.where(np.array(there)[..., None], now, before)
         for (plate, _), seen in zip(looked, now, strict=True):
             plate.seen = seen
 
