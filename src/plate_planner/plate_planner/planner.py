@@ -109,6 +109,8 @@ class PlannerState:
         The last answer, given again when the same image comes again.
     due : float
         When the next answer is [s]; infinite until a start of a cycle is reported.
+    kept : bool
+        Whether the last image did not count: see `TaskRules.keeps_last`.
     """
 
     task: TaskState
@@ -118,6 +120,7 @@ class PlannerState:
     last: Mapping[str, LastSeen] = field(default_factory=dict)
     answer: tuple[Wanted, Progress] | None = None
     due: float = np.inf
+    kept: bool = False
 
 
 @dataclass(frozen=True)
@@ -275,10 +278,10 @@ class Planner:
         elif t - clock.stamp > LONGEST_GAP_S:
             gap = f"no parts for {t - clock.stamp:.0f} s by the stamps of the images"
             state = self.stop(state, Failure(Reason.NO_PARTS, f"{gap}: is the camera's clock set?"))
-        if state.task.active and self.rules.keeps_last(state.memory):
-            parts = state.estimator.seen
+        kept = state.task.active and self.rules.keeps_last(state.memory)
+        parts = state.estimator.seen if kept else parts
         coast = TAKEN_COAST if self.rules.open_ended else COAST
-        return replace(state, estimator=state.estimator.update(parts, t, coast))
+        return replace(state, estimator=state.estimator.update(parts, t, coast), kept=kept)
 
     def plan(
         self, state: PlannerState, parts: Parts, t: float
@@ -356,7 +359,7 @@ class Planner:
         again = comes_and_goes or set(state.known) == set(parts.ids) <= seen
         task = begin(state.task, t, missing, again, self.limits)
         estimator = self._observe(state, parts, task.active and not state.task.active)
-        now = self._situation(estimator, state.memory, parts, task.active)
+        now = self._situation(estimator, state, parts, task.active)
         memory, found = self.rules.assess(state.memory, now)
         began = t if task.began is None else task.began
         findings = Findings(
@@ -385,11 +388,11 @@ class Planner:
         return estimator.observe(parts, predicted, axes, rules.bias_gain, limit)
 
     def _situation(
-        self, estimator: Estimator, memory: Any, parts: Parts, active: bool
+        self, estimator: Estimator, state: PlannerState, parts: Parts, active: bool
     ) -> Situation:
         """Return what the rules are told."""
         period, start, place = estimator.period, estimator.next_start, estimator.bias.place
-        axes = self.rules.bias_axes(memory, parts, start - period / 2)
+        axes = self.rules.bias_axes(state.memory, parts, start - period / 2)
         return Situation(
             parts=parts,
             stamp=estimator.stamp,
@@ -403,6 +406,7 @@ class Planner:
             active=active,
             seen=self._on_plate(estimator.seen),
             taken=estimator.taken,
+            kept=state.kept,
         )
 
     def _ask(

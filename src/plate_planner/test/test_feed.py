@@ -31,11 +31,12 @@ def situation(seen, t=0.0, hidden=None, tail=0.0):
     )
 
 
-def run(task, *images, memory=None, begin=0):
+def run(task, *images, memory=None, begin=0, kept=False):
     """Return what the rules make of images, one each cycle, the first in one of them."""
     rules, found = Feeder(task, RIG), None
     for k, seen in enumerate(images):
-        memory, found = rules.assess(memory, situation(seen, (begin + k) * T))
+        now = replace(situation(seen, (begin + k) * T), kept=kept)
+        memory, found = rules.assess(memory, now)
     return memory, found
 
 
@@ -175,7 +176,7 @@ def test_parts_that_are_gone_are_counted_by_the_side_where_they_were(name, place
     assert (memory.report.discharged, memory.report.lost) == (discharged, lost)
     memory, _ = run(replace(TASK, order=FeedOrder(FeedMode.REST)), *4 * [before])
     hidden = replace(TASK, order=FeedOrder(FeedMode.REST, hidden=True))
-    memory, _ = run(hidden, after, after, memory=memory, begin=4)  # behind a robot
+    memory, _ = run(hidden, after, after, memory=memory, begin=4, kept=True)  # behind a robot
     assert (memory.report.discharged, memory.report.lost) == (0, 0)
     back = parts(**LONE, **{name.replace("9", "17"): (place[0], place[1] + 0.002)})
     assert run(TASK, back, memory=memory, begin=6)[0].report.lost == 0, "under another name"
@@ -260,7 +261,9 @@ def test_what_a_robot_hides_is_where_it_was_and_comes_back_under_any_name():
     assert state.memory.report.lost == 0
 
 
-def test_a_part_that_the_robot_took_beside_the_chute_is_not_lost():
+@pytest.mark.parametrize("late", [False, True], ids=["before", "after"])
+def test_a_part_that_the_robot_took_beside_the_chute_is_not_lost(late):
+    """Whether orders come before an image or, with a camera that runs free, after it."""
     wide = replace(TASK, picks=(replace(TASK.picks[0], low=(-0.28, -0.1)),))
     feed = Planner(RIG, replace(SCENARIO, task=wide))
     state = feed.start(feed.initial())
@@ -268,13 +271,18 @@ def test_a_part_that_the_robot_took_beside_the_chute_is_not_lost():
     for order, seen, count in (
         (FeedOrder(), before, 3),
         (FeedOrder(FeedMode.REST), before, 3),
-        (FeedOrder(FeedMode.REST, hidden=True), after, 5),
+        (FeedOrder(FeedMode.REST, hidden=True), before, 2),
+        (FeedOrder(FeedMode.REST, hidden=True), after, 3),
         (FeedOrder(), after, 8),
     ):
-        t = state.estimator.stamp if np.isfinite(state.estimator.stamp) else 0.0
-        if state.task.began is not None:
-            feed = feed.order(state, order)
-        for k in range(count):
-            state, *_ = feed.plan(state, seen, t + (k + 1) * T)
+        for _ in range(count):
+            t = state.estimator.stamp + T if np.isfinite(state.estimator.stamp) else 0.0
+            begun = state.task.began is not None
+            if begun and not late:
+                feed = feed.order(state, order)
+            state = feed.see(state, seen, t)
+            if begun and late:
+                feed = feed.order(state, order)
+            state, *_ = feed.answer(state)
     assert (state.memory.report.lost, state.memory.report.discharged) == (0, 0)
     assert state.memory.report.seen == {"black": 3}

@@ -177,7 +177,7 @@ class Feeder(TaskRules):
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
             if name in now.seen.ids or name in memory.place
         }
-        if self.keeps_last(memory):  # what the robot takes is not lost
+        if now.kept:  # what the robot takes is not lost
             taken = memory.report.ready.ids
             place = {name: at for name, at in memory.place.items() if name not in taken}
         ready, asked = len(report.ready), sum(pick.ready for pick in self._picks)
@@ -222,14 +222,14 @@ class Feeder(TaskRules):
         for pick in self._picks:
             ready |= ready_parts(every, pick, self.task.clearance_m, self.rig, gap)
         at_rest = now.taken >= rest_from + SETTLE_S
-        if at_rest and not self.keeps_last(memory):
+        if at_rest and not now.kept:
             last = [memory.place.get(name, (np.inf, np.inf)) for name in every.ids]
             moved = np.hypot(*(every.position - np.reshape(last, (-1, 2))).T)
             ready &= moved <= STILL_M
         ready &= here
         discharged, lost = before.discharged, before.lost
         new = every.take([i for i, name in enumerate(every.ids) if name not in memory.place])
-        for name, place in () if self.keeps_last(memory) else memory.place.items():
+        for name, place in () if now.kept else memory.place.items():
             if name not in every.ids and not _is_among(new, name, place):
                 side = self._left_over(name, np.array(place))
                 meant = side == self._chute and not self._is_wanted(name)

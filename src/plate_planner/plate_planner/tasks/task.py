@@ -120,6 +120,8 @@ class Situation:
         Parts on the plate as the last image shows them.
     taken : float
         When that was taken [s].
+    kept : bool
+        Whether that image did not count: see `TaskRules.keeps_last`.
     """
 
     parts: Parts
@@ -134,6 +136,7 @@ class Situation:
     active: bool
     seen: Parts
     taken: float
+    kept: bool = False
 
 
 @dataclass(frozen=True)
