@@ -74,10 +74,12 @@ class World:
         return Parts.make(names, place)
 
 
-def estimated(world, cycles, latency=0.0, given=0.0, edit=lambda k, parts: parts):
-    """Yield the estimator after every image, and the truth at its stamp."""
+def estimated(world, cycles, latency=0.0, given=0.0, edit=lambda k, parts: parts, told=False):
+    """Yield the estimator after every image, and the truth at its stamp; `told` of starts."""
     estimator, cycle = Estimator.of(RIG, T, given), PlateCycle.rest(T)
     for k in range(cycles):
+        if told:
+            estimator = estimator.started(cycle, k * T, triggered=True)
         estimator = estimator.update(edit(k, world.seen(latency)), k * T)
         parts = estimator.parts
         axes, most = np.tile(np.eye(2), (len(parts), 1, 1)), np.full(len(parts), 0.1)
@@ -102,10 +104,13 @@ def test_it_finds_friction_and_the_place_at_the_stamp(age):
     assert estimator.parts.friction_limit == pytest.approx(friction * ACCEL * MASS, rel=0.04)
 
 
-@pytest.mark.parametrize("age", [0.0, 0.013, 0.1])
-def test_it_finds_out_how_old_images_are(age):
+@pytest.mark.parametrize(
+    ("age", "told"), [(0.0, False), (0.013, False), (0.1, False), (0.05, True), (0.1, True)]
+)
+def test_it_finds_out_how_old_images_are(age, told):
+    """Also where their stamps are those of cycles' starts, as a trigger's are."""
     errors = []
-    for estimator, truth in estimated(World(4, 1.1), 32, age, given=None):
+    for estimator, truth in estimated(World(4, 1.1), 32, age, given=None, told=told):
         errors.append(np.abs(estimator.parts.position - truth).max())
     assert estimator.latency.latency == pytest.approx(age, abs=1e-3)
     assert np.median(errors[24:]) < 0.1e-3

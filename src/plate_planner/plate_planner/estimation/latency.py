@@ -97,6 +97,9 @@ class LatencyHypotheses:
     misfit : float
         Mean square of what the best one has predicted wrongly, over its variance; 1 is usual.
     jitter : Jitter
+    trusting : bool
+        Whether an image that is stamped when a cycle starts is taken to be not old (`none_old`):
+        until the motion shows that it is.
     """
 
     latencies: np.ndarray
@@ -106,13 +109,15 @@ class LatencyHypotheses:
     images: int = 0
     misfit: float = 1.0
     jitter: Jitter = field(default_factory=Jitter)
+    trusting: bool = False
 
     @classmethod
     def of(cls, latency: float | None) -> LatencyHypotheses:
         """Return the hypotheses at the start: one latency [s], or several if it is unknown."""
         tried = COARSE_S * (STEPS - STEPS[0]) if latency is None else np.array([latency])
         nothing = StateEstimate.nothing(len(tried))
-        return cls(tried, nothing, log_likelihood=np.zeros(len(tried)))
+        blank = np.zeros(len(tried))
+        return cls(tried, nothing, log_likelihood=blank, trusting=latency is None)
 
     @property
     def latency(self) -> float:
@@ -156,10 +161,13 @@ class LatencyHypotheses:
             misfit=self.misfit + (float(fit.square[self.best]) - self.misfit) / MISFIT_IMAGES,
             jitter=self._jitter(fit),
         )
-        if len(self.latencies) == 1:
+        if len(self.latencies) == 1 and not self.trusting:
             return seen
         if self.found and seen.misfit > MISFIT:
-            return replace(LatencyHypotheses.of(None), jitter=self.jitter)
+            anew = replace(LatencyHypotheses.of(None), jitter=self.jitter, trusting=False)
+            return anew.update(log, parts, t, unsure, delay, friction_accel, most, friction)
+        if len(self.latencies) == 1:
+            return seen
         likely = seen.log_likelihood
         # Images at the starts of cycles tell little of it: what was believed for long is kept.
         better = BETTER if log.reported else BETTER * max(seen.images / SOON_IMAGES, 1.0)
@@ -177,11 +185,11 @@ class LatencyHypotheses:
         return replace(seen, best=best)
 
     def none_old(self, log: CycleLog, friction_accel: float) -> LatencyHypotheses:
-        """Return what is known if images are taken at their stamps."""
-        if len(self.latencies) == 1:
+        """Return what is known if images are taken at their stamps, as it seems."""
+        if len(self.latencies) == 1 or not self.trusting:
             return self
         estimate = self.estimate.of([0]).moved(log, self.latencies[:1], friction_accel)
-        return replace(self.of(0.0), estimate=estimate, jitter=self.jitter)
+        return replace(self.of(0.0), estimate=estimate, jitter=self.jitter, trusting=True)
 
     def _jitter(self, fit: Fit) -> Jitter:
         """Return the jitter after an image; as long as the latency is wrong it tells nothing."""
@@ -199,4 +207,7 @@ class LatencyHypotheses:
         estimate = self.estimate.of(older)
         estimate = estimate.moved(log, self.latencies[older] - latencies, friction_accel)
         nearest = int(np.argmin(np.abs(latencies - self.latencies[best])))
-        return LatencyHypotheses(latencies, estimate, nearest, jitter=self.jitter)
+        return replace(
+            self.of(None), latencies=latencies, estimate=estimate, best=nearest,
+            jitter=self.jitter, trusting=self.trusting,
+        )  # fmt: skip
