@@ -12,7 +12,13 @@ setup(
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
     package_data={
-        NAME: ["py.typed", "firmware/*.[ch]", "firmware/drives/*", "firmware/boards/linux/*"]
+        NAME: [
+            "py.typed",
+            "firmware/*.[ch]",
+            "firmware/drives/*",
+            "firmware/host/*",
+            "firmware/boards/linux/*",
+        ]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
