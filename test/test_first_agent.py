@@ -1,4 +1,4 @@
-"""The notebook docs/first_agent.ipynb runs, and its agent does what it is told to."""
+"""The notebook docs/first_agent.ipynb runs, and its agent does its task."""
 
 import json
 import re

@@ -21,7 +21,7 @@ FAST_MPS = 0.1
 
 
 def features(seen: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return what the network is told (4 M,) of parts (M, 6) as `parts` has them: places as shares
+    """Return what the network sees (4 M,) of parts (M, 6) as `parts` has them: places as shares
     of the plate's half sides (2,) [m], and drifts."""
     there = np.hstack([seen[:, :2] / half, np.clip(seen[:, 2:4] / FAST_MPS, -3, 3)])
     return there.astype(np.float32).ravel()

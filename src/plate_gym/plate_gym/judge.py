@@ -148,7 +148,7 @@ class Judge:
         return Followed(follow, time, memory.square_m2 + error**2)
 
     def told(self, memory: Memory) -> dict[str, np.ndarray]:
-        """Return what an agent is told of the references on paths: `path_s`, `pace`."""
+        """Return what an agent learns of the references on paths: `path_s`, `pace`."""
         if not isinstance(memory, Followed):
             return {}
         follow = memory.memory
