@@ -12,9 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from plate_gym import TASKS
-from plate_gym.bench import ranges, validate
-
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, RESULTS = ROOT / "docs/guide/leaderboard.md", ROOT / "benchmarks"
 
@@ -37,6 +34,9 @@ def tables(folder: Path) -> str:
     PlateError
         If a file is no result.
     """
+    from plate_gym import TASKS  # needs gymnasium: --help does not
+    from plate_gym.bench import validate
+
     results = {path.name: json.loads(path.read_text("utf-8")) for path in folder.glob("*.json")}
     for result in results.values():
         validate(result)
@@ -58,6 +58,8 @@ def tables(folder: Path) -> str:
 
 def row(file: str, agent: str, found: dict[str, Any]) -> tuple[float, float, str]:
     """Return the row of an agent's result, behind what rows are ordered by."""
+    from plate_gym.bench import ranges
+
     low, high = (100 * share for share in found["success_interval"])
     share, took = 100 * found["success"], found.get("time_s", np.inf)
     cells = [
