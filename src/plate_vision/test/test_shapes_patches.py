@@ -238,3 +238,15 @@ def test_wrong_images_are_refused(image, message):
 def test_wrong_pictures_of_the_plate_are_refused():
     with pytest.raises(ImageError, match=r"images: shape is .* allowed: \(n, H, W\)"):
         learn_plate(np.zeros((10, 20), np.uint8))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gap_that_four_bars_enclose_is_no_part(seed):
+    """It had come out as a patch of single pixels, without a rim, and the detector ended."""
+    around = [(116, 96, 1.93), (137, 88, 2.43), (144, 107, 1.19), (127, 114, 0.44)]
+    apart = [(30 + 60 * k, y, 0.5 * k) for k in range(4) for y in (40, 160)]
+    move = np.random.default_rng(seed).uniform(-0.5, 0.5, 2)
+    bars = [box(*(at + move), 23.3, 12, turn) for *at, turn in [*around, *apart]]
+    image = picture([(bar, BLUE) for bar in bars], seed=seed)
+    areas = [patch.area_px2 for patch in find_patches(image, model_background(image))]
+    assert areas == pytest.approx(12 * [280], rel=0.25)

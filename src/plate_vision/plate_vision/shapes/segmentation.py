@@ -292,10 +292,12 @@ def _patch(
     x0, y0 = max(left - 1, 0), max(top - 1, 0)
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
-    framed = cv2.copyMakeBorder(inside, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    mask = (inside > 0) & ~window.holes[here]
+    # What is cut off around a hole is no part: others enclose it.
+    body = inside if piece.alone else mask.astype(np.uint8)
+    framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < LEAST_DEPTH_PX:
         return None
-    mask = (inside > 0) & ~window.holes[here]
     # Pixels of the rim that are less than half part belong to it if it is next to them.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
