@@ -134,12 +134,16 @@ def test_what_nobody_wants_goes_to_the_chute():
     waiting = parts(black_4=(-0.1, 0.05), grey_1=(-0.2, 0.0), grey_2=(-0.1, 0.0))
     _, found = run(TASK, waiting)
     asked = found.request.targets
-    assert np.all(asked.weight[1:] == 0), "not while others are still to come"
+    assert np.all(asked.weight[0] > 0), "others get ready meanwhile"
+    assert np.all(asked.weight[1] > asked.weight[2]) and np.all(asked.weight[2] > 0)
+    _, found = run(replace(TASK, chute=None), waiting)
+    asked = found.request.targets
+    assert np.all(asked.weight[1:] == 0)
     assert np.all(asked.low[1:] <= -RIG.plate.half), "anywhere, not where they are: the edge counts"
     assert np.all(asked.high[1:] >= RIG.plate.half)
     many = parts(black_4=(-0.1, 0.05), **{f"grey_{k}": (-0.2, 0.03 * k - 0.1) for k in range(5)})
     _, found = run(TASK, many)
-    assert np.all(found.request.targets.weight[1:] > 0), "unless there are many"
+    assert np.all(found.request.targets.weight[1:] > 0)
     beside = {f"grey_{k}": (-0.29, 0.03 * k - 0.1) for k in range(5)}
     _, found = run(TASK, parts(black_4=(-0.1, 0.05), black_5=(-0.285, 0.09), **beside))
     asked = found.request.targets

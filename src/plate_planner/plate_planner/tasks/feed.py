@@ -50,12 +50,12 @@ STOCK = 0.03
 """What a metre to the window counts for parts that are not needed yet, beside others [-]."""
 
 MANY_UNWANTED = 5
-"""When so many parts lie there that nobody wants, all of them go to the chute: meanwhile others get
-on slowly."""
+"""When so many parts lie there that nobody wants, all of them go to the chute, also while enough
+others are ready."""
 
-CLEARED, UNWANTED = 6.0, 0.3
-"""What a metre to the chute counts for the part that is nearest to it, and for others that nobody
-wants, beside a metre that others have to go [-]."""
+PURGED, UNWANTED = 6.0, 0.3
+"""What a metre to the chute counts for the part that is nearest to it, in a purge, and for others
+that nobody wants, while others are fed; beside a metre that others have to go [-]."""
 
 KEPT_BACK = 12.0
 """The same for parts that are wanted and lie as near to the chute as parts that leave over it: else
@@ -290,7 +290,7 @@ class Feeder(TaskRules):
         for row, pick in enumerate(() if purging else self._picks):
             mine = self._aim(aims, parts, pick, near[row])
             missing = pick.ready - int(np.sum(near[row]))
-            if missing > 0 and not clearing:
+            if missing > 0:
                 cost = aims.left + np.maximum(self._keep - gap, 0)
                 cost -= CHANGE_M * np.array([name in memory.chosen for name in parts.ids], float)
                 cost[~mine | near[row]] = np.inf
@@ -300,8 +300,9 @@ class Feeder(TaskRules):
                 chosen += [parts.ids[k] for k in best]
         if not chosen and not clearing:
             return None, ()
-        if clearing:
-            self._aim_at_chute(aims, parts)
+        unwanted = np.flatnonzero([not self._is_wanted(name) for name in parts.ids])
+        if self._chute is not None and len(unwanted):
+            self._aim_at_chute(aims, unwanted)
         return DriftRequest.towards(parts.position, aims.targets(self._keep)), tuple(chosen)
 
     @property
@@ -326,9 +327,9 @@ class Feeder(TaskRules):
             aims.slack[near] = KEPT * pick.tolerance_rad
         return mine
 
-    def _aim_at_chute(self, aims: Aims, parts: Parts) -> None:
-        """Have parts that nobody wants go over the chute's edge, the one that is nearest first."""
-        unwanted = np.flatnonzero([not self._is_wanted(name) for name in parts.ids])
+    def _aim_at_chute(self, aims: Aims, unwanted: np.ndarray) -> None:
+        """Have parts (n,) that nobody wants go over the chute's edge, the one that is nearest
+        first."""
         out, half = np.array(self._chute, float), self.rig.plate.half
         for axis in np.flatnonzero(out):
             ends = out[axis] * (half[axis] + np.array([BEYOND_M, FAR_M]))
@@ -337,8 +338,9 @@ class Feeder(TaskRules):
             near[unwanted] = False
             aims.weight[near], aims.full[near] = KEPT_BACK, True
         first = unwanted[np.argmin(aims.left[unwanted])]
-        aims.weight[unwanted] = 1.0 if self._mode is FeedMode.PURGE else UNWANTED
-        aims.weight[first], aims.full[first] = CLEARED, True
+        purging = self._mode is FeedMode.PURGE
+        aims.weight[unwanted] = 1.0 if purging else UNWANTED
+        aims.weight[first], aims.full[first] = PURGED if purging else 1.0, True
 
 
 @dataclass
