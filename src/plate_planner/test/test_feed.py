@@ -135,7 +135,8 @@ def test_what_nobody_wants_goes_to_the_chute():
     _, found = run(TASK, waiting)
     asked = found.request.targets
     assert np.all(asked.weight[0] > 0), "others get ready meanwhile"
-    assert np.all(asked.weight[1] > asked.weight[2]) and np.all(asked.weight[2] > 0)
+    assert np.all(asked.weight[1] > asked.weight[2])
+    assert np.all(asked.weight[2] > 0)
     _, found = run(replace(TASK, chute=None), waiting)
     asked = found.request.targets
     assert np.all(asked.weight[1:] == 0)
