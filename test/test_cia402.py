@@ -513,6 +513,25 @@ def test_where_home_may_be_lost_it_takes_a_person_to_say_where_it_is(bench, trou
     assert told == [*places[:3], 0]
 
 
+@pytest.mark.parametrize("ms", [500, 1500, 2100])  # before we reset it, after that, after twice
+def test_a_drive_that_had_no_power_counts_from_elsewhere(bench, ms):
+    """Also if it begins at the very number that it had: it counts from where it then is."""
+    ready(bench)
+    drive = bench.drives[1]
+    drive.deaf = True
+    drive.nmt.stop_heartbeat()
+    drive.enter("switch on disabled")
+    live(bench, ms)
+    drive.boot()
+    live(bench, 400)
+    assert said_by(bench, DriveTrouble)[-1].motor in (0, 2)
+    assert Fault.NO_HOME in Fault(bench.faults)
+    live(bench, 1200)
+    enable(bench, 400)
+    assert bench.state == State.OFF
+    assert [each.enables for each in bench.drives] == [1] * 4
+
+
 @pytest.mark.parametrize("place", [2**31 - 5000, -(2**31) + 5000])
 def test_counts_that_end_within_the_stroke_are_refused(bench, place):
     bench.drives[2].position = float(place)

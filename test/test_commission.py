@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from plate_core import load_rig
+from plate_core import PlateError, load_rig
 from plate_core.rig import rig_path
 from plate_drives.commission import commission, main
 from plate_drives.master import Master
@@ -348,6 +348,39 @@ def test_a_jammed_motor_is_let_go(bench, rig_file, capsys, monkeypatch):
     assert bench.run(rig_file) == 1
     assert "error: motor_2: does not follow: 0.2" in capsys.readouterr().out
     assert all_off(bench)
+    assert "quick stop" not in bench.drives[1].history  # it would not follow that either
+
+
+def test_a_motor_that_does_not_move_is_said(bench, rig_file, capsys):
+    """Though that is less than following_error_m."""
+    bench.drives[0].jammed = True
+    bench.only(1)
+    assert bench.run(rig_file) == 1
+    said = capsys.readouterr().out
+    assert "error: motor_1: told 0.5 mm, by its own counts it moved +0.000 mm: does it" in said
+    assert all_off(bench)
+
+
+def test_while_a_drive_keeps_its_current_no_other_one_gets_any(bench, rig_file, capsys):
+    def keep(drive):
+        drive.keeps, drive.boot = True, lambda: None
+
+    bench.moving(keep)
+    assert bench.run(rig_file) == 1
+    said = capsys.readouterr().out
+    assert "error: motor_1: the drive keeps its current" in said
+    assert said.count("error: motor_1: the drive has current") == 3  # of the others' turns
+    assert [drive.enables for drive in bench.drives] == [1, 0, 0, 0]
+
+
+def test_serial_numbers_that_are_no_numbers_are_left_out(bench, rig_file):
+    """All of a maker's drives may tell the same."""
+    before = load_rig(rig_file).motors[1].drive
+    for drive in bench.drives:
+        put(drive, 0x1018, 4, 1)
+    bench.truth[2] = (2, 1e6)
+    assert bench.run(rig_file) == 0
+    assert load_rig(rig_file).motors[1].drive == replace(before, sign=1)
 
 
 def test_a_scale_that_is_far_too_great_ends_it_in_time(bench, rig_file, capsys):
@@ -379,6 +412,15 @@ def test_who_is_gone_is_missed_by_the_drive(bench, rig_file, capsys):
     assert bench.run(rig_file) == 1
     assert bench.drives[0].history[-1] == "quick stop"  # by itself
     assert "motor_1 may have current" in capsys.readouterr().out
+
+
+def test_a_drive_that_cannot_end_its_quick_stop_lets_go_at_once(bench, rig_file):
+    bench.drives[0].refuses = (0x605A, 0)
+    bench.only(1)
+    bench.moving(lambda drive: setattr(bench, "cut", True))
+    assert bench.run(rig_file) == 1
+    assert bench.drives[0].enables == 1
+    assert bench.drives[0].history[-1] == "switch on disabled"  # by itself
 
 
 def test_nobody_holds_a_motor_for_ever(bench, rig_file, capsys, monkeypatch):
@@ -455,6 +497,41 @@ def test_what_cannot_begin_is_said(capsys, monkeypatch, words, text):
         main()
     assert end.value.code == 2
     assert f"error: {text}" in capsys.readouterr().err
+
+
+def test_an_adapter_that_is_pulled_out_is_said(capsys, monkeypatch):
+    class Gone:
+        def send(self, *_, **__):
+            raise OSError("no such device")
+
+        shutdown = send
+
+    monkeypatch.setattr("plate_drives.commission.open_bus", lambda *_: Gone())
+    monkeypatch.setattr(sys, "argv", ["commission", "linear_motors"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert "error: the CAN bus takes no frame (no such device)" in capsys.readouterr().err
+
+
+def test_lost_arbitration_is_no_error_of_the_bus():
+    import can
+
+    def error(bits):
+        return can.Message(arbitration_id=bits, is_error_frame=True, is_extended_id=False)
+
+    class Bus:
+        beat = can.Message(arbitration_id=0x701, data=b"\x05", is_extended_id=False)
+        frames = (error(0x002), beat, error(0x004))
+
+        def recv(self, _):
+            frame, *self.frames = self.frames
+            return frame
+
+    heard = Master(Bus()).heard(float("inf"))
+    assert next(heard) == (0x701, b"\x05")
+    with pytest.raises(PlateError, match="error on the CAN bus"):
+        next(heard)
 
 
 def test_without_python_can_it_says_so(capsys, monkeypatch):

@@ -2,6 +2,7 @@
 bus in memory."""
 
 import contextlib
+import errno
 import fcntl
 import os
 import select
@@ -21,7 +22,14 @@ from plate_core.driver_status import DriverReason
 from plate_core.rig import Drive as RigDrive
 from plate_driver.transports import Condition, TransportContext
 from plate_drives.lateness import main
-from plate_drives.socketcan import HostPort, HostTransport, build, make
+from plate_drives.socketcan import (
+    HostPort,
+    HostTransport,
+    build,
+    make,
+    open_can,
+    program_of,
+)
 from plate_sim.device import DeviceLimits, c_header
 
 pytestmark = pytest.mark.needs("can", "canopen")
@@ -203,6 +211,14 @@ def test_a_host_that_falls_silent_is_missed(bench):
     assert abs(bench.targets(1)[1][-1]) < 1e-5  # braked along its path, and home
 
 
+def test_an_enable_that_came_while_the_process_stood_still_is_not_carried_out(bench):
+    bench.transport.open()
+    bench.run(400)
+    assert not bench.transport.enable().failure
+    bench.run(200, late=1000, polls=False)
+    assert [drive.enables for drive in bench.drives] == [0] * 4
+
+
 def test_a_process_leads_a_bus_alone_and_ends_with_the_drives_off(bench):
     bench.ready()
     bench.transport.send(shaking(0.004), 20)
@@ -242,6 +258,72 @@ def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
     (tmp_path / "cc").chmod(0o755)
     with pytest.raises(PlateError, match="the firmware cannot be compiled: broken"):
         build("", "odrive", tmp_path / "out", "boards/linux/board.c")
+
+
+def test_an_interface_that_is_pulled_out_ends_the_process_and_is_waited_for(bench):
+    bench.ready()
+    bench.frames.close()
+    os.write(bench.ticks, struct.pack("=Q", 1))
+    assert bench.ports[0]._process.wait(10) == 1
+    for _ in range(2):  # what it has said before, and its end
+        bench.transport.poll()
+    report = bench.transport.report()
+    assert (report.condition, report.reason) == (Condition.GONE, DriverReason.PORT)
+    for _ in range(1000):
+        bench.network.pass_ms()
+        for drive in bench.drives:
+            drive.pass_ms()
+        while bench.bus.recv(0):
+            pass
+    assert "enabled" not in {drive.state for drive in bench.drives}  # they miss us
+    bench.transport.poll()  # it is there again
+    bench.run(300)
+    report = bench.transport.report()
+    assert (report.condition, report.reason) == (Condition.OFF, DriverReason.DEVICE_RESET)
+
+
+def test_a_drive_that_keeps_its_current_is_reset_before_the_process_ends(bench):
+    bench.ready()
+    bench.drives[1].keeps = True
+    bench.transport.close()
+    bench.run(1500, polls=False)
+    assert bench.ports[0]._process.wait(10) == 0
+    assert bench.off()
+    assert (0, bytes([0x81, 2])) in [(identifier, data) for _, identifier, data in bench.sent]
+
+
+def test_an_interface_that_is_down_says_so(monkeypatch):
+    class Down:
+        """As a raw socket that is bound to it."""
+
+        def __init__(self, *_):
+            pass
+
+        def bind(self, _):
+            pass
+
+        def getsockopt(self, *_):
+            return errno.ENETDOWN
+
+    monkeypatch.setattr(socket, "socket", Down)
+    with pytest.raises(PlateError, match=r"can0 does not open .*Network is down"):
+        open_can("can0")
+
+
+def test_a_program_that_may_not_be_run_is_said(program, tmp_path):
+    copy = tmp_path / "plate"
+    copy.write_bytes(program.read_bytes())
+    near, far = socket.socketpair()
+    with near, pytest.raises(PlateError, match=r"does not start \(Permission denied\)"):
+        HostPort(copy, "nowhere", lambda _: far)
+
+
+def test_without_room_for_the_program_it_says_so(monkeypatch, tmp_path):
+    rig = load_rig("odrives")
+    rig = replace(rig, limits=replace(rig.limits, speed=0.123))  # one that was not built yet
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
+    with pytest.raises(PlateError, match=r"cannot be compiled: .*No such file"):
+        program_of(rig)
 
 
 def test_a_bus_that_is_not_there_is_waited_for(program):
@@ -289,6 +371,15 @@ def test_what_is_late_is_off_by_the_way_made_meanwhile():
         assert 0.95 < most / (RIG.limits.speed * late_s) < 1.001
         # The mean square of a delay that is even from 0 to `late_s` is a third of its square.
         assert rms == pytest.approx(RIG.limits.speed / np.sqrt(2) * late_s / np.sqrt(3), rel=0.12)
+
+
+def test_a_process_that_says_nothing_is_no_measurement(monkeypatch, capsys):
+    monkeypatch.setattr("plate_drives.lateness.program_of", lambda _: "/bin/false")
+    monkeypatch.setattr(sys, "argv", ["lateness", "linear_motors", "--seconds", "0.3"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert "the process has ended" in capsys.readouterr().err
 
 
 def test_how_late_it_is_can_be_asked(program, monkeypatch, capsys):

@@ -183,6 +183,8 @@ static void age(int m)
         axis->faults = 0;
     axis->lost = axis->lost && !is_up(axis);
     if (axis->stage == SILENT && axis->since >= BOOT_TICKS) {
+        if (axis->step) /* it has not answered: it may have no power */
+            lose_home(m);
         alarm(m, TROUBLE_SILENT, 0, 0, FAULT_HARDWARE);
         enter(axis, SILENT);
     } else if (axis->stage == SETUP && axis->asked && axis->since > ANSWER_TICKS)

@@ -9,7 +9,7 @@
 #define CYCLE_TICKS 2       /* 2 ms: at 1 Mbit/s four axes fill half of it */
 #define SILENT_TICKS 150    /* without a heartbeat */
 #define MISSED_CYCLES 3     /* on end without, or with twice, a position */
-#define ANSWER_TICKS 200    /* for what was asked in SETUP */
+#define ANSWER_TICKS 200    /* for what was asked in SETUP, and for the boot-up after our reset */
 #define BOOT_TICKS 1000     /* for an answer; also between two tries, and an alarm's length */
 #define START_TICKS 100     /* for a start; also until a drive that is up may be enabled */
 #define STARTS 10           /* tries */

@@ -164,7 +164,8 @@ static void heartbeat(int m, uint8_t state)
     Axis *axis = &axes[m];
     axis->unheard = 0;
     if (state == BOOT_UP) {
-        if (axis->stage != SILENT || axis->step == 0) /* it does not answer our own reset */
+        bool ours = axis->stage == SILENT && axis->step && axis->since <= ANSWER_TICKS;
+        if (!ours) /* it does not answer our own reset */
             lose_home(m);
         if (axis->stage == UP || axis->stage == STARTING)
             alarm(m, TROUBLE_RESET, 0, 0, FAULT_HARDWARE);

@@ -5,7 +5,7 @@
 
    CAN is a descriptor that carries a struct can_frame in each datagram. TICKS is one from which eight
    bytes are read, the number of ticks that have passed: a timerfd if there is none. It ends once its
-   input has ended and the motors are off. */
+   input has ended and the motors are off, or its interface is gone or down. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
@@ -30,13 +30,15 @@
 
 #define TICK_NS 1000000
 #define PRIORITY 50       /* of SCHED_FIFO, where the system allows it */
-#define LAST_TICKS 100u   /* for which it goes on without current, once its input has ended */
+#define LAST_TICKS 200u   /* for which it goes on without current, once its input has ended: time to
+                             break off a drive that keeps it */
+#define OLD_TICKS 250u    /* after a tick that is so late, what has come meanwhile is old */
 
 static int can, ticks;
 static uint64_t now_us;
 static uint32_t boot;
 static float late; /* [ticks] */
-static bool ended, off, written = true;
+static bool ended, off, gone, written = true;
 
 uint64_t hal_time_us(void) { return now_us; }
 uint32_t hal_boot(void) { return boot; }
@@ -64,6 +66,13 @@ float hal_load(void)
     return most;
 }
 
+/* Whether there still is an interface, by what reading or writing a frame has returned. Without one the
+   process ends, so that the host says so, and waits for it. */
+static void look(ssize_t size)
+{
+    gone = gone || size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR && errno != ENOBUFS);
+}
+
 bool can_read(CanFrame *frame)
 {
     struct can_frame came;
@@ -78,7 +87,7 @@ bool can_read(CanFrame *frame)
             return true;
         }
     }
-    off = off || (size < 0 && errno != EAGAIN && errno != EINTR);
+    look(size);
     return false;
 }
 
@@ -88,7 +97,7 @@ void can_write(const CanFrame *frame)
     if (frame->id & CAN_REMOTE)
         out.can_id |= CAN_RTR_FLAG;
     memcpy(out.data, frame->data, sizeof out.data);
-    (void)!write(can, &out, sizeof out); /* what does not fit is dropped */
+    look(write(can, &out, sizeof out)); /* what does not fit is dropped */
 }
 
 bool can_off(void)
@@ -109,6 +118,8 @@ static bool tick_passed(void)
     float own = (float)passed - (float)left.it_value.tv_nsec / TICK_NS;
     late = own > late ? own : late;
     now_us += passed * (TICK_NS / 1000);
+    for (uint8_t old[4096]; passed > OLD_TICKS && read(STDIN_FILENO, old, sizeof old) > 0;) {
+    } /* an Enable, above all */
     return true;
 }
 
@@ -135,7 +146,7 @@ int main(int argc, char **argv)
     boot = (uint32_t)time(NULL) ^ (uint32_t)getpid() << 16;
     drives_start(DRIVES, &LIMITS);
     controller_start(&controller, LIMITS);
-    while (rests < LAST_TICKS && tick_passed()) {
+    while (rests < LAST_TICKS && !gone && tick_passed()) {
         drives_begin();
         controller_tick(&controller);
         drives_end();

@@ -48,7 +48,6 @@ STEPS = (
 )  # fmt: skip
 """Object, subindex, value, bytes; as in firmware/drives/cia402.c, but for the times, and PDOs that
 nobody uses here. To values of 1400h:01 and 1800h:01 the number of the node is added."""
-OPTIONAL, NO_OBJECT = 0x605A, 0x06020000
 
 
 @contextlib.contextmanager
@@ -113,7 +112,7 @@ class Axis:
         self.position = self.start = self._target = 0
         self._status = self._missed = self._doubled = self._beat = 0
         self._due = self.late_s = 0.0
-        self._led = False
+        self._led = self._astray = False
 
     def __enter__(self) -> Axis:
         """Set it up, without current."""
@@ -125,11 +124,13 @@ class Axis:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
-        """Take the current away, after an error by the drive's quick stop."""
+        """Take the current away, after an error by the drive's quick stop; a drive that does not
+        follow would not follow its ramp either."""
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
             with contextlib.suppress(PlateError):  # of the bus: SDOs will tell
-                while error and enabled(self._status) and master.now < end:
+                brakes = error is not None and not self._astray
+                while brakes and enabled(self._status) and master.now < end:
                     self._exchange(QUICK_STOP)
             try:
                 switch_off(master, self._motor, self._node)
@@ -138,6 +139,11 @@ class Axis:
             except PlateError as more:
                 if error is None or isinstance(error, PlateError):
                     raise PlateError(f"{error}; {more}" if error else str(more)) from None
+
+    @property
+    def travel(self) -> float:
+        """How far it is from where it got current, by its own counts [m]."""
+        return (self.position - self.start) / self.scale
 
     def _command(self, order: int) -> None:
         self._master.send(NMT, bytes([order, self._node]))
@@ -151,9 +157,10 @@ class Axis:
             value += node if index in (0x1400, 0x1800) and sub == 1 else 0
             try:
                 master.write(node, index, sub, value, size)
-            except Refused as error:
-                if (index, error.code) != (OPTIONAL, NO_OBJECT):
+            except Refused:
+                if index != 0x605A:
                     raise
+                master.write(node, 0x6007, 0, 2, 2)  # or else without current at once
         mode = master.read(node, 0x6061, signed=True)
         if mode != 8:
             raise PlateError(words(self._motor, Trouble.WRONG_DRIVE, 0x6061, mode))
@@ -205,7 +212,8 @@ class Axis:
                 raise PlateError(words(self._motor, kind, index, code))
         if self._master.rival:
             raise PlateError(words(0, Trouble.OTHER_MASTER))
-        if self._led and astray > self._allowed:
+        self._astray = self._led and astray > self._allowed
+        if self._astray:
             raise PlateError(
                 f"motor_{self._motor}: does not follow: {1e3 * astray:.2g} mm from its setpoint, "
                 f"allowed: {1e3 * self._allowed:g}"

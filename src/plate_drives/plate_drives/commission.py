@@ -21,7 +21,7 @@ from plate_core.rig import Drive, Limits, rig_path
 from .axis import CYCLE_MS, Axis, switch_off, uninterrupted
 from .master import Master, open_bus
 from .rig_file import differences, write
-from .survey import Found, doubts, drives_of, survey
+from .survey import Found, doubts, drives_of, enabled, survey
 
 __all__ = ["Ask", "ask", "commission", "main"]
 
@@ -108,6 +108,7 @@ class Dialogue:
         scale = drive.sign * drive.counts_per_m
         by_speed, by_accel = 1.9 * size / limits.speed, np.sqrt(5.8 * size / limits.accel / SHARE)
         seconds = max(MOVE_S, by_speed / SHARE, by_accel)
+        self._check_off()
         with Axis(self._master, number, drive.node, scale, limits) as axis:
             axis.enable(size, ends if ends[0] < ends[1] else (-(2**31), 2**31 - 1))
             before = 0.0
@@ -117,12 +118,17 @@ class Dialogue:
                     raise PlateError(f"counts_per_m is {drive.counts_per_m:g}: is it too great?")
                 axis.follow(_move(size * before, size * part, seconds), seconds)
                 before = part
+            if axis.travel < size / 2:
+                raise PlateError(
+                    f"motor_{number}: told {1e3 * size:g} mm, by its own counts it moved "
+                    f"{1e3 * axis.travel:+.3f} mm: does it follow? Or counts_per_m is too small"
+                )
             answer = self.ask(f"Which motor moved, 1 to 4? Enter for {number}:", axis)
             if answer not in ("", "1", "2", "3", "4"):
                 raise PlateError(f"motor is {answer!r}, allowed: 1 to 4")
             motor = self._rig.motors[int(answer or number) - 1]
             way = "({:g}, {:g})".format(*motor.direction)
-            told = 1e3 * (axis.position - axis.start) / scale
+            told = 1e3 * axis.travel
             answer = self.ask(
                 f"By its own counts it moved {told:+.3f} mm. How far did you see, in mm, + along "
                 f"{way}, - against it? Enter for the same:", axis,
@@ -142,8 +148,20 @@ class Dialogue:
             raise PlateError("home is absolute and beyond stroke_m, allowed: here; or set its zero")
         return motor.name, replace(
             drive, counts_per_m=abs(axis.scale), sign=1 if axis.scale > 0 else -1,
-            absolute=home == "absolute", serial=values.get("serial", 0),
+            absolute=home == "absolute", serial=self._serial(drive),
         )  # fmt: skip
+
+    def _check_off(self) -> None:
+        """Refuse to give a motor current while another one has kept its own."""
+        for number, drive in enumerate(drives_of(self._rig), 1):
+            if enabled(self._master.read(drive.node, 0x6041)):
+                raise PlateError(f"motor_{number}: the drive has current, allowed: none has any")
+
+    def _serial(self, drive: Drive) -> int:
+        """Return a drive's serial number; where several tell the same, that of the rig file."""
+        told = [one.values.get("serial", 0) for one in self._found.values()]
+        own = self._found[drive.node].values.get("serial", 0)
+        return own if told.count(own) == 1 else drive.serial
 
     def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
         """Follow a sine within the limits, and tell how well."""
@@ -220,7 +238,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
         print("nothing is written")
         return 1
     write(path, new)
-    print(f"written: {path}")
+    print(f"written: {path}; a board is to be built and flashed with it anew")
     return int(not well)
 
 
@@ -257,11 +275,11 @@ def main() -> None:
     try:
         path = rig_path(args.rig)
         drives_of(load_rig(path))  # before a bus is opened
-        bus = open_bus(args.bus, args.channel, args.bitrate)
+        master = Master(open_bus(args.bus, args.channel, args.bitrate))
         try:
-            code = commission(path, Master(bus), args.check)
+            code = commission(path, master, args.check)
         finally:
-            bus.shutdown()
+            master.close()
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         code = 2

@@ -6,6 +6,8 @@ No bus is needed, and nothing moves. Needs no ROS: `python -m plate_drives.laten
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 import socket
 import sys
 import time
@@ -22,15 +24,17 @@ POLL_S = 0.002
 
 
 def measured(transport: HostTransport, seconds: float) -> np.ndarray:
-    """Return the greatest lateness in each 10 ms of so many seconds [ms]."""
-    late = [float("inf")]  # until it has said something
+    """Return the greatest lateness in each 10 ms of so many seconds, or until Ctrl-C [ms]; infinite
+    if the process has said nothing."""
+    late: list[float] = []
     end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if transport.poll():
-            late.append(transport.load)
-            transport.values()  # which begins anew
-        time.sleep(POLL_S)
-    return np.array(late[1:] or late)
+    with contextlib.suppress(KeyboardInterrupt):
+        while time.monotonic() < end:
+            if transport.poll():
+                late.append(transport.load)
+                transport.values()  # which begins anew
+            time.sleep(POLL_S)
+    return np.array(late or [np.inf])
 
 
 def main() -> None:
@@ -50,13 +54,19 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)  # nobody answers there
-    with near:
+    with near, far:
         transport = HostTransport(
-            lambda: HostPort(program, "nowhere", lambda _: far), rig.limits, time.monotonic, 1
+            lambda: HostPort(program, f"nowhere {os.getpid()}", lambda _: far.dup()),
+            rig.limits,
+            time.monotonic,
+            1,
         )
         transport.open()
-        late = measured(transport, args.seconds)
+        late, why = measured(transport, args.seconds), transport.report().text
         transport.close()
+    if np.isinf(late).any():
+        print(f"error: {why}", file=sys.stderr)
+        sys.exit(2)
     print(
         f"setpoints late, greatest in each 10 ms: median {np.median(late):.2f} ms, 99 in 100 below "
         f"{np.percentile(late, 99):.2f} ms, at most {late.max():.2f} ms; allowed: "

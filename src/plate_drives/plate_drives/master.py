@@ -4,6 +4,7 @@ CANopen (CiA 301). One thread: time passes, and frames are taken, in `Master.wai
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -18,6 +19,9 @@ OWN_NODE = 127
 NODES = range(1, OWN_NODE)
 NMT, SYNC, EMERGENCY, TPDO, RPDO = 0x000, 0x080, 0x080, 0x180, 0x200
 ANSWER, REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
+
+LOST_ARBITRATION = 0x002
+"""Identifier of an error frame by which some adapters tell that another node went first."""
 
 ANSWER_S = 0.3
 """Longest wait for a node's answer [s]."""
@@ -107,11 +111,21 @@ class Master:
             except (can.CanError, OSError) as error:
                 raise PlateError(f"the CAN bus is gone ({error})") from None
             if message is not None and message.is_error_frame:
-                raise PlateError("error on the CAN bus: look at wires, termination and bit rate")
-            if message is not None and not (message.is_extended_id or message.is_remote_frame):
+                if message.arbitration_id != LOST_ARBITRATION:
+                    raise PlateError(
+                        "error on the CAN bus: look at wires, termination and bit rate"
+                    )
+            elif message is not None and not (message.is_extended_id or message.is_remote_frame):
                 yield message.arbitration_id, bytes(message.data)
             if self.now >= until:
                 return
+
+    def close(self) -> None:
+        """Let go of the bus, also of one that is gone."""
+        import can
+
+        with contextlib.suppress(can.CanError, OSError):
+            self._bus.shutdown()
 
     def wait(self, seconds: float, done: Callable[[], object] = lambda: False) -> None:
         """Let so much time pass [s], or until something is so."""

@@ -30,7 +30,7 @@ from plate_driver.transports import (
 )
 from plate_sim.device import DeviceLimits, c_header
 
-__all__ = ["HostPort", "HostTransport", "build", "make", "program_of"]
+__all__ = ["HostPort", "HostTransport", "build", "make", "open_can", "program_of"]
 
 SOURCES = Path(__file__).parent / "firmware"
 """A link in the source tree, a copy where the package is installed."""
@@ -98,16 +98,21 @@ def program_of(rig: Rig) -> Path:
             "setpoints may be"
         )
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
-    return _built(header, drives[0].kind)[0]
+    try:
+        return _built(header, drives[0].kind)[0]
+    except (OSError, subprocess.TimeoutExpired) as error:  # a full disk, above all
+        raise PlateError(f"the firmware cannot be compiled: {error}") from None
 
 
 def open_can(channel: str) -> socket.socket:
-    """Open a CAN interface of Linux; a PlateError if it is not there."""
+    """Open a CAN interface of Linux; a PlateError if it is not there, or down."""
     try:
         can = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         can.bind((channel,))
-    except OSError as error:
-        raise PlateError(f"CAN interface {channel} does not open ({error})") from None
+        if error := can.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):  # it is down
+            raise OSError(error, os.strerror(error))
+    except OSError as why:
+        raise PlateError(f"CAN interface {channel} does not open ({why})") from None
     return can
 
 
@@ -129,7 +134,7 @@ class HostPort:
     Raises
     ------
     PlateError
-        If the bus does not open, or another process still leads it.
+        If the bus does not open, another process still leads it, or the program does not start.
     """
 
     def __init__(
@@ -145,10 +150,16 @@ class HostPort:
             except OSError:
                 raise PlateError(f"{channel} is still led by another process of ours") from None
             passed = (can.fileno(), *(() if ticks is None else (ticks,)))
-            self._process = subprocess.Popen(
-                [program, *map(str, passed)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                pass_fds=(*passed, lock.fileno()), start_new_session=True,  # Ctrl-C is not for it
-            )  # fmt: skip
+            try:
+                self._process = subprocess.Popen(
+                    [program, *map(str, passed)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    pass_fds=(*passed, lock.fileno()), start_new_session=True,  # no Ctrl-C for it
+                )  # fmt: skip
+            except OSError as error:
+                raise PlateError(
+                    f"{program} does not start ({error.strerror}), allowed: a folder for temporary "
+                    "files, TMPDIR, from which programs may be run"
+                ) from None
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._in, self._out = self._process.stdin, self._process.stdout
