@@ -1,8 +1,31 @@
-"""How fast one part can drift at most on a plate that shakes along a line: proven in docs/model.md.
+"""How fast one part can drift at most on a plate that shakes along a line.
 
 In a steady drift friction pulls a part as long one way as the other, and meanwhile the plate comes
 back to where it was. What the plate can do in the half in which it is slower than the part is
 limited by its acceleration, its stroke and its speed.
+
+Proof, of a motion that repeats with T: a = mu g, A the plate's greatest acceleration, G = A/a, S
+its stroke to either side. Let the plate go along a line with velocity u, and the part with v, on
+average v_0 > 0. The plate comes home, so the mean of the slip w = u - v is -v_0, and the area of w
+below 0 is v_0 T or more. The part's velocity repeats, so the mean friction is 0: it is a while
+w > 0 and -a while w < 0, hence w < 0 for at most T/2.
+
+Acceleration: meanwhile v' = -a, so w' is between -(A - a) and A + a, and in an interval p from
+w = 0 to w = 0 it has an area of c p^2 at most, c = (A^2 - a^2)/(4 A). All intervals together have
+c (T/2)^2 or less:
+
+    v_0 <= A T/16 (1 - 1/G^2)
+
+Stroke: in an interval p the plate goes back by 2 S at most, and the part goes on by v_m p at most,
+where v_m <= v_0 + d, d = a T/4, is its greatest velocity: so the area is at most 2 S + v_m p too.
+The lesser of both is r p or less, r = (v_m + sqrt(v_m^2 + 8 S c))/2, and v_0 T <= r T/2 gives
+
+    v_0 <= d/2 + sqrt(d^2/4 + S c)
+
+Two parts: along the line that joins them a rigid plate has the same velocity u under both. Let
+friction act along it alone, and v_1 > v_2 all the time. In a steady drift u < v_1 for at most T/2,
+and u > v_2 for at most T/2; but one or the other is true at any time, so u, which has to pass from
+one side of the two to the other, would have to jump.
 """
 
 from __future__ import annotations
