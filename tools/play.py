@@ -9,6 +9,7 @@ itself. 2: wrong arguments, nothing was started.
 from __future__ import annotations
 
 import argparse
+import json
 import signal
 import sys
 import time
@@ -182,12 +183,13 @@ def replay(options, bag: str, folder: Path, domain: int | None) -> None:
     """
     from graph.domains import own_domain
     from graph.observer import Observer
-    from graph.processes import Processes, command
+    from graph.processes import ROS_ARGS, Processes, executable
 
-    from plate_bringup import load_graph
+    from plate_core import config_path
 
-    (page,) = [node for node in options.nodes(load_graph()) if node.view]
-    words = command(page, {"bag": str(Path(bag).absolute()), "rig_file": options.rig_file})
+    words = [str(executable("plate_view", "page")), *ROS_ARGS, str(config_path("nodes.yaml"))]
+    words += ["-p", f"bag:={json.dumps(str(Path(bag).absolute()))}"]
+    words += ["-p", f"rig_file:={json.dumps(options.rig_file)}"]
     with own_domain(domain) as number, Processes((), options, folder, number) as nodes:
         nodes.add({"page": words}, {})
         with Observer(number, nodes.check, pictures=False) as observer:
