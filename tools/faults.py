@@ -26,9 +26,9 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from graph import gate
 from graph.observer import ALL, Observer
 from graph.processes import signals_raise
+from graph.relays import GATE
 from graph.session import Session, session
 from record.judge import LimitCheck, check_limits
 from trajectory_msgs.msg import JointTrajectory
@@ -237,9 +237,9 @@ class Faults:
     def gone(self, kind: str, node: str) -> Any:
         """Take a node or its input away, and bring it back."""
         if kind == "cut":
-            assert self.observer.set_parameter(gate.NAME, "cut", node)[0]
+            assert self.observer.set_parameter(GATE, "cut", node)[0]
             yield
-            assert self.observer.set_parameter(gate.NAME, "cut", "")[0]
+            assert self.observer.set_parameter(GATE, "cut", "")[0]
             return
         processes = self.processes
         processes.signal(node, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
@@ -346,15 +346,11 @@ def run_some(
     kinds: list[str], names: list[str], options: RunOptions, logs: Path
 ) -> tuple[list[Row], LimitCheck]:
     """Put faults into one running graph; to cut, with the gate in between."""
-    transport, rows = options.transport, []
-    behind: dict[str, Any] = {}
-    if "cut" in kinds:
-        behind["remaps"] = gate.remaps(transport)
-        behind["beside"] = {gate.NAME: gate.command(transport)}
+    rows = []
     # Without a look at the processes: they are to die.
-    with session(options, logs, watched=False, **behind) as graph:
+    with session(options, logs, watched=False, gated="cut" in kinds) as graph:
         faults = Faults(graph)
-        if transport == "serial":
+        if options.transport == "serial":
             graph.observer.enable()
         for kind in kinds:
             for name in names:

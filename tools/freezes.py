@@ -22,7 +22,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
@@ -30,11 +29,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
+from graph.hops import Listener
 from graph.observer import ALL, Observer
 from graph.processes import Processes, signals_raise
 from graph.session import START_S, session
-from rclpy.executors import SingleThreadedExecutor
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions
@@ -58,34 +56,21 @@ DEAD_S = (0.5, 3.0)
 BUSY = "while True: sum(range(100000))"
 
 
-class Judge:
-    """Listens to tables and to ends of tasks, with the times when they were published [ns], in a
-    thread of its own; a context manager."""
+class Judge(Listener):
+    """Listens to tables and to ends of tasks, with the times when they were published [ns]."""
 
     def __init__(self) -> None:
+        super().__init__("judge")
         self.tables = self.moving = 0
         self.oldest_s = 0.0
         self.wrong: list[str] = []
         self.away: list[str] = []  # who was frozen last, or still is
         self.ends: list[tuple[int, int]] = []  # when said, and stamp of the last answer
         self.stopped_ns = self._seen_ns = 0
-        self._node = rclpy.create_node("judge")
-        self._executor = SingleThreadedExecutor()  # the other one passes no times on
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._executor.spin)
-        listen: Any = self._node.create_subscription
+        listen: Any = self.node.create_subscription
         listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
         listen(TaskStatus, "task_status", self._on_task, LATCHED)
         listen(Parts, "parts", self._on_parts, ALL)
-
-    def __enter__(self) -> Judge:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._executor.shutdown()
-        self._thread.join()
-        self._node.destroy_node()
 
     def _on_task(self, msg: TaskStatus, info: Any) -> None:
         if msg.state not in (TaskStatus.RUNNING, TaskStatus.IDLE):

@@ -191,7 +191,7 @@ def replay(options, bag: str, folder: Path, domain: int | None) -> None:
     words += ["-p", f"bag:={json.dumps(str(Path(bag).absolute()))}"]
     words += ["-p", f"rig_file:={json.dumps(options.rig_file)}"]
     with own_domain(domain) as number, Processes((), options, folder, number) as nodes:
-        nodes.add({"page": words}, {})
+        nodes.add({"page": words})
         with Observer(number, nodes.check, pictures=False) as observer:
             observer.until(lambda: bool(observer.record.last("page", "url")), PAGE_S)
             print(f"Open {observer.record.last('page', 'url')} in a browser. Ctrl-C ends it.")

@@ -194,9 +194,8 @@ class Processes:
                 preexec_fn=end_with_parent,
             )
 
-    def add(self, commands: Mapping[str, list[str]], environment: Mapping[str, str]) -> None:
+    def add(self, commands: Mapping[str, list[str]]) -> None:
         """Start other programs beside the nodes; what is said of nodes holds for them too."""
-        self._environment |= environment
         self._commands |= commands
         for name, words in commands.items():
             self._start(name, words)
