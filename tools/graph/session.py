@@ -77,15 +77,15 @@ class Session:
             self.observer.until(lambda: bool(record.last("page", "url")), PAGE_S)
         return record.last("page", "url")
 
-    def begin(self, waiting: Callable[[str], None] = lambda _: None) -> None:
-        """Set the plate free and start the task; `waiting` is called with what is waited for.
+    def begin(self) -> None:
+        """Set the plate free and start the task.
 
         In lockstep the planner waits for the goal at the second image: the task begins with it.
         """
         self.free()
-        self.observer.await_ready(waiting)
+        self.observer.await_ready()
         self.observer.check_not_stopped()
-        self.observer.start(self.scenario, waiting=waiting)
+        self.observer.start(self.scenario)
 
 
 def driver_triggers(options: RunOptions) -> bool:
@@ -133,16 +133,18 @@ def session(
     with (
         own_domain(domain) as domain,
         Processes(nodes, options, logs, domain, remaps=remaps) as processes,
-        Observer(domain, processes.check if watched else lambda: None, pictures) as observer,
+        Observer(
+            domain, processes.check if watched else lambda: None, pictures, waiting
+        ) as observer,
     ):
         if gated:
             processes.add({relays.GATE: relays.command(relays.GATE, options.transport)})
         loop = [node.name for node in nodes if not node.view]
-        seen = observer.await_nodes(loop, START_S, waiting)
+        seen = observer.await_nodes(loop, START_S)
         if driver_triggers(options) and not options.autostart:
             observer.until(Path(options.port or options.link).exists, START_S)
             observer.activate_driver()  # motors stay off until they are enabled
         if "simulator" not in seen:
             observer.await_camera(CAMERA_S)
-        observer.await_answers(ANSWER_S, seen, waiting)
+        observer.await_answers(ANSWER_S, seen)
         yield Session(options, processes, observer, seen)
