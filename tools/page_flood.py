@@ -1,6 +1,6 @@
 """Flood the live page with commands from several sockets: it must not crash, and must stop in time.
 
-python tools/page_flood.py [--minutes 3] [--sockets 6] [--seed 0] [--json FILE]
+python tools/page_flood.py [--minutes 3] [--seed 0] [--json FILE]
 
 The real graph with the simulator. Each socket sends commands of every kind as fast as the page
 reads them, some right and some wrong, opens anew now and then, and reads nothing for a while.
@@ -42,7 +42,7 @@ STOP_S, LATE_S = 0.25, 0.1
 LONGEST_S = 5.0
 """Longest wait for the answer to a stop [s]."""
 
-NICE = 10
+SOCKETS, NICE = 6, 10
 
 BATCH = 50
 """Commands that a socket sends before it looks whether to do something else."""
@@ -181,7 +181,7 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
     given = url, verdict.sockets, seed, over, sent
     flooding = context.Process(target=flooder, args=given)
     flooding.start()
-    while verdict.sockets and not sent.value and flooding.is_alive():
+    while not sent.value and flooding.is_alive():
         time.sleep(STOP_S)
     try:
         took = np.array(asyncio.run(stop(url, time.monotonic() + 60 * verdict.minutes, verdict)))
@@ -198,11 +198,10 @@ def main() -> int:
     """Run the command line; returns its exit code: 1 if a node ended or a stop was late."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=3.0)
-    parser.add_argument("--sockets", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    verdict = Verdict(args.minutes, args.sockets)
+    verdict = Verdict(args.minutes, SOCKETS)
     with signals_raise(), TemporaryDirectory(prefix="page_flood_") as folder:
         try:
             options = RunOptions(scenario="play", view=True)
