@@ -76,4 +76,3 @@ class Hops(Listener):
             self.newest[topic] = data
 
         return heard
-
