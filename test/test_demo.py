@@ -229,8 +229,8 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
     module, concluded = import_module("graph.demo"), []
 
     @contextmanager
-    def running(plan):
-        yield SimpleNamespace(nodes=[], observer=None, page=str, begin=lambda waiting: None)
+    def running(*_):
+        yield SimpleNamespace(nodes=[], observer=None, page=str, begin=lambda: None)
         raise Interrupted(signal.SIGINT)
 
     monkeypatch.setattr(module, "running", running)

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import subprocess
+from pathlib import Path
 
 import pytest
 from graph import forks
@@ -33,8 +34,7 @@ def _start(server, tmp_path):
     def start(text, *words):
         program, log = tmp_path / "shows", tmp_path / "log"
         program.write_text(text)
-        pid = server.start([str(program), *words], os.environ | {"MARK": "m"}, log)
-        return Fork(server, pid), log
+        return Fork(server.start([str(program), *words], os.environ | {"MARK": "m"}, log)), log
 
     return start
 
@@ -65,24 +65,26 @@ def test_its_exit_code_and_last_words_are_told(start, text, code, said):
     assert said in log.read_text()
 
 
-def test_a_node_ends_with_its_server_and_its_end_is_known(start, server):
+def test_a_node_is_a_child_of_the_program_and_goes_on_without_its_server(start, server):
     fork, log = start(WAITS)
+    assert f"PPid:\t{os.getpid()}\n" in Path(f"/proc/{fork.pid}/status").read_text()
     while not (log.exists() and log.read_text()):
         with pytest.raises(subprocess.TimeoutExpired):
             fork.wait(0.01)
     os.kill(server._process.pid, signal.SIGKILL)
-    assert fork.wait(30) == -signal.SIGTERM
     with pytest.raises(OSError, match=r"ended|Broken pipe"):
         start(WAITS)
+    assert fork.poll() is None
+    fork.send_signal(signal.SIGTERM)
+    assert fork.wait(30) == -signal.SIGTERM
 
 
 def test_a_server_that_does_not_answer_is_ended(start, server, monkeypatch):
-    fork, _ = start(WAITS)
     os.kill(server._process.pid, signal.SIGSTOP)
     monkeypatch.setattr(forks, "START_S", 0.2)
     with pytest.raises(OSError, match="does not answer"):
         start(WAITS)
-    assert fork.wait(30) == -signal.SIGTERM
+    assert server._process.wait(30) == -signal.SIGKILL
 
 
 def test_what_is_no_python_script_or_wants_other_code_is_not_forked(tmp_path):

@@ -288,11 +288,11 @@ class EmulatedBoard:
 
     def room(self) -> int:
         """How many bytes the board can be brought before it has read."""
-        came, read = struct.unpack("<2I", self._debugger.read(self.names["received"], 8))
+        came, read = self._counts()
         return RING_BYTES - (came - read) % 2**32
 
     def _come(self, data: bytes) -> None:
-        ring, came = self.names["received"], self._count("received")
+        ring, (came, _) = self.names["received"], self._counts()
         place = came % RING_BYTES
         first = data[: RING_BYTES - place]
         self._debugger.write(ring + 8 + place, first)
@@ -300,9 +300,9 @@ class EmulatedBoard:
             self._debugger.write(ring + 8, data[len(first) :])
         self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
 
-    def _count(self, name: str) -> int:
-        """Return a variable's first word."""
-        return int.from_bytes(self._debugger.read(self.names[name], 4), "little")
+    def _counts(self) -> tuple[int, int]:
+        """Return how many bytes have come, and were read."""
+        return struct.unpack("<2I", self._debugger.read(self.names["received"], 8))
 
     def written(self) -> list[tuple[str, int, int]]:
         """Return what was written to units that QEMU does not model, if it keeps a log: the

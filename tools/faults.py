@@ -1,7 +1,6 @@
 """Kill, freeze and cut off each node of the graph in mid-task, and see who says what, and when.
 
-python tools/faults.py [NODE ...] [--fault kill --fault freeze --fault cut] [--transport sim]
-                       [--scenario sort_10] [--json FILE]
+python tools/faults.py [NODE ...] [--transport sim] [--json FILE]
 
 For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
 started again after 4 s; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
@@ -26,9 +25,9 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from graph import gate
 from graph.observer import ALL, Observer
 from graph.processes import signals_raise
+from graph.relays import GATE
 from graph.session import Session, session
 from record.judge import LimitCheck, check_limits
 from trajectory_msgs.msg import JointTrajectory
@@ -37,7 +36,6 @@ from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import load_rig
 from plate_core.ros import LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import Level
-from plate_core.tasks import load_scenario
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
 MOVE_S = 30.0
@@ -57,8 +55,6 @@ MOST_S = 2.0
 
 TRIES = 3
 """Of a task to get going: on a busy machine one may end at once."""
-
-KINDS = ("kill", "freeze", "cut")
 
 
 class Plate:
@@ -237,9 +233,9 @@ class Faults:
     def gone(self, kind: str, node: str) -> Any:
         """Take a node or its input away, and bring it back."""
         if kind == "cut":
-            assert self.observer.set_parameter(gate.NAME, "cut", node)[0]
+            assert self.observer.set_parameter(GATE, "cut", node)[0]
             yield
-            assert self.observer.set_parameter(gate.NAME, "cut", "")[0]
+            assert self.observer.set_parameter(GATE, "cut", "")[0]
             return
         processes = self.processes
         processes.signal(node, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
@@ -329,32 +325,27 @@ class Faults:
         observer.trigger("stop")
 
 
-def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:
+def run(names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:
     """Put all faults into a running graph after the other; return what happened."""
     result: dict[str, Any] = {"transport": options.transport, "port": options.link}
     result |= {"rows": [], "tables": 0, "faults": []}
-    for some in ([kind for kind in kinds if kind != "cut"], ["cut"] if "cut" in kinds else []):
-        if some:
-            rows, check = run_some(some, names, options, logs)
-            result["rows"] += [asdict(row) | {"well": row.well} for row in rows]
-            result["tables"] += check.tables
-            result["faults"] += check.faults
+    for kinds in (("kill", "freeze"), ("cut",)):
+        rows, check = run_some(kinds, names, options, logs)
+        result["rows"] += [asdict(row) | {"well": row.well} for row in rows]
+        result["tables"] += check.tables
+        result["faults"] += check.faults
     return result
 
 
 def run_some(
-    kinds: list[str], names: list[str], options: RunOptions, logs: Path
+    kinds: tuple[str, ...], names: list[str], options: RunOptions, logs: Path
 ) -> tuple[list[Row], LimitCheck]:
     """Put faults into one running graph; to cut, with the gate in between."""
-    transport, rows = options.transport, []
-    behind: dict[str, Any] = {}
-    if "cut" in kinds:
-        behind["remaps"] = gate.remaps(transport)
-        behind["beside"] = {gate.NAME: gate.command(transport)}
+    rows = []
     # Without a look at the processes: they are to die.
-    with session(options, logs, watched=False, **behind) as graph:
+    with session(options, logs, watched=False, gated="cut" in kinds) as graph:
         faults = Faults(graph)
-        if transport == "serial":
+        if options.transport == "serial":
             graph.observer.enable()
         for kind in kinds:
             for name in names:
@@ -395,19 +386,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     known = [node.name for node in load_graph()]
     parser.add_argument("nodes", nargs="*", choices=[*known, []], help="all if left out")
-    parser.add_argument("--fault", action="append", choices=KINDS, help="all if left out")
     parser.add_argument("--transport", choices=("sim", "serial"), default="sim")
-    parser.add_argument("--scenario", default="sort_10")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with signals_raise(), tempfile.TemporaryDirectory() as logs:
-        link = str(Path(logs) / "device")
-        rig = load_scenario(args.scenario).rig
-        options = RunOptions(
-            scenario=args.scenario, transport=args.transport, link=link, rig_file=rig
-        )
+        options = RunOptions(transport=args.transport, link=str(Path(logs) / "device"))
         names = args.nodes or [node.name for node in options.nodes(load_graph())]
-        result = run(args.fault or list(KINDS), names, options, Path(logs))
+        result = run(names, options, Path(logs))
     for row in cells(result):
         print(" | ".join(row.values()))
     print(f"{result['tables']} motor tables, broken limits: {result['faults']}")

@@ -1,15 +1,15 @@
 """Freeze nodes of the graph at random, one or two at once, and judge every motor table by its age.
 
-python tools/freezes.py [--count 500] [--minutes 60] [--kills 0.1] [--busy 8] [--seed 0]
-                        [--scenario sort_10] [--image_rate 30] [--json FILE]
+python tools/freezes.py [--count 500] [--minutes 60] [--kills 0.1] [--seed 0] [--image_rate 30]
+                        [--json FILE]
 
 A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
 emergency stop. A fraction `--kills` of the faults kills it (SIGKILL), and starts it again. Judged
 is what the driver publishes, when it publishes it, by nothing that the driver says: a table that
 moves the plate is wrong if the image that it answers is older than `age_limit`, or than the last
 emergency stop, or if its task had ended before; with `--image_rate`, a camera that runs free, it
-answers the start of a cycle, which may be as much later than the newest `parts`. `--busy` starts so
-many loops beside it. Exit code 1 if a table was wrong.
+answers the start of a cycle, which may be as much later than the newest `parts`. Exit code 1 if a
+table was wrong.
 """
 
 from __future__ import annotations
@@ -19,28 +19,23 @@ import json
 import math
 import os
 import signal
-import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
+from graph.hops import Listener
 from graph.observer import ALL, Observer
 from graph.processes import Processes, signals_raise
 from graph.session import START_S, session
-from rclpy.executors import SingleThreadedExecutor
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions
 from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import age_limit
-from plate_core.tasks import load_scenario
 from plate_interfaces.msg import Parts, TaskStatus
 
 FREEZE_S, PAUSE_S = (0.1, 5.0), (0.2, 1.5)
@@ -55,37 +50,22 @@ TOLD_S = 0.1
 DEAD_S = (0.5, 3.0)
 """How long a killed node is away [s]."""
 
-BUSY = "while True: sum(range(100000))"
 
-
-class Judge:
-    """Listens to tables and to ends of tasks, with the times when they were published [ns], in a
-    thread of its own; a context manager."""
+class Judge(Listener):
+    """Listens to tables and to ends of tasks, with the times when they were published [ns]."""
 
     def __init__(self) -> None:
+        super().__init__("judge")
         self.tables = self.moving = 0
         self.oldest_s = 0.0
         self.wrong: list[str] = []
         self.away: list[str] = []  # who was frozen last, or still is
         self.ends: list[tuple[int, int]] = []  # when said, and stamp of the last answer
         self.stopped_ns = self._seen_ns = 0
-        self._node = rclpy.create_node("judge")
-        self._executor = SingleThreadedExecutor()  # the other one passes no times on
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._executor.spin)
-        listen: Any = self._node.create_subscription
+        listen: Any = self.node.create_subscription
         listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
         listen(TaskStatus, "task_status", self._on_task, LATCHED)
         listen(Parts, "parts", self._on_parts, ALL)
-
-    def __enter__(self) -> Judge:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._executor.shutdown()
-        self._thread.join()
-        self._node.destroy_node()
 
     def _on_task(self, msg: TaskStatus, info: Any) -> None:
         if msg.state not in (TaskStatus.RUNNING, TaskStatus.IDLE):
@@ -195,20 +175,11 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=math.inf, help="at most so long")
     parser.add_argument("--kills", type=float, default=0.0, help="share of faults that kill")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--scenario", default="sort_10")
     parser.add_argument("--image_rate", type=float, default=0.0, help="of a camera that runs free")
-    parser.add_argument("--busy", type=int, default=0, help="busy loops beside it")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    options = RunOptions(
-        scenario=args.scenario,
-        rig_file=load_scenario(args.scenario).rig,
-        image_rate=args.image_rate,
-    )
-    with signals_raise(), tempfile.TemporaryDirectory() as logs, ExitStack() as stack:
-        for _ in range(args.busy):
-            loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", BUSY]))
-            stack.callback(loop.kill)
+    options = RunOptions(image_rate=args.image_rate)
+    with signals_raise(), tempfile.TemporaryDirectory() as logs:
         result = run(args.count, args.minutes, args.kills, args.seed, options, Path(logs))
     print(json.dumps(result, indent=1))
     if args.json:

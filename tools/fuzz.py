@@ -28,11 +28,13 @@ import numpy as np
 import rclpy
 from graph.domains import own_domain
 from graph.processes import ros_environment
+from graph.series import memory_mb
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import deserialize_message, serialize_message
 from record.limits import limit_shares
 from trajectory_msgs.msg import JointTrajectory
 
+from plate_bringup import RunOptions, load_graph
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
 from plate_core.ros import (
     SafeLifecycleNode,
@@ -48,13 +50,7 @@ from plate_core.ros import (
 from plate_core.tasks import PartTarget
 from plate_interfaces.srv import PlacePart, RemovePart
 
-NODES = {
-    "detector": ("plate_vision.node", "DetectorNode"),
-    "planner": ("plate_planner.node", "PlannerNode"),
-    "solver": ("plate_solver.node", "SolverNode"),
-    "driver": ("plate_driver.node", "DriverNode"),
-    "simulator": ("plate_sim.node", "SimulatorNode"),
-}
+NODES = {node.name: node.component for node in RunOptions().nodes(load_graph())}
 NUMBERS = (0.0, -0.0, 1e-300, 1.0, -1.0, 1e3, -1e9, 1e200, -1e308, np.nan, np.inf, -np.inf)
 WORDS = ("", "x", "black_1", "motor_1", "ready", "stopped", "mono8", "\u00e9\u00e4", "a" * 5000)
 WARM = 0.2
@@ -68,6 +64,9 @@ COUNTS, SHARES = (0, 1, 2, 3, 11), (0.2, 0.5, 0.2, 0.09, 0.01)
 
 TICK = 20
 """Messages between two ticks of the node's timer."""
+
+MOST_GROWTH_MB = 20.0
+"""Of a node's memory."""
 
 ROUNDING = {"driver": 1e-4, "simulator": 0.02}
 """Excess of a limit that is none: rounding; the device's slack."""
@@ -234,16 +233,15 @@ class Judge:
         self.verdict.worst_share = max(self.verdict.worst_share, share)
 
 
-def memory_mb() -> float:
+def own_memory_mb() -> float:
     """Return the memory of this process that is in use [MB]."""
     gc.collect()
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return memory_mb(os.getpid())
 
 
 def fuzz(name: str, count: int, seed: int) -> Verdict:
     """Send `count` messages to one node, shared among its topics."""
-    module, kind = NODES[name]
+    module, _, kind = NODES[name].rpartition(".")
     rng, verdict = np.random.default_rng(seed), Verdict(name)
     node = getattr(importlib.import_module(module), kind)()
     if isinstance(node, SafeLifecycleNode):
@@ -257,7 +255,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
         began, base = time.monotonic(), 0.0
         for k in range(count):
             if k == int(WARM * count):
-                base = memory_mb()
+                base = own_memory_mb()
             topic, taken, give = topics[k % len(topics)]
             msg = message(taken, pool, rng)
             sent = time.thread_time()
@@ -271,7 +269,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
             if k % TICK == 0:
                 judge.tick()
         verdict.messages = count
-        verdict.growth_mb = round(memory_mb() - base, 1)
+        verdict.growth_mb = round(own_memory_mb() - base, 1)
         verdict.slowest_ms = round(verdict.slowest_ms, 1)
         verdict.seconds = round(time.monotonic() - began, 1)
     finally:
@@ -279,11 +277,11 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
     return verdict
 
 
-def failed(verdict: Verdict, most_growth_mb: float) -> bool:
+def failed(verdict: Verdict) -> bool:
     """Tell whether something went wrong."""
     return (
         verdict.crashes > 0
-        or verdict.growth_mb > most_growth_mb
+        or verdict.growth_mb > MOST_GROWTH_MB
         or verdict.worst_share > 1 + ROUNDING.get(verdict.node, 0)
     )
 
@@ -291,15 +289,11 @@ def failed(verdict: Verdict, most_growth_mb: float) -> bool:
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("nodes", nargs="*", help="all if left out: " + ", ".join(NODES))
+    parser.add_argument("nodes", nargs="*", choices=[*NODES, []], help="all if left out")
     parser.add_argument("--messages", type=int, default=100_000, help="to each node")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--growth", type=float, default=20.0, help="allowed [MB]")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    unknown = [name for name in args.nodes if name not in NODES]
-    if unknown:
-        parser.error(f"node is {unknown[0]!r}, allowed: {', '.join(NODES)}")
     verdicts = []
     with own_domain() as domain:
         os.environ.update(ros_environment(domain))
@@ -315,7 +309,7 @@ def main() -> int:
     if args.json:
         text = json.dumps([vars(v) for v in verdicts], indent=1)
         args.json.write_text(text, encoding="utf-8")
-    return int(any(failed(v, args.growth) for v in verdicts))
+    return int(any(failed(v) for v in verdicts))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Flood the live page with commands from several sockets: it must not crash, and must stop in time.
 
-python tools/page_flood.py [--minutes 3] [--sockets 6] [--seed 0] [--json FILE]
+python tools/page_flood.py [--minutes 3] [--seed 0] [--json FILE]
 
 The real graph with the simulator. Each socket sends commands of every kind as fast as the page
 reads them, some right and some wrong, opens anew now and then, and reads nothing for a while.
@@ -21,7 +21,6 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -42,7 +41,7 @@ STOP_S, LATE_S = 0.25, 0.1
 LONGEST_S = 5.0
 """Longest wait for the answer to a stop [s]."""
 
-NICE = 10
+SOCKETS, NICE = 6, 10
 
 BATCH = 50
 """Commands that a socket sends before it looks whether to do something else."""
@@ -108,10 +107,10 @@ async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
         await asyncio.wait_for(rest(), LONGEST_S)
 
 
-async def flood(url: str, rng: random.Random, over: Event, sent: Any) -> None:
-    """Send commands until it is over."""
+async def flood(url: str, rng: random.Random, sent: Any) -> None:
+    """Send commands again and again."""
     number = 0
-    while not over.is_set():
+    while True:
         with contextlib.suppress(OSError, tornado.websocket.WebSocketClosedError):
             socket = await connect(url)
             for _ in range(rng.randrange(1, 200)):
@@ -123,18 +122,16 @@ async def flood(url: str, rng: random.Random, over: Event, sent: Any) -> None:
                     with contextlib.suppress(TimeoutError):
                         while await asyncio.wait_for(socket.read_message(), 0.001) is not None:
                             pass
-                if over.is_set():
-                    break
             socket.close()
 
 
-def flooder(url: str, sockets: int, seed: int, over: Event, sent: Any) -> None:
+def flooder(url: str, sockets: int, seed: int, sent: Any) -> None:
     """Do that by several sockets in a process of its own; it leaves the processor to the graph, as
     browsers of other machines do."""
     os.nice(NICE)
 
     async def all_of_them() -> None:
-        floods = [flood(url, random.Random(seed + k), over, sent) for k in range(sockets)]
+        floods = [flood(url, random.Random(seed + k), sent) for k in range(sockets)]
         await asyncio.gather(*floods)
 
     asyncio.run(all_of_them())
@@ -177,18 +174,17 @@ async def answered(socket: Any, number: int) -> dict[str, Any]:
 def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
     """Flood the page of a graph; fill in what was seen."""
     url, context = graph.page(), multiprocessing.get_context("spawn")
-    over, sent = context.Event(), context.Value("q", 0)
-    given = url, verdict.sockets, seed, over, sent
-    flooding = context.Process(target=flooder, args=given)
+    sent = context.Value("q", 0, lock=False)  # one writes, and is ended at any time
+    given = url, verdict.sockets, seed, sent
+    flooding = context.Process(target=flooder, args=given, daemon=True)
     flooding.start()
-    while verdict.sockets and not sent.value and flooding.is_alive():
+    while not sent.value and flooding.is_alive():
         time.sleep(STOP_S)
     try:
         took = np.array(asyncio.run(stop(url, time.monotonic() + 60 * verdict.minutes, verdict)))
     finally:
-        over.set()
-        flooding.join(LONGEST_S)
-        flooding.kill()
+        flooding.terminate()
+        flooding.join()
     verdict.sent, verdict.stops = sent.value, len(took)
     verdict.median_ms, verdict.slowest_ms = map(float, np.round([np.median(took), took.max()], 1))
     verdict.ends = [end for name in graph.processes.names if (end := graph.processes.end_of(name))]
@@ -198,11 +194,10 @@ def main() -> int:
     """Run the command line; returns its exit code: 1 if a node ended or a stop was late."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=3.0)
-    parser.add_argument("--sockets", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    verdict = Verdict(args.minutes, args.sockets)
+    verdict = Verdict(args.minutes, SOCKETS)
     with signals_raise(), TemporaryDirectory(prefix="page_flood_") as folder:
         try:
             options = RunOptions(scenario="play", view=True)

@@ -9,14 +9,12 @@ itself. 2: wrong arguments, nothing was started.
 from __future__ import annotations
 
 import argparse
+import json
 import signal
 import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-WAITING_S = 10.0
-"""Between two lines on what is waited for, where they cannot overwrite each other [s]."""
 
 PAGE_S = 30.0
 """Longest wait for the page [s]."""
@@ -86,18 +84,12 @@ def checked(args: argparse.Namespace):
     known = load_rig(rig)  # a mistyped name is reported before the slow imports
 
     import numpy as np
-    from graph.demo import absolute
+    from graph.demo import absolute, check_run
 
     from plate_bringup import RunOptions
     from plate_solver import METHODS
 
-    if args.method not in METHODS:
-        allowed = ", ".join(sorted(METHODS))
-        raise PlateError(f"method is {args.method!r}, allowed: {allowed}")
-    if not 0 <= args.seed < 2**31:
-        raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
-    if args.domain is not None and not 0 <= args.domain <= 101:
-        raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
+    check_run(args)
     if args.bag and not Path(args.bag).is_dir():
         raise PlateError(f"bag is {args.bag!r}, allowed: the folder of a recorded run")
     start_positions(scenario, known, np.random.default_rng(args.seed))
@@ -115,29 +107,20 @@ def play(options, folder: Path, domain: int | None) -> None:
     GraphError
         If a node ends, or does not answer, or the page does not come.
     """
-    import os
-
-    from graph.demo import StatusLine
-    from graph.domains import own_domain
-    from graph.processes import ros_environment
-    from graph.session import session
+    from graph.demo import WAITING_S, StatusLine, running
 
     from plate_bringup import GraphError
 
-    line = StatusLine(WAITING_S)
-    with own_domain(domain) as number:
-        os.environ.update(ros_environment(number))
-        with session(options, folder, number, pictures=False, waiting=line.show) as graph:
-            page = graph.page()
-            line.end()
-            if not page:
-                raise GraphError(f"the page does not come\n{graph.processes.tail('page')}")
-            print(
-                f"Open {page} in a browser: drag a part. Ctrl-C ends it.\n"
-                f"To look on by ROS: source env.sh; export ROS_DOMAIN_ID={number}",
-                flush=True,
-            )
-            keep_page(graph.processes, graph.observer, page)
+    with running(options, folder, domain, StatusLine(WAITING_S), pictures=False) as graph:
+        page = graph.page()
+        if not page:
+            raise GraphError(f"the page does not come\n{graph.processes.tail('page')}")
+        print(
+            f"Open {page} in a browser: drag a part. Ctrl-C ends it.\n"
+            f"To look on by ROS: source env.sh; export ROS_DOMAIN_ID={graph.observer.domain}",
+            flush=True,
+        )
+        keep_page(graph.processes, graph.observer, page)
 
 
 def keep_page(processes, observer, page: str) -> None:
@@ -182,14 +165,15 @@ def replay(options, bag: str, folder: Path, domain: int | None) -> None:
     """
     from graph.domains import own_domain
     from graph.observer import Observer
-    from graph.processes import Processes, command
+    from graph.processes import ROS_ARGS, Processes, executable
 
-    from plate_bringup import load_graph
+    from plate_core import config_path
 
-    (page,) = [node for node in options.nodes(load_graph()) if node.view]
-    words = command(page, {"bag": str(Path(bag).absolute()), "rig_file": options.rig_file})
+    words = [str(executable("plate_view", "page")), *ROS_ARGS, str(config_path("nodes.yaml"))]
+    words += ["-p", f"bag:={json.dumps(str(Path(bag).absolute()))}"]
+    words += ["-p", f"rig_file:={json.dumps(options.rig_file)}"]
     with own_domain(domain) as number, Processes((), options, folder, number) as nodes:
-        nodes.add({"page": words}, {})
+        nodes.add({"page": words})
         with Observer(number, nodes.check, pictures=False) as observer:
             observer.until(lambda: bool(observer.record.last("page", "url")), PAGE_S)
             print(f"Open {observer.record.last('page', 'url')} in a browser. Ctrl-C ends it.")

@@ -1,6 +1,6 @@
 """Sort for hours in real time, parts put down anew each time: does memory grow, or latency drift?
 
-python tools/soak.py [--minutes 60] [--scenario sort_10] [--json FILE]
+python tools/soak.py [--minutes 60] [--json FILE]
 
 Prints a line per task, and at the end: slope of each node's memory and of the latency (image stamp
 to motor setpoints) with 95 % intervals, from one sample per task, always in the same state; share
@@ -24,7 +24,6 @@ from graph.series import Series, Task, work_again
 from scipy import stats
 
 from plate_bringup import RunOptions
-from plate_core.tasks import load_scenario
 
 SETTLED_S = 600.0
 """Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""
@@ -112,12 +111,10 @@ def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--scenario", default="sort_10")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     until = time.monotonic() + 60 * args.minutes
-    rig = load_scenario(args.scenario).rig
-    options = RunOptions(scenario=args.scenario, rig_file=rig, autostart=False)
+    options = RunOptions(autostart=False)
     load = os.getloadavg()[2]
     with signals_raise(), tempfile.TemporaryDirectory() as logs:
         for now in work_again(options, Path(logs), lambda _: time.monotonic() > until):

@@ -9,7 +9,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,21 +140,8 @@ def checked(args: argparse.Namespace) -> Plan:
     rig_file = args.rig or scenario.rig or DRIVES.get(args.transport, "")
     rig = load_rig(rig_file)
     transport = "serial" if drives else args.transport
-    if args.method not in METHODS:
-        raise PlateError(
-            f"method is {args.method!r}{did_you_mean(args.method, METHODS)}, "
-            f"allowed: {', '.join(sorted(METHODS))}"
-        )
-    if not 0 <= args.seed < 2**31:
-        raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
-    if args.domain is not None and not 0 <= args.domain <= 101:
-        raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
-    known = sorted({*installed(), *DRIVES})
-    if transport not in known:
-        raise PlateError(
-            f"transport is {transport!r}{did_you_mean(transport, known)}, "
-            f"allowed: {', '.join(known)}"
-        )
+    check_run(args)
+    among("transport", transport, {*installed(), *DRIVES})
     check_transport(transport, args.port or "of the simulated device")
     if drives and args.port:
         raise PlateError(
@@ -172,10 +159,8 @@ def checked(args: argparse.Namespace) -> Plan:
         )
     if isinstance(scenario.task, FeedTask) and args.port:
         raise PlateError("port with a task of feed, allowed: none (the robot is simulated)")
-    if not 1 <= args.picks <= MOST_PICKS:
-        raise PlateError(f"picks is {args.picks}, allowed: 1 to {MOST_PICKS}")
-    if not 0.3 <= args.robot_cycle <= 60:
-        raise PlateError(f"robot cycle is {args.robot_cycle:g} s, allowed: 0.3 to 60")
+    within("picks", args.picks, 1, MOST_PICKS)
+    within("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
         check_robot(scenario.task, args.robot_cycle)
     if args.port and args.transport == "sim":
@@ -210,6 +195,28 @@ def checked(args: argparse.Namespace) -> Plan:
         options, scenario, rig, out, domain, not args.no_pictures, args.record, args.picks,
         args.robot_cycle,
     )  # fmt: skip
+
+
+def check_run(args: argparse.Namespace) -> None:
+    """Check what `make demo` and `make play` both take; see `checked`."""
+    among("method", args.method, METHODS)
+    within("seed", args.seed, 0, 2**31 - 1)
+    if args.domain is not None:
+        within("domain", args.domain, 0, 101)
+
+
+def among(name: str, value: str, known: Iterable[str]) -> None:
+    """Refuse an argument that is none of these words; see `checked`."""
+    known = sorted(known)
+    if value not in known:
+        hint = did_you_mean(value, known)
+        raise PlateError(f"{name} is {value!r}{hint}, allowed: {', '.join(known)}")
+
+
+def within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Refuse an argument out of range; see `checked`."""
+    if not low <= value <= high:
+        raise PlateError(f"{name} is {value}{unit}, allowed: {low} to {high}")
 
 
 def absolute(name: str) -> str:
@@ -254,8 +261,9 @@ def run(plan: Plan) -> int:
     late: Interrupted | None = None
     ended = False
     grips: list[Grip] = []
+    line = StatusLine(WAITING_S)
     try:
-        with running(plan) as graph:
+        with running(plan.options, plan.out / "logs", plan.domain, line) as graph:
             page = graph.page()
             print(
                 f"All {len(graph.nodes)} nodes answer after {time.monotonic() - began:.0f} s. "
@@ -265,14 +273,13 @@ def run(plan: Plan) -> int:
             )
             try:
                 with recording(plan, graph.observer):
-                    line = StatusLine(WAITING_S)
                     if isinstance(plan.scenario.task, FeedTask):
                         graph.free()
-                        graph.observer.await_ready(line.show)
+                        graph.observer.await_ready()
                         line.end()
                         feed(plan, graph.observer, grips)
                     else:
-                        graph.begin(line.show)
+                        graph.begin()
                         line.end()
                         watch(plan, graph.observer, began)
             except (Interrupted, PlateError) as stopped:
@@ -338,12 +345,14 @@ def name_of(interrupt: Interrupted) -> str:
 
 
 @contextmanager
-def running(plan: Plan) -> Iterator[Session]:
-    """Run the graph, in a domain that programs started by us hear of too."""
-    with own_domain(plan.domain) as domain:
+def running(
+    options: RunOptions, logs: Path, chosen: int | None, line: StatusLine, pictures: bool = True
+) -> Iterator[Session]:
+    """Run the graph, in a domain of its own or the chosen one, of which programs started by us hear
+    too; show what is waited for in a line."""
+    with own_domain(chosen) as domain:
         os.environ.update(ros_environment(domain))
-        line = StatusLine(WAITING_S)
-        with session(plan.options, plan.out / "logs", domain, waiting=line.show) as graph:
+        with session(options, logs, domain, pictures, line.show) as graph:
             line.end()
             yield graph
 

@@ -1,6 +1,9 @@
 """Nodes as forks of one process that has loaded their code: they start in a fraction of the time
 and share its memory. What runs is the file that `ros2 run` would start.
 
+A node is a child of the program that wants it, as others are: the kernel gives it to that program
+when the process ends that stood between them.
+
 python tools/graph/forks.py MODULE ...    is that process: orders come at stdin, one JSON a line
 """
 
@@ -18,7 +21,6 @@ import select
 import signal
 import subprocess
 import sys
-import threading
 import time
 import traceback
 import warnings
@@ -40,10 +42,10 @@ START_S = 120.0
 END_S = 5.0
 """Longest wait for the server to end [s]."""
 
-LOOK_S = 0.05
-"""Between two looks at a node whose server has ended [s]."""
+LOOK_S = 0.01
+"""Between two looks whether a node has ended [s]."""
 
-PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
+PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 
 _libc = ctypes.CDLL(None)
 
@@ -60,8 +62,7 @@ class Server:
 
     def __init__(self, modules: Iterable[str], environment: Mapping[str, str]) -> None:
         self._loaded = _of_loading(environment)
-        self._codes: dict[int, int] = {}
-        self._said, self._lock = b"", threading.Lock()
+        _libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
         self._process = subprocess.Popen(
             [sys.executable, __file__, *modules],
             stdin=subprocess.PIPE,
@@ -72,7 +73,7 @@ class Server:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._orders, self._answers = self._process.stdin, self._process.stdout.fileno()
+        self._orders, self._answers = self._process.stdin, self._process.stdout
         atexit.register(self._end)
 
     @classmethod
@@ -89,55 +90,17 @@ class Server:
         Raises
         ------
         OSError
-            If there can be no more processes, or the server has ended. One that does not answer
-            is ended, and its nodes with it.
+            If the server has ended: there can be no more processes. One that does not answer is
+            ended.
         """
         order = {"words": words, "environment": dict(environment), "log": str(log.absolute())}
-        with self._lock:
-            self._orders.write(json.dumps(order | {"folder": os.getcwd()}).encode() + b"\n")
-            self._orders.flush()
-            end = time.monotonic() + START_S
-            while (answer := self._heard(max(0.0, end - time.monotonic()))) and "ended" in answer:
-                pass
-            if answer is None:
-                self._process.kill()
-                raise OSError("the process that starts nodes has ended, or does not answer")
-            if "problem" in answer:
-                raise OSError(answer["problem"])
-            return int(answer["started"])
-
-    def code(self, pid: int, timeout_s: float) -> int | None:
-        """Return the exit code of a node that ends within a time [s]; None: it runs on."""
-        with self._lock:
-            end = time.monotonic() + timeout_s
-            while pid not in self._codes:
-                left_s = max(0.0, end - time.monotonic())
-                if self._heard(left_s) is not None:
-                    continue
-                alone = self._process.poll() is not None
-                if alone and not _runs(pid):
-                    self._codes[pid] = -signal.SIGTERM  # as happens to nodes without a server
-                elif not left_s:
-                    break
-                elif alone:
-                    time.sleep(min(left_s, LOOK_S))
-            return self._codes.get(pid)
-
-    def _heard(self, timeout_s: float) -> dict[str, Any] | None:
-        """Take in what the server says next, the end of a node or an answer; None: nothing, or the
-        server has ended."""
-        while b"\n" not in self._said:
-            if not select.select([self._answers], [], [], timeout_s)[0]:
-                return None
-            data = os.read(self._answers, 4096)
-            if not data:
-                return None
-            self._said += data
-        line, _, self._said = self._said.partition(b"\n")
-        answer: dict[str, Any] = json.loads(line)
-        if "ended" in answer:
-            self._codes[answer["ended"]] = answer["code"]
-        return answer
+        self._orders.write(json.dumps(order | {"folder": os.getcwd()}).encode() + b"\n")
+        self._orders.flush()
+        told = select.select([self._answers], [], [], START_S)[0] and self._answers.readline()
+        if not told:
+            self._process.kill()
+            raise OSError("the process that starts nodes has ended, or does not answer")
+        return int(told)
 
     def _end(self) -> None:
         with contextlib.suppress(OSError):
@@ -150,10 +113,18 @@ class Server:
 
 
 class Fork:
-    """A node that a server has started, as `subprocess.Popen` has programs."""
+    """A node that a server has started, as `subprocess.Popen` has programs.
 
-    def __init__(self, server: Server, pid: int) -> None:
-        self._server, self.pid = server, pid
+    Attributes
+    ----------
+    pid : int
+    returncode : int, optional
+        Exit code; negative: ended by that signal; None: it ran when it was looked at last.
+    """
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self.returncode: int | None = None
 
     @classmethod
     def start(
@@ -172,16 +143,14 @@ class Fork:
         """
         with contextlib.suppress(OSError), open(words[0], "rb") as script:
             if b"python" in script.readline(100) and (server := Server.of(modules, environment)):
-                return cls(server, server.start(words, environment, log))
+                return cls(server.start(words, environment, log))
         return None
 
-    @property
-    def returncode(self) -> int | None:
-        """Exit code; negative: ended by that signal; None: it runs."""
-        return self._server.code(self.pid, 0.0)
-
     def poll(self) -> int | None:
-        """Return the same."""
+        """Return the exit code, if it has ended."""
+        if self.returncode is None:
+            ended, status = os.waitpid(self.pid, os.WNOHANG)
+            self.returncode = os.waitstatus_to_exitcode(status) if ended else None
         return self.returncode
 
     def wait(self, timeout: float) -> int:
@@ -192,24 +161,17 @@ class Fork:
         subprocess.TimeoutExpired
             It still runs after that time [s].
         """
-        code = self._server.code(self.pid, timeout)
-        if code is None:
-            raise subprocess.TimeoutExpired(str(self.pid), timeout)
+        end = time.monotonic() + timeout
+        while (code := self.poll()) is None:
+            if time.monotonic() > end:
+                raise subprocess.TimeoutExpired(str(self.pid), timeout)
+            time.sleep(LOOK_S)
         return code
 
     def send_signal(self, number: int) -> None:
         """Send a signal, if it still runs."""
-        if self.returncode is None:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self.pid, number)
-
-
-def _runs(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
+        if self.poll() is None:
+            os.kill(self.pid, number)
 
 
 def _of_loading(environment: Mapping[str, str]) -> dict[str, str]:
@@ -220,10 +182,6 @@ def serve(modules: Iterable[str]) -> None:
     """Be the server, until there are no more orders."""
     answers = os.dup(1)
     os.dup2(2, 1)  # what code says while it is loaded
-
-    def say(**answer: Any) -> None:
-        os.write(answers, json.dumps(answer).encode() + b"\n")
-
     for module in modules:
         with contextlib.suppress(Exception, SystemExit):  # the node that needs it will tell
             import_module(module)
@@ -232,44 +190,32 @@ def serve(modules: Iterable[str]) -> None:
     gc.freeze()  # or a node's first collection copies all pages
     # Of rclpy's own threads, which nodes start anew. Python 3.12 warns of any thread.
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-    woken, wake = os.pipe()
-    os.set_blocking(wake, False)
-    signal.signal(signal.SIGCHLD, lambda *_: None)
-    signal.set_wakeup_fd(wake)
-    while True:
-        ready, _, _ = select.select([0, woken], [], [])
-        if woken in ready:
-            os.read(woken, 4096)
-            with contextlib.suppress(ChildProcessError):
-                while (ended := os.waitpid(-1, os.WNOHANG))[0]:
-                    say(ended=ended[0], code=os.waitstatus_to_exitcode(ended[1]))
-        elif line := sys.stdin.readline():
-            try:
-                pid = os.fork()
-            except OSError as problem:
-                say(problem=f"no more processes: {problem.strerror}")
-                continue
-            if not pid:
-                for pipe in (answers, woken, wake):
-                    os.close(pipe)
-                _become(**json.loads(line))
-            say(started=pid)
-        else:
+    while order := sys.stdin.readline():
+        if not (child := os.fork()):
+            _become(answers, **json.loads(order))
+        if os.waitpid(child, 0)[1]:  # there can be no more processes
             return
 
 
-def _become(words: list[str], environment: dict[str, str], log: str, folder: str) -> None:
+def _become(
+    answers: int, words: list[str], environment: dict[str, str], log: str, folder: str
+) -> None:
     """Be a node: a session, an environment and a log of its own, as a new process has."""
     code: Any = 1
     try:
-        signal.set_wakeup_fd(-1)
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        between = os.getpid()
+        if os.fork():
+            os._exit(0)
+        while os.getppid() == between:  # then the program is the parent
+            time.sleep(1e-3)
+        end_with_parent()
+        os.setsid()
+        os.write(answers, f"{os.getpid()}\n".encode())  # fails if the program has ended before
+        os.close(answers)
         said = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         for number in (1, 2):
             os.dup2(said, number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-        os.setsid()
-        end_with_parent()
         _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
         faulthandler.enable()  # a crash shows where it was
         for stream in (sys.stdout, sys.stderr):

@@ -5,33 +5,41 @@ from __future__ import annotations
 import struct
 import threading
 from collections import defaultdict
-from typing import Any
+from typing import Any, Self
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from sensor_msgs.msg import Image
-from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.ros import CAMERA
-from plate_interfaces.msg import PartForces, Parts
 
-CHAIN: tuple[tuple[str, Any], ...] = (
-    ("image_raw", Image),
-    ("parts", Parts),
-    ("part_forces", PartForces),
-    ("plate_cycle", JointTrajectory),
-    ("motor_setpoints", JointTrajectory),
-)
-"""Topics from image to motors."""
+from .relays import CHAIN
 
 STAMP = struct.Struct("<4xiI")
 """Begin of a message on the wire: encapsulation, then the header's stamp."""
 
-TAKE_S = 0.2
+
+class Listener:
+    """A node that hears messages, and when they were published, in a thread of its own; a context
+    manager, inside an `Observer`'s."""
+
+    def __init__(self, name: str, namespace: str = "") -> None:
+        self.node = rclpy.create_node(name, namespace=namespace)
+        self._executor = SingleThreadedExecutor()  # EventsExecutor has no raw messages with times
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._executor.shutdown()
+        self._thread.join()
+        self.node.destroy_node()
 
 
-class Hops:
-    """A node that listens in a thread of its own; a context manager, inside an `Observer`'s.
+class Hops(Listener):
+    """Listens to the topics of `CHAIN`.
 
     Parameters
     ----------
@@ -49,19 +57,14 @@ class Hops:
     """
 
     def __init__(self, namespace: str = "", images: bool = True) -> None:
+        super().__init__("hops", namespace)
         self._images = images
         self.times: dict[int, list[int]] = defaultdict(lambda: [0] * len(CHAIN))
         self.newest: dict[str, bytes] = {}
-        self._over = False
-        self._node = rclpy.create_node("hops", namespace=namespace)
-        self._executor = SingleThreadedExecutor()  # EventsExecutor has no raw messages with times
-        self._executor.add_node(self._node)
         for number, (topic, kind) in enumerate(CHAIN):
-            if number == 0 and not images:
-                continue
-            heard = self._listener(number, topic)
-            self._node.create_subscription(kind, topic, heard, CAMERA, raw=True)
-        self._thread = threading.Thread(target=self._listen, daemon=True)
+            if number or images:
+                heard = self._listener(number, topic)
+                self.node.create_subscription(kind, topic, heard, CAMERA, raw=True)
 
     def _listener(self, number: int, topic: str) -> Any:
         def heard(data: bytes, info: dict[str, int]) -> None:
@@ -73,17 +76,3 @@ class Hops:
             self.newest[topic] = data
 
         return heard
-
-    def _listen(self) -> None:
-        while not self._over:
-            self._executor.spin_once(timeout_sec=TAKE_S)
-
-    def __enter__(self) -> Hops:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._over = True
-        self._thread.join()
-        self._executor.shutdown()
-        self._node.destroy_node()

@@ -181,6 +181,8 @@ class Observer:
         The first of `pulses`.
     pictures : bool
         Whether to listen to images.
+    waiting : callable, optional
+        Called with what is waited for, while it is.
 
     Attributes
     ----------
@@ -192,9 +194,13 @@ class Observer:
     """
 
     def __init__(
-        self, domain: int, pulse: Callable[[], None] = lambda: None, pictures: bool = True
+        self,
+        domain: int,
+        pulse: Callable[[], None] = lambda: None,
+        pictures: bool = True,
+        waiting: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.record, self.domain = Record(), domain
+        self.record, self.domain, self._waiting = Record(), domain, waiting
         self.pulses = [pulse]
         self._pulsed_at = 0.0
         self._client: PlateClient | None = None
@@ -266,12 +272,7 @@ class Observer:
         there = self.node.get_node_names()
         return [name for name in names if name in there]
 
-    def await_nodes(
-        self,
-        names: list[str],
-        timeout_s: float,
-        waiting: Callable[[str], None] = lambda _: None,
-    ) -> list[str]:
+    def await_nodes(self, names: list[str], timeout_s: float) -> list[str]:
         """Wait until all nodes are in the graph, and return their names.
 
         Raises
@@ -287,7 +288,7 @@ class Observer:
         def there() -> bool:
             absent = missing()
             if absent:
-                waiting(f"waiting for {', '.join(absent)}")
+                self._waiting(f"waiting for {', '.join(absent)}")
             return not absent
 
         if not self.until(there, timeout_s):
@@ -312,12 +313,7 @@ class Observer:
                 "--domain N"
             )
 
-    def await_answers(
-        self,
-        timeout_s: float,
-        names: Iterable[str] = (),
-        waiting: Callable[[str], None] = lambda _: None,
-    ) -> None:
+    def await_answers(self, timeout_s: float, names: Iterable[str] = ()) -> None:
         """Wait until images are answered as far as the solver.
 
         Parameters
@@ -326,8 +322,6 @@ class Observer:
             Longest wait [s].
         names : iterable of str
             Nodes: once all have told how they are, `ANSWERED_S` is long enough.
-        waiting : callable
-            Called with what is waited for.
 
         Raises
         ------
@@ -338,7 +332,7 @@ class Observer:
         began, allowed_s = time.monotonic(), timeout_s
         while not self.until(lambda: self.record.answers > 0, LOOK_S):
             waited_s = time.monotonic() - began
-            waiting(f"waiting for the answer to the first image | {waited_s:.0f} s")
+            self._waiting(f"waiting for the answer to the first image | {waited_s:.0f} s")
             if names and all(name in health for name in names):
                 allowed_s = min(allowed_s, waited_s + ANSWERED_S)
             if waited_s > allowed_s:
@@ -424,8 +418,8 @@ class Observer:
             raise GraphError(f"enable refused: {answer.message}")
         self.await_ready()
 
-    def await_ready(self, waiting: Callable[[str], None] = lambda _: None) -> None:
-        """Wait until the driver says that it is ready; `waiting` is called with what it says.
+    def await_ready(self) -> None:
+        """Wait until the driver says that it is ready.
 
         Raises
         ------
@@ -437,16 +431,10 @@ class Observer:
             said = "nothing" if self.record.driver is None else self.record.driver.text
             if time.monotonic() > end:
                 raise GraphError(f"the driver is not ready within {READY_S:g} s, it says: {said}")
-            waiting(f"waiting for the driver, it says: {said}")
+            self._waiting(f"waiting for the driver, it says: {said}")
 
-    def start(
-        self,
-        scenario: Scenario,
-        ready_timeout_s: float = ACCEPTED_S,
-        waiting: Callable[[str], None] = lambda _: None,
-    ) -> Task:
-        """Send the goal of a scenario; for a moment it may still be refused: then `waiting` is
-        called with the reason.
+    def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
+        """Send the goal of a scenario; for a moment it may still be refused.
 
         Raises
         ------
@@ -454,12 +442,12 @@ class Observer:
             If it is refused for longer: why.
         """
         if ready_timeout_s:
-            self.await_ready(waiting)
+            self.await_ready()
         if self._client is None:
             self._client = PlateClient(self.node, self.until)
         self.record.status = None
         try:
-            task = self._client.start(scenario, ready_timeout_s, waiting)
+            task = self._client.start(scenario, ready_timeout_s, self._waiting)
         except PlateError as refusal:
             raise GraphError(str(refusal)) from None
         # What was said of the task before may come after the new goal was sent.

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from plate_bringup import GraphError, GraphNode, RunOptions, Value
+from plate_bringup import GraphError, GraphNode, RunOptions
 from plate_core import config_path
 
 from .forks import Fork, end_with_parent
@@ -108,28 +108,6 @@ def executable(package: str, name: str) -> Path:
 ROS_ARGS = ("--ros-args", "--disable-external-lib-logs", "--params-file")
 
 
-def command(node: GraphNode, parameters: Mapping[str, Value]) -> list[str]:
-    """Return the command line of a node: parameters of nodes.yaml first, then the given ones."""
-    words = [str(executable(node.package, node.executable)), *ROS_ARGS]
-    words += [str(config_path("nodes.yaml")), "-r", f"__node:={node.name}"]
-    for name, value in parameters.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        if isinstance(value, str):  # quoted: a text of digits must stay a text
-            text = "'" + text.replace("'", "''") + "'"
-        words += ["-p", f"{name}:={text}"]
-    return words
-
-
-def command_of_all(nodes: Iterable[GraphNode], options: RunOptions, folder: Path) -> list[str]:
-    """Return the command line that runs all nodes in one process, and write their parameters."""
-    nodes = list(nodes)
-    file = folder / f"{ONE_PROCESS}.yaml"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(options.parameter_file(nodes), encoding="utf-8")
-    words = [str(executable("plate_bringup", ONE_PROCESS)), *(node.name for node in nodes)]
-    return [*words, *ROS_ARGS, str(config_path("nodes.yaml")), "--params-file", str(file)]
-
-
 class Processes:
     """All nodes of a run. A context manager: at its end none of them is left.
 
@@ -139,7 +117,7 @@ class Processes:
     options : RunOptions
         Decides their parameters.
     logs : path
-        Folder for NODE.log, or one_process.log.
+        Folder for NODE.log and its parameters, NODE.yaml; or of one_process.
     domain : int
         ROS domain.
     prefix : mapping of str to list, optional
@@ -169,22 +147,26 @@ class Processes:
         self.exit_codes: dict[str, int] = {}
         remaps, prefix, nodes = remaps or {}, prefix or {}, list(nodes)
         self._views = {node.name for node in nodes if node.view}
-        self._commands: dict[str, list[str]] = {}
         self._modules = [node.component.rpartition(".")[0] for node in nodes]
-        if options.one_process:
-            self._commands[ONE_PROCESS] = command_of_all(nodes, options, logs)
-        for node in () if options.one_process else nodes:
-            words = [*prefix.get(node.name, []), *command(node, options.parameters(node))]
-            if node.name in remaps:
-                words += ["-r", ":=".join(remaps[node.name])]
-            self._commands[node.name] = words
+        self._commands: dict[str, list[str]] = {}
         self._logs = logs
+        logs.mkdir(parents=True, exist_ok=True)
+        if options.one_process:
+            names = [node.name for node in nodes]
+            runs = {ONE_PROCESS: ([str(executable("plate_bringup", ONE_PROCESS)), *names], nodes)}
+        else:
+            runs = {n.name: ([str(executable(n.package, n.executable))], [n]) for n in nodes}
+        for name, (words, some) in runs.items():
+            file = logs / f"{name}.yaml"
+            file.write_text(options.parameter_file(some), encoding="utf-8")
+            words = [*prefix.get(name, []), *words, *ROS_ARGS, str(config_path("nodes.yaml"))]
+            remap = ["-r", ":=".join(remaps[name])] if name in remaps else []
+            self._commands[name] = [*words, "--params-file", str(file), *remap]
         traced = {"PYTHONFAULTHANDLER": "1"}  # a crash shows where it was
         self._environment = os.environ | traced | ros_environment(domain) | dict(environment or {})
         self._running: dict[str, Fork | subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Processes:
-        self._logs.mkdir(parents=True, exist_ok=True)
         try:
             for name, words in self._commands.items():
                 self._start(name, words)
@@ -212,9 +194,8 @@ class Processes:
                 preexec_fn=end_with_parent,
             )
 
-    def add(self, commands: Mapping[str, list[str]], environment: Mapping[str, str]) -> None:
+    def add(self, commands: Mapping[str, list[str]]) -> None:
         """Start other programs beside the nodes; what is said of nodes holds for them too."""
-        self._environment |= environment
         self._commands |= commands
         for name, words in commands.items():
             self._start(name, words)

@@ -16,8 +16,8 @@ from record.judge import check_limits
 from plate_bringup import RunOptions
 from plate_core import load_rig
 
-from .forward import NAMESPACE, commands, environment
-from .hops import CHAIN, Hops
+from .hops import Hops
+from .relays import CHAIN, NAMESPACE, NODES, command
 from .session import Session, session
 
 TASK_S = 240.0
@@ -137,9 +137,10 @@ def forward(graph: Session, hops: Hops, others: Hops, logs: Path) -> list[str]:
     """Start the graph that only forwards; return its processes' names once it answers."""
     for topic, _ in CHAIN:
         (logs / topic).write_bytes(hops.newest[topic])
-    graph.processes.add(commands(logs), environment())
+    commands = {f"{NAMESPACE}_{name}": command(name, str(logs)) for name in NODES}
+    graph.processes.add(commands)
     graph.observer.until(lambda: any(all(row) for row in others.times.values()), TASK_S)
-    return list(commands(logs))
+    return list(commands)
 
 
 def one_task(

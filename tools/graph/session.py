@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from plate_bringup import RunOptions, load_graph
 from plate_core import load_rig
 from plate_core.tasks import Scenario, load_scenario
 
+from . import relays
 from .domains import own_domain
 from .observer import Observer
 from .processes import Processes
@@ -76,15 +77,15 @@ class Session:
             self.observer.until(lambda: bool(record.last("page", "url")), PAGE_S)
         return record.last("page", "url")
 
-    def begin(self, waiting: Callable[[str], None] = lambda _: None) -> None:
-        """Set the plate free and start the task; `waiting` is called with what is waited for.
+    def begin(self) -> None:
+        """Set the plate free and start the task.
 
         In lockstep the planner waits for the goal at the second image: the task begins with it.
         """
         self.free()
-        self.observer.await_ready(waiting)
+        self.observer.await_ready()
         self.observer.check_not_stopped()
-        self.observer.start(self.scenario, waiting=waiting)
+        self.observer.start(self.scenario)
 
 
 def driver_triggers(options: RunOptions) -> bool:
@@ -101,8 +102,7 @@ def session(
     pictures: bool = True,
     waiting: Callable[[str], None] = lambda _: None,
     watched: bool = True,
-    remaps: Mapping[str, tuple[str, str]] | None = None,
-    beside: Mapping[str, list[str]] | None = None,
+    gated: bool = False,
 ) -> Iterator[Session]:
     """Start the nodes, and stop them at the end.
 
@@ -120,10 +120,8 @@ def session(
         Called with what is waited for, while it is.
     watched : bool
         Whether a node that ends by itself ends all.
-    remaps : mapping of str to (str, str), optional
-        As of `Processes`.
-    beside : mapping of str to list of str, optional
-        Name -> command line of other programs that are started with the nodes.
+    gated : bool
+        Whether the main input of each node comes through the gate of `relays`.
 
     Raises
     ------
@@ -131,18 +129,22 @@ def session(
         If a node ends or does not appear, there is no camera, or images are not answered: why.
     """
     nodes = options.nodes(load_graph())
+    remaps = relays.remaps(options.transport) if gated else {}
     with (
         own_domain(domain) as domain,
         Processes(nodes, options, logs, domain, remaps=remaps) as processes,
-        Observer(domain, processes.check if watched else lambda: None, pictures) as observer,
+        Observer(
+            domain, processes.check if watched else lambda: None, pictures, waiting
+        ) as observer,
     ):
-        processes.add(beside or {}, {})
+        if gated:
+            processes.add({relays.GATE: relays.command(relays.GATE, options.transport)})
         loop = [node.name for node in nodes if not node.view]
-        seen = observer.await_nodes(loop, START_S, waiting)
+        seen = observer.await_nodes(loop, START_S)
         if driver_triggers(options) and not options.autostart:
             observer.until(Path(options.port or options.link).exists, START_S)
             observer.activate_driver()  # motors stay off until they are enabled
         if "simulator" not in seen:
             observer.await_camera(CAMERA_S)
-        observer.await_answers(ANSWER_S, seen, waiting)
+        observer.await_answers(ANSWER_S, seen)
         yield Session(options, processes, observer, seen)

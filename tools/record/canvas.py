@@ -101,12 +101,10 @@ class Canvas:
 
     def cross(self, centre: np.ndarray, size: float, colour: Colour) -> None:
         """Draw a cross as wide as 2 `size` [m]."""
-        for sign in (1, -1):
-            arm = np.array([size, sign * size])
-            self.line([centre - arm, centre + arm], WHITE, 4)
-        for sign in (1, -1):
-            arm = np.array([size, sign * size])
-            self.line([centre - arm, centre + arm], colour, 2.2)
+        for tint, width in ((WHITE, 4.0), (colour, 2.2)):
+            for sign in (1, -1):
+                arm = np.array([size, sign * size])
+                self.line([centre - arm, centre + arm], tint, width)
 
     def write(self, point: Sequence | np.ndarray, text: str) -> None:
         """Write about a point [m], with a white edge."""

@@ -28,6 +28,9 @@ BUS = {"stroke": 1.002, "speed": 1.002, "acceleration": 1.1}
 """What the firmware may ask of drives on a bus, as shares of the limits: more than a table, since
 motors' splines differ from the plate's, and a brake adds a tenth."""
 
+SHARES = ("stroke", "speed", "accel", "force")
+"""Of `limit_shares`."""
+
 ROUNDING = 1e-6
 """Share of a limit that rounding may add."""
 
@@ -132,11 +135,7 @@ def judge(
         "setpoints_within_limits": kept,
         "bus_shares_max": bus if options.firmware else None,
         "limit_faults": list(limits.faults[:5]),
-        "stroke_share_max": round(limits.stroke, 4),
-        "speed_share_max": round(limits.speed, 4),
-        "accel_share_max": round(limits.accel, 4),
-        "force_share_max": round(limits.force, 4),
-        "heat_share_max": round(limits.heat, 4),
+        **{f"{name}_share_max": round(getattr(limits, name), 4) for name in (*SHARES, "heat")},
         "missed_share": typical(record, "missed_fraction"),
         "solve_ms_median": typical(record, "solve_ms_median"),
         "turn_error_deg": float(record.last("planner", "turn_error_deg")) if poses else None,
@@ -166,7 +165,7 @@ def summary(result: dict[str, Any]) -> str:
     if result["turn_error_deg"] is not None:
         done += f", {result['turn_error_deg']:.1f} degrees off at most"
     verdict = "Success" if result["success"] else f"No success ({result['message']})"
-    used = max(result[f"{name}_share_max"] for name in ("stroke", "speed", "accel", "force"))
+    used = max(result[f"{name}_share_max"] for name in SHARES)
     limits = "within limits" if result["setpoints_within_limits"] else "LIMITS BROKEN"
     waits = [f"{result[key]} {words}" for key, words in WAITS.items() if result[key]]
     waited = f" {', '.join(waits)} (machine load {result['load']:g})." if waits else ""

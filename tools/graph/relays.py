@@ -1,0 +1,130 @@
+"""Nodes that only pass on what they get: the gate, and a graph in which nothing is computed.
+
+python tools/graph/relays.py gate TRANSPORT
+    Hands the main input of each node on to it, until its parameter `cut` names one: what a cut
+    cable, a wrong remapping or a filter that has died look like to the node behind it. Its process
+    runs, those before it run, and nothing comes.
+
+python tools/graph/relays.py NODE FOLDER
+    One node of a graph with the same topics, types, sizes and qualities of service as the real
+    one's, in a namespace of its own: what the middleware and Python alone take. The camera sends
+    its image half a cycle after the real one, so that the two graphs take turns. The messages are
+    files of FOLDER, as on the wire.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CameraInfo, Image
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core.ros import CAMERA, DATA, IMAGE, nanoseconds, run_node
+from plate_interfaces.msg import PartForces, Parts
+
+CHAIN: tuple[tuple[str, Any], ...] = (
+    ("image_raw", Image),
+    ("parts", Parts),
+    ("part_forces", PartForces),
+    ("plate_cycle", JointTrajectory),
+    ("motor_setpoints", JointTrajectory),
+)
+"""Topics from image to motors."""
+
+NODES = ("simulator", "detector", "planner", "solver", "driver")
+"""Who publishes them."""
+
+GATE, NAMESPACE = "gate", "beside"
+
+SHORTEST_NS, LONGEST_NS = 10_000_000, 500_000_000
+"""Bounds of half a cycle [ns]."""
+
+
+def inputs(transport: str) -> dict[str, tuple[str, Any]]:
+    """Return topic and type of the main input of each node."""
+    found = dict(zip((*NODES[1:], NODES[0]), CHAIN, strict=True))
+    if transport == "serial":  # a device moves the plate
+        found["simulator"] = ("motor_motion", JointTrajectory)
+    return found
+
+
+def remaps(transport: str) -> dict[str, tuple[str, str]]:
+    """Return what puts each node behind the gate."""
+    return {node: (topic, f"{GATE}/{topic}") for node, (topic, _) in inputs(transport).items()}
+
+
+def command(*words: str) -> list[str]:
+    """Return the command line of the gate, or of a node that forwards."""
+    return [sys.executable, __file__, *words]
+
+
+class Gate(Node):
+    """Node `gate`: its parameter `cut` names the node that gets nothing; empty: all get theirs."""
+
+    def __init__(self, transport: str) -> None:
+        super().__init__(GATE)
+        self.declare_parameter("cut", "")
+        for node, (topic, kind) in inputs(transport).items():
+            qos = IMAGE if kind is Image else DATA
+            publisher = self.create_publisher(kind, f"{GATE}/{topic}", qos)
+            through = self._through(node, publisher.publish)
+            self.create_subscription(kind, topic, through, qos, raw=True)
+
+    def _through(self, node: str, publish: Callable[[bytes], None]) -> Callable[[bytes], None]:
+        def on_message(data: bytes) -> None:
+            if self.get_parameter("cut").value != node:
+                publish(data)
+
+        return on_message
+
+
+class Forwarder(Node):
+    """Publishes the same message whenever one of the topic before comes."""
+
+    def __init__(self, number: int, folder: Path) -> None:
+        super().__init__(NODES[number], namespace=NAMESPACE)
+        topic, kind = CHAIN[number]
+        self._message = deserialize_message((folder / topic).read_bytes(), kind)
+        self._out = self.create_publisher(kind, topic, DATA if number else IMAGE)
+        if number == 0:
+            self._last_ns = 0
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = self.create_timer(1.0, self._shoot, clock=steady)
+            self._timer.cancel()
+            self.create_subscription(CameraInfo, "/camera_info", self._on_real, CAMERA)
+        else:
+            topic, kind = CHAIN[number - 1]
+            self.create_subscription(kind, topic, self._on_message, DATA if number > 1 else CAMERA)
+        if NODES[number] == "planner":  # it hears what is sent to the plate, too
+            self.create_subscription(JointTrajectory, "plate_cycle", lambda _: None, DATA)
+
+    def _on_real(self, msg: CameraInfo) -> None:
+        stamp_ns = nanoseconds(msg.header.stamp)
+        half_ns = (stamp_ns - self._last_ns) // 2
+        self._last_ns = stamp_ns
+        self._timer.timer_period_ns = min(max(half_ns, SHORTEST_NS), LONGEST_NS)
+        self._timer.reset()
+
+    def _shoot(self) -> None:
+        self._timer.cancel()
+        self._message.header.stamp = self.get_clock().now().to_msg()
+        self._out.publish(self._message)
+
+    def _on_message(self, msg: Any) -> None:
+        self._message.header.stamp = msg.header.stamp
+        self._out.publish(self._message)
+
+
+if __name__ == "__main__":
+    name, given = sys.argv[1:]
+    make: Callable[[], Node] = partial(Gate, given)
+    if name != GATE:
+        make = partial(Forwarder, NODES.index(name), Path(given))
+    run_node(make, args=["--ros-args", "--disable-external-lib-logs"])
