@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_core.ros import DATA
 from plate_interfaces.srv import PartQuantity
 
-PICKS = 6
+PICKS = 4
 
 
 @pytest.fixture(name="graph", scope="module")
