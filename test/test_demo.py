@@ -27,6 +27,7 @@ from graph.processes import Interrupted
 from PIL import Image
 from short_task import short_task
 
+from plate_bringup import load_graph
 from plate_core import PlateError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -303,10 +304,12 @@ def test_a_full_disk_is_said_in_a_line(tmp_path, monkeypatch, capsys):
 
 
 def test_a_node_that_dies_at_start_is_named_with_its_reason(tmp_path, monkeypatch):
-    broken = tmp_path / "lib" / "plate_solver" / "solver"
-    broken.parent.mkdir(parents=True)
-    broken.write_text("#!/bin/sh\necho 'error: no such thing'\nexit 2\n")
-    broken.chmod(0o755)
+    for node in load_graph():
+        program = tmp_path / "lib" / node.package / node.executable
+        program.parent.mkdir(parents=True, exist_ok=True)
+        does = "echo 'error: no such thing'; exit 2" if node.name == "solver" else "exec sleep 60"
+        program.write_text(f"#!/bin/sh\n{does}\n")
+        program.chmod(0o755)
     prefixes = os.pathsep.join([str(tmp_path), os.environ["AMENT_PREFIX_PATH"]])
     monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes)
     with demo("--out", str(tmp_path / "out")) as process:

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
@@ -12,16 +13,25 @@ from light_graph import LightOptions
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from plate_core import config_path
 from plate_core.ros import DATA
 from plate_interfaces.srv import PartQuantity
 
-PICKS = 6
+PICKS = 4
 
 
 @pytest.fixture(name="graph", scope="module")
 def _graph(tmp_path_factory):
-    options = LightOptions(scenario="feed", seed=1, autostart=False, robot_port=0, rate=0.5)
-    with session(options, tmp_path_factory.mktemp("feed"), pictures=False) as graph:
+    """With half as many parts as `feed`: a purge is over sooner."""
+    folder = tmp_path_factory.mktemp("feed")
+    few = yaml.safe_load(config_path("scenarios/feed.yaml").read_text(encoding="utf-8"))
+    few["parts"][0]["count"] = 5
+    few["task"]["hopper"] |= {"fill": 8, "least": 6}
+    (folder / "feed.yaml").write_text(yaml.safe_dump(few), encoding="utf-8")
+    options = LightOptions(
+        scenario=str(folder / "feed.yaml"), seed=1, autostart=False, robot_port=0, rate=0.5
+    )
+    with session(options, folder, pictures=False) as graph:
         graph.free()
         graph.observer.await_ready()
         yield graph

@@ -34,14 +34,14 @@ def test_a_part_of_ten_comes_to_a_target_that_was_changed_in_mid_way():
 
 def test_a_part_follows_a_target_that_is_dragged():
     """At 20 mm/s it lags by about half a second: 9 to 12 mm."""
-    start, speed = 12.0, 0.02
+    start, speed = 8.0, 0.02
     late = []
 
     def target(t):
         return (-0.1 + speed * max(t - start, 0.0), 0.0)
 
     for moment in dragged(target, seed=22):
-        if moment.time > start + 10:
+        if moment.time > start + 7:
             break
         if moment.time > start + 2:
             late.append(float(np.max(moment.error_m)))

@@ -101,8 +101,8 @@ def test_what_is_counted_begins_with_the_first_pick(monkeypatch):
 
 @pytest.fixture(scope="module")
 def short():
-    """A quarter of a minute of our feeder."""
-    return produce(Setup(BASE.recipe, 3, effort=FEW), 2.0, 16.0)
+    """Some seconds of our feeder."""
+    return produce(Setup(BASE.recipe, 3, effort=FEW), 2.0, 12.0)
 
 
 def test_a_short_production_picks_parts_where_they_are_said_to_be(short):

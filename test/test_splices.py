@@ -4,6 +4,7 @@ rest; nothing jumps, whatever comes and when."""
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -128,13 +129,22 @@ def begun(done: Run) -> dict[int, int]:
 
 def assert_played(done: Run, tables: dict[int, Spliced]) -> None:
     """Wherever a table plays, the setpoint is that of its spline."""
-    for m in told(done):
-        if m.state is not State.PLAYING:
-            continue
-        [at] = done.setpoints[np.abs(done.times - m.device_us * 1e-6) < 1e-7]
+    playing = [m for m in told(done) if m.state is State.PLAYING]
+    at = setpoints(done, playing)
+    for number in {m.table for m in playing}:
+        rows = [m.table == number for m in playing]
+        times = [m.ticks * 1e-8 for m in playing if m.table == number]
         for order, tolerance in enumerate((1e-7, 3e-5, 5e-2)):
-            expected = tables[m.table].spline(m.ticks * 1e-8, nu=order)
-            np.testing.assert_allclose(at[order], expected, atol=tolerance)
+            expected = tables[number].spline(times, nu=order)
+            np.testing.assert_allclose(at[rows, order], expected, atol=tolerance)
+
+
+def setpoints(done: Run, messages: list[Telemetry]) -> np.ndarray:
+    """What was commanded (n, 3, 4) in the ticks that messages tell of."""
+    times = np.array([m.device_us * 1e-6 for m in messages])
+    rows = np.searchsorted(done.times, times - 1e-7)
+    assert np.all(np.abs(done.times[rows] - times) < 1e-7)
+    return done.setpoints[rows]
 
 
 def test_the_next_table_takes_over_at_the_splice(device):
@@ -424,16 +434,14 @@ def checked(story: Story, done: Run) -> Counter:
     seen.update(answers[c].name for c in story.commits.values() if c in answers)
     assert_smooth(done, list(good.values()))
     assert_played(done, good)  # only what was not refused
-    playing, before = begun(done), None
-    for m in told(done):
-        if m.state is State.READY:
-            [at] = done.setpoints[np.abs(done.times - m.device_us * 1e-6) < 1e-7]
-            if before is State.PLAYING:
-                assert np.all(np.abs(at[0]) <= REST_M)
-                assert not at[1:].any()
-        before = m.state
+    playing, messages = begun(done), told(done)
+    ready = [(last, m) for last, m in pairwise(messages) if m.state is State.READY]
+    rests = setpoints(done, [m for _, m in ready])
+    rests = rests[[last.state is State.PLAYING for last, _ in ready]]
+    assert np.all(np.abs(rests[:, 0]) <= REST_M)
+    assert not rests[:, 1:].any()
     for at, on in done.switched:
-        states = [m.state for m in told(done) if m.device_us * 1e-6 < at]
+        states = [m.state for m in messages if m.device_us * 1e-6 < at]
         cut = any(0 < at - cut < 0.1 for cut in story.cuts)
         if not on and not cut and states[-1] is State.BRAKING:
             seen["brought home"] += 1
@@ -445,7 +453,7 @@ def checked(story: Story, done: Run) -> Counter:
             assert joined
         seen["joined"] += joined
         seen["again"] += table.repeats > 1
-    for m in told(done):
+    for m in messages:
         tail = m.table in good and 0 < good[m.table].splice_ticks <= m.ticks
         seen[f"{m.state.name} {'in a tail' if tail else ''}".strip()] += 1
     return seen

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-LINES = 2000
+LINES = 800
 """More than a pipe holds."""
 
 PROGRAM = """

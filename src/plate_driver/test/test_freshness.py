@@ -1,4 +1,4 @@
-"""What is too old moves nothing: the rule itself, and hundreds of loops that stall at random."""
+"""What is too old moves nothing: the rule itself, and many loops that stall at random."""
 
 import heapq
 import itertools
@@ -200,9 +200,9 @@ moved: list[float] = []
 """Ages of all tables that moved the plate, to see that the rule lets work through."""
 
 
-def test_nothing_old_moves_in_150_stalled_loops():
+def test_nothing_old_moves_in_80_stalled_loops():
     moved.clear()
-    wrong = list(itertools.chain(*(run(seed) for seed in range(150))))
+    wrong = list(itertools.chain(*(run(seed) for seed in range(80))))
     assert not wrong, wrong[:5]
-    assert len(moved) > 5_000
+    assert len(moved) > 2_500
     assert max(moved) > 0.5

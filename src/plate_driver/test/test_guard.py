@@ -44,16 +44,15 @@ def wild_cycle(seed: int, knots: int, size: float, period: float, smooth: int) -
 
 def shares(table) -> dict[str, float]:
     """Use of the limits by other means than the driver's: scipy's splines, densely sampled."""
-    found = {"stroke": 0.0, "speed": 0.0}
     states = np.stack([table.q, table.qd, table.qdd], axis=1)  # (k, 3, 4)
-    for motor in range(4):
-        spline = BPoly.from_derivatives(table.cycle.times.copy(), states[:, :, motor])
-        t = (table.cycle.times[:-1, None] + np.diff(table.cycle.times)[:, None] * U).ravel()
-        found["stroke"] = max(found["stroke"], np.max(np.abs(spline(t))) / LIMITS.stroke_m)
-        found["speed"] = max(found["speed"], np.max(np.abs(spline(t, 1))) / LIMITS.speed)
+    spline = BPoly.from_derivatives(table.cycle.times.copy(), states)
     t = (table.cycle.times[:-1, None] + np.diff(table.cycle.times)[:, None] * U).ravel()
     pose, twist, accel = table.cycle.pose(t), table.cycle.twist(t), table.cycle.accel(t)
-    found["accel"] = np.max(corner_accel(RIG, pose, twist, accel)) / LIMITS.accel
+    found = {
+        "stroke": np.max(np.abs(spline(t))) / LIMITS.stroke_m,
+        "speed": np.max(np.abs(spline(t, 1))) / LIMITS.speed,
+        "accel": np.max(corner_accel(RIG, pose, twist, accel)) / LIMITS.accel,
+    }
     # Newton and Euler for a uniform plate, motors by least squares at home.
     inertia = RIG.plate.mass_kg * (RIG.plate.length_m**2 + RIG.plate.width_m**2) / 12
     lever, _, _ = motor_state(RIG, 1e-7 * np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))

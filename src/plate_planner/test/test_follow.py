@@ -217,7 +217,7 @@ def test_following_corrects_an_offset_at_the_start():
     assert np.max(np.abs(plant.position - reference)) < 1e-3
 
 
-@pytest.mark.parametrize("far", [0.006, 0.03, 0.05])
+@pytest.mark.parametrize("far", [0.006, 0.05])
 def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)
@@ -289,8 +289,8 @@ def test_a_part_that_starts_near_its_path_is_not_led():
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)
     plant.position += [0.004, 0.0]
-    state, _, progress = run(Planner(RIG, scenario), plant)
-    assert (progress.phase, state.memory.lead_s) == ("done", 0.0)
+    state, _, progress = run(Planner(RIG, scenario), plant, cycles=20)
+    assert (progress.phase, state.memory.leading, state.memory.lead_s) == ("running", False, 0.0)
 
 
 def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():

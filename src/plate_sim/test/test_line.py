@@ -73,7 +73,7 @@ def test_samples_lie_on_one_motion():
         assert many.velocity[::1000] == pytest.approx(few.velocity, abs=1e-12)
         step = cycle.period / 3000
         middle = 0.5 * (many.velocity[1:] + many.velocity[:-1]) * step
-        assert np.diff(many.position, axis=0) == pytest.approx(middle, abs=10 * MU * G * step**2)
+        assert np.max(np.abs(np.diff(many.position, axis=0) - middle)) <= 10 * MU * G * step**2
 
 
 @pytest.mark.parametrize("turning", [0.0, 0.02])

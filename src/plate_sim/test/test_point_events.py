@@ -286,7 +286,7 @@ def test_output_samples_do_not_change_the_motion():
         step = cycle.period / 3000
         assert np.all(np.linalg.norm(np.diff(many.velocity, axis=0), axis=2) <= mu * G * step * 1.2)
         middle = 0.5 * (many.velocity[1:] + many.velocity[:-1]) * step
-        assert np.diff(many.position, axis=0) == pytest.approx(middle, abs=mu * G * step**2)
+        assert np.max(np.abs(np.diff(many.position, axis=0) - middle)) <= mu * G * step**2
 
 
 def test_no_input_gives_nan_or_stalls():

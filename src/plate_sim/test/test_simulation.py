@@ -142,11 +142,11 @@ def test_the_share_of_images_asked_for_is_missed_and_no_motion_changes():
     seen, ends = [], []
     for share in (0.3, 0.0):
         simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_images=share))
-        seen.append([simulation.capture() is not None for _ in range(1500)])
+        seen.append([simulation.capture() is not None for _ in range(400)])
         simulation.run(shaking())
         ends.append(simulation.state.position)
     # 4 standard deviations
-    assert np.mean(seen[0]) == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / 1500))
+    assert np.mean(seen[0]) == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / 400))
     assert all(seen[1])
     assert np.array_equal(*ends)
 
