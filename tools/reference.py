@@ -17,9 +17,9 @@ PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
 
 HEAD = """# All keys of scenario and rig files
 
-Made from the code that reads them, by `python tools/reference.py`; a test compares. What is wrong
-in a file is refused with file, key, value and what is allowed. A key that must be there has nothing
-in the column `if left out`.
+Made from the code by `python tools/reference.py`. A key must be there if its table says nothing
+under `if left out`, or has no such column. What is wrong in a file is refused with file, key, value
+and what is allowed.
 
 Coordinates are in the frame `plate_home`: origin at the centre of the plate at rest, x along its
 long side, y to the left, angles counter-clockwise from x. How the files are used:
@@ -38,12 +38,19 @@ def _sections(sections: Iterable[Section]) -> Iterable[str]:
     """Yield the sections of a file; what a key means is said once."""
     told: set[tuple[str, str]] = set()
     for section in sections:
-        yield f"\n### `{section.where}`\n\n{section.about}\n"
-        yield "\n| key | what | if left out | meaning |\n|---|---|---|---|\n"
+        yield f"\n### `{section.where}`\n\n{section.about}\n\n"
+        optional = any(_default(key) for key in section.keys)
+        head = ("key", "what", *["if left out"] * optional, "meaning")
+        yield _row(*head) + "|" + "---|" * len(head) + "\n"
         for key in section.keys:
             meaning = "as above" if (key.name, key.meaning) in told else key.meaning
             told.add((key.name, key.meaning))
-            yield f"| `{key.name}` | {_what(key)} | {_default(key)} | {meaning} |\n"
+            yield _row(f"`{key.name}`", _what(key), *[_default(key)] * optional, meaning)
+
+
+def _row(*cells: str) -> str:
+    """Return a row of a table."""
+    return f"| {' | '.join(cells)} |\n"
 
 
 def _what(key: Key) -> str:

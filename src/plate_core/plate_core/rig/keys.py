@@ -27,21 +27,20 @@ MOTOR = Section(
             "[x, y]; of any length but 0.",
         ),
         Key(
-            "drive", Choice(("bridge", "cia402", "odrive")), "What gives it its current: a "
-            "bridge of the board, a drive of CiA 402 on CANopen, or an ODrive on CAN; the same "
-            "kind for all four.", "bridge",
+            "drive", Choice(("bridge", "cia402", "odrive")), "A bridge of the board, a "
+            "drive of CiA 402 on CANopen, or an ODrive on CAN; the same for all four.", "bridge",
         ),
         Key(
-            "node", Whole(1, 126), "Node number of its drive on the bus; up to 62 for an ODrive.",
+            "node", Whole(1, 126), "Number of its drive on the bus; up to 62 for an ODrive.",
             None, "needed with a drive",
         ),
         Key(
-            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position for a metre; of "
-            "cia402.", None, "needed with it",
+            "counts_per_m", Number(1e3, 1e9), "Counts of a cia402 drive's position.", None,
+            "needed with it",
         ),
         Key(
-            "turns_per_m", Number(0.1, 1e4), "Turns of the drive's position for a metre, with a "
-            "linear motor pairs of poles; of odrive.", None, "needed with it",
+            "turns_per_m", Number(0.1, 1e4), "Turns of an ODrive's position, with a linear motor "
+            "pairs of poles.", None, "needed with it",
         ),
         Key(
             "sign", Sign(), "-1 where the drive counts against `direction`, else 1.", 1,
@@ -51,8 +50,8 @@ MOTOR = Section(
             "first enable. absolute: the drive's position is 0 at home.", "here",
         ),
         Key(
-            "serial", Whole(1, 2**32 - 1), "Serial number of its drive (object 1018h:04), which is "
-            "then looked at; of cia402.", None, "any",
+            "serial", Whole(1, 2**32 - 1), "Of a cia402 drive (object 1018h:04), which is then "
+            "looked at.", None, "any",
         ),
     ),
 )  # fmt: skip
@@ -63,10 +62,10 @@ CAMERA = Section(
     (
         Key("width_px", Whole(16, 16384), "Width of an image."),
         Key("height_px", Whole(16, 16384), "Height of an image."),
-        Key("exposure_s", Number(0, 0.1), "Exposure time of an image."),
+        Key("exposure_s", Number(0, 0.1), "Exposure time."),
         Key(
             "readout_s", Number(0, 0.1), "Rolling shutter: the last row is exposed this much later "
-            "than the first; 0 with a global one.", 0.0,
+            "than the first.", 0.0,
         ),
         Key("colour", Flag(), "Whether it sees colours.", False),
         Key(
@@ -74,8 +73,7 @@ CAMERA = Section(
             "fraction of each cycle.", None, "the camera runs free",
         ),
         Key(
-            "trigger_pulse_s", Number(0.001, 0.008), "Length of the trigger's pulse, in whole ms.",
-            0.002,
+            "trigger_pulse_s", Number(0.001, 0.008), "Length of its pulse, in whole ms.", 0.002,
         ),
         Key(
             "corners_px", Numbers((4, 2), -16384, 32768), "Images of the plate's corners at rest, "
@@ -126,12 +124,12 @@ SUSPENSION = Section(
         ),
         Key("damping_ratio", Numbers((3,), 0, 2), "And their damping.", None, "or `damping`"),
         Key(
-            "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "In place of `frequency_hz`: the "
-            "stiffness matrix of x, y and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
+            "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "Stiffness matrix of x, y "
+            "and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
         ),
         Key(
-            "damping", Numbers((3, 3), -STIFFEST, STIFFEST), "In place of `damping_ratio`: the "
-            "damping matrix [N s/m, N s, N m s/rad].", None, "or `damping_ratio`",
+            "damping", Numbers((3, 3), -STIFFEST, STIFFEST), "Damping matrix [N s/m, N s, "
+            "N m s/rad].", None, "or `damping_ratio`",
         ),
         Key(
             "inertia_kgm2", Number(1e-9, 1e6), "Of the plate about its centre of mass.",
@@ -140,8 +138,8 @@ SUSPENSION = Section(
         Key(
             "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "At rest [x, y].", (0.0, 0.0),
         ),
-        Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Shares of the "
-            "forces of mass, damping and stiffness that the drive supplies in advance."),
+        Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Shares of "
+            "these forces that the drive supplies in advance."),
         Key(
             "motor_gain", Numbers((4,), 0.1, 3), "Force of each motor over the force asked of it.",
             (1.0, 1.0, 1.0, 1.0),

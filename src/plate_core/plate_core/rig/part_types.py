@@ -55,7 +55,7 @@ Polygon = tuple[tuple[float, float], ...]
 
 PART_TYPE = Section(
     "types (may be left out), NAME",
-    "A type of part: a name as `nut`, and what is known of it. Either `outline_m` or `radius_m`.",
+    "A type of part, with a name as `nut`. Either `outline_m` or `radius_m`.",
     (
         Key(
             "outline_m", Numbers((None, 2), -LARGEST_M, LARGEST_M), "Corners [x, y] of its "

@@ -56,7 +56,7 @@ class Plate:
 class Friction:
     """Coulomb friction between parts and plate: coefficient [-] and gravity [m/s2]."""
 
-    mu: float = measured("mu", 0.01, 2, "Coefficient of dynamic friction between parts and plate.")
+    mu: float = measured("mu", 0.01, 2, "Coefficient of dynamic friction.")
     gravity: float = measured("gravity_mps2", 0.1, 30, "Gravity.")
 
     @property

@@ -57,18 +57,18 @@ FILE = Section(
     "scenario file",
     "One task: parts on the plate, and what is to be done with them.",
     (
-        Key("description", Text(), "What the task is, in a sentence."),
+        Key("description", Text(), "The task, in a sentence."),
         Key(
-            "marked", Flag(), "Whether each round part has a spot that shows its angle. A task of "
-            "`pose` needs it for them.", False,
+            "marked", Flag(), "Whether each round part has a spot that shows its angle, as `pose` "
+            "needs.", False,
         ),
         Key(
-            "rig", Text("a name in config/rigs, or the path of a .yaml file"), "The rig that the "
-            "task is made for: taken where none is chosen. A path begins at the scenario's folder.",
+            "rig", Text("a name in config/rigs, or the path of a .yaml file"), "The rig that is "
+            "taken where none is chosen. A path begins at the scenario's folder.",
             "", "any rig will do",
         ),
-        Key("parts", List(), "The parts on the plate: one entry for each class."),
-        Key("task", Table(), "What is to be done: `kind`, and the keys of that kind."),
+        Key("parts", List(), "One entry for each class."),
+        Key("task", Table(), "`kind`, and the keys of that kind."),
         Key(
             "time_limit_s", Number(0.1, 1e5), "Longest time from the task's beginning, in which "
             "all parts were seen, to its end; a task that takes longer has failed.",
@@ -82,9 +82,9 @@ GROUP = Section(
     "The parts of one class: placed, or scattered at random.",
     (
         Key(
-            "class", Text("black, grey, or a type of the rig's `types`"), "Class of these parts: "
-            "`black` and `grey` are round, as `parts` in the rig file says, and differ in "
-            "brightness; a rig with `types` has these, and no others.",
+            "class", Text("black, grey, or a type of the rig's `types`"), "`black` and `grey` "
+            "are round, as `parts` in the rig file says, and differ in brightness; a rig with "
+            "`types` has these, and no others.",
         ),
         Key(
             "count", Whole(0, 100), "How many, scattered at random (by `seed`): five radii from "
@@ -93,8 +93,8 @@ GROUP = Section(
             None, "or `positions_m`",
         ),
         Key(
-            "positions_m", PLACES, "Where each one starts: its centre on the plate, two radii or "
-            "more from that of any other.",
+            "positions_m", PLACES, "Where the centre of each starts, two radii or more from that "
+            "of any other.",
             None, "or `count`",
         ),
     ),
@@ -103,7 +103,7 @@ GROUP = Section(
 TASK = Section(
     "task",
     "What is to be done.",
-    (Key("kind", Choice(KINDS), "Kind of task; each has keys of its own, below."),),
+    (Key("kind", Choice(KINDS), "Each kind has keys of its own, below."),),
 )
 
 SORT = Section(
@@ -118,8 +118,7 @@ SORT = Section(
         Key(
             "goal_fraction", Number(0, 0.8), "Where sides and corners begin, from the plate's "
             "middle: as a fraction of the half length for left and right, of the half width for "
-            "bottom and top; a corner lies beyond both. Of a plate of 0.6 x 0.3 m 0.6 leaves "
-            "0.12 x 0.3 m for a side, 0.12 x 0.06 m for a corner.",
+            "bottom and top; a corner lies beyond both.",
             None, "none; for bins alone it is not needed",
         ),
         HOLD,
@@ -139,8 +138,8 @@ BIN = Section(
 
 FOLLOW = Section(
     "task, kind: follow",
-    "Every part along its own path. Parts that start elsewhere are led to the first points of "
-    "their paths before the paths begin. Done when all paths are run.",
+    "Every part along its own path, once all were led to the first points of their paths. "
+    "Done when all paths are run.",
     (
         Key("paths", List(), "One path for each part."),
         Key(
@@ -158,7 +157,7 @@ PATH = Section(
     (
         class_key(),
         Key("waypoints_m", PLACES, "Corners [x, y] of a polygon, two or more.", None, "see above"),
-        Key("circle", Table(), "A circle; its keys are below.", None, "see above"),
+        Key("circle", Table(), "Its keys are below.", None, "see above"),
         Key(
             "spline_m", PLACES, "Points [x, y] of a cubic spline, three or more.", None, "see above"
         ),
@@ -171,7 +170,7 @@ PATH = Section(
             "none; a circle is closed",
         ),
         Key(
-            "laps", Number(0.01, 1000), "How many times round, such as 2, or 0.5 for half a round.",
+            "laps", Number(0.01, 1000), "How many times round; 0.5 is half a round.",
             None, "none; open paths: 1",
         ),
     ),
@@ -179,13 +178,12 @@ PATH = Section(
 
 CIRCLE = Section(
     "task, kind: follow, paths[], circle",
-    "A path round a circle.",
+    "A circle.",
     (
         Key("centre_m", PLACE, "Its centre [x, y]."),
         Key("radius_m", Number(1e-4, FAR_M), "Its radius."),
         Key(
-            "start_deg", Number(-360, 360), "Where on the circle the path begins, "
-            "counter-clockwise from x.", 0.0,
+            "start_deg", Number(-360, 360), "Where the path begins, counter-clockwise from x.", 0.0,
         ),
         Key("turn", Choice(("left", "right")), "left: counter-clockwise; right: clockwise."),
     ),
@@ -197,9 +195,9 @@ ASSEMBLE = Section(
     "`hold_s`.",
     (
         Key(
-            "places_m", Table("for each class a list of [x, y]"), "As many places as there are "
-            "parts of the class, 2.5 radii or more from each other; which part goes where is left "
-            "to the planner.",
+            "places_m", Table("for each class a list of [x, y]"), "As many as there are parts "
+            "of the class, 2.5 radii or more from each other; the planner chooses which part goes "
+            "where.",
         ),
         TOLERANCE,
         HOLD,
@@ -215,8 +213,7 @@ POSE = Section(
         Key(
             "anywhere",
             Flag(),
-            "Whether parts without `place_m` may be anywhere on the plate; else "
-            "they have to stay where they are.",
+            "Whether parts without `place_m` may be anywhere; else they stay where they are.",
             False,
         ),
         TOLERANCE,
@@ -237,21 +234,16 @@ POSES = Section(
 
 MOVE = Section(
     "task, kind: move",
-    "Parts to targets of their own, which may be changed while it runs: topic `targets`. A part "
-    "without one is to stay where it is, but gives way. Done when all targets have been reached "
-    "for `hold_s`.",
+    "Parts to targets of their own, which topic `targets` may change. A part without one is to "
+    "stay where it is, but gives way. Done when all targets have been reached for `hold_s`.",
     (
         Key("targets", List(), "One for each part that is to be moved.", None, "none"),
         TOLERANCE,
         Key(
-            "tolerance_deg", Number(0.1, 180), "A part has turned when its angle is this near, if "
-            "its target has one.", 5.0,
+            "tolerance_deg", Number(0.1, 180), "A part has turned when its angle is this near.", 5.0
         ),
         HOLD,
-        Key(
-            "until_canceled", Flag(), "Whether it goes on until it is canceled, and is never done.",
-            False,
-        ),
+        Key("until_canceled", Flag(), "It goes on until it is canceled, and is never done.", False),
     ),
 )  # fmt: skip
 
@@ -262,8 +254,8 @@ MOVES = Section(
         Key("id", Text("a class of `parts` and a number, such as black_1"), "The part."),
         Key("place_m", PLACE, "Its place [x, y]."),
         Key(
-            "angle_deg", Number(-360, 360), "Counter-clockwise from x; of round parts that are "
-            "`marked`, and of others.", None, "any",
+            "angle_deg", Number(-360, 360), "Counter-clockwise from x; of round parts only if they "
+            "are `marked`.", None, "any",
         ),
     ),
 )  # fmt: skip
@@ -273,14 +265,14 @@ FEED = Section(
     "A feeder: parts lie ready for a robot while parts come and go, until it is canceled. Parts of "
     "classes without an entry in `picks` are brought to the chute.",
     (
-        Key("picks", List(), "What is to be ready: one entry for each class that is wanted."),
+        Key("picks", List(), "One entry for each class that is wanted."),
         Key(
-            "clearance_m", Number(0, 0.5), "The gripper's: least distance of a ready part's rim "
-            "from that of any other part.",
+            "clearance_m", Number(0, 0.5), "Least distance of a ready part's rim from that of "
+            "any other part.",
         ),
         Key(
-            "chute", Choice(("left", "right", "bottom", "top")), "Side of the plate over which "
-            "parts leave that nobody wants.", None, "none: they stay",
+            "chute", Choice(("left", "right", "bottom", "top")), "Side over which parts leave "
+            "that nobody wants.", None, "none: they stay",
         ),
         Key("hopper", Table(), "Where new parts come from.", None, "none"),
         Key("timeout_s", Number(0.1, 3600), "Longest wait for a part.", 30.0),
