@@ -1,0 +1,155 @@
+"""Film the live page while parts are dragged and a path is drawn: docs/results/page.png and .webp.
+
+python tools/page_film.py [--out docs/results]
+
+Needs Chromium, and: pip install -r requirements-bench.txt
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from graph.session import session
+from needs import program
+from PIL import Image
+
+from plate_bringup import RunOptions
+from plate_core import PlateError
+
+SIZE: Any = {"width": 1366, "height": 768}
+FRAME_S = 0.25
+FILM_WIDTH_PX, QUALITY = 720, 40
+STILL_S = 9.0
+"""When the still picture is taken [s]."""
+
+DRAGS = (
+    ("black_1", (0.12, 0.08), 0.5),
+    ("grey_3", (-0.2, -0.08), 2.5),
+    ("black_4", (0.2, -0.02), 4.5),
+)
+"""Which part, to where [m], and when [s]."""
+
+PATH = "grey_2", ((0.0, 0.06), (0.08, 0.0), (0.0, -0.06), (-0.08, 0.0), (0.0, 0.06)), 11.0
+END_S = 22.0
+
+
+class Film:
+    """The page in a browser, photographed again and again."""
+
+    def __init__(self, page: Any) -> None:
+        self.page, self.began = page, time.monotonic()
+        self.frames: list[tuple[float, bytes]] = []
+
+    @property
+    def now(self) -> float:
+        """Time since the film began [s]."""
+        return time.monotonic() - self.began
+
+    def until(self, t: float) -> None:
+        """Photograph until a time [s]."""
+        while self.now < t:
+            began = time.monotonic()
+            self.frames.append((self.now, self.page.screenshot(type="png")))
+            time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
+
+    def known(self, what: str) -> Any:
+        """Return something that the page knows."""
+        bus = "const {known} = await import('./bus.js')"
+        return self.page.evaluate(f"async () => {{ {bus}; return {what}; }}")
+
+    def drag(self, points: Sequence[Sequence[float]]) -> None:
+        """Draw with the pointer pressed through points [m]."""
+        box, rig = self.page.locator("#plate").bounding_box(), self.known("known.hello.rig")
+        scale = min(box["width"] / (rig["length"] + 0.024), box["height"] / (rig["width"] + 0.024))
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        pixels = [(middle[0] + scale * x, middle[1] - scale * y) for x, y in points]
+        self.page.mouse.move(*pixels[0])
+        self.page.mouse.down()
+        for at in pixels[1:]:
+            self.page.mouse.move(*at, steps=8)
+            self.frames.append((self.now, self.page.screenshot(type="png")))
+        self.page.mouse.up()
+
+    def place(self, name: str) -> tuple[float, float]:
+        """Return where a part is [m]."""
+        part = self.known(f"known.parts.parts.find((part) => part.id === '{name}')")
+        return part["x"], part["y"]
+
+
+def shoot(film: Film) -> None:
+    """Play the scene."""
+    film.page.get_by_label("Drift").check()
+    for name, end, at in DRAGS:
+        film.until(at)
+        x, y = film.place(name)
+        film.drag(
+            [(x + share * (end[0] - x), y + share * (end[1] - y)) for share in (0, 0.3, 0.6, 1)]
+        )
+    name, points, at = PATH
+    film.until(at)
+    film.page.get_by_label("Draw a path").check()
+    film.drag([film.place(name), *points])
+    film.page.get_by_label("Speed").first.fill("40")
+    film.page.get_by_role("button", name="Follow").click()
+    film.until(END_S)
+
+
+def write(frames: list[tuple[float, bytes]], out: Path) -> None:
+    """Write the still picture and the film."""
+    still = next(data for t, data in frames if t >= STILL_S)
+    (out / "page.png").write_bytes(still)
+    pictures = [Image.open(io.BytesIO(data)).convert("RGB") for _, data in frames]
+    height = round(FILM_WIDTH_PX * SIZE["height"] / SIZE["width"])
+    small = [each.resize((FILM_WIDTH_PX, height), Image.Resampling.LANCZOS) for each in pictures]
+    times = [t for t, _ in frames]
+    lengths = [
+        round(1e3 * (b - a)) for a, b in zip(times, [*times[1:], times[-1] + 1], strict=True)
+    ]
+    small[0].save(
+        out / "page.webp", save_all=True, append_images=small[1:], duration=lengths, loop=0,
+        quality=QUALITY, method=4,
+    )  # fmt: skip
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("docs/results"))
+    out = parser.parse_args().out
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        parser.error("playwright is missing: pip install -r requirements-bench.txt")
+    chromium = program("chromium")
+    if chromium is None:
+        parser.error("chromium is missing: apt install chromium")
+    options = RunOptions(scenario="play", seed=1, view=True)
+    try:
+        with (
+            TemporaryDirectory() as logs,
+            session(options, Path(logs), pictures=False) as graph,
+            sync_playwright() as playwright,
+        ):
+            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+            page = browser.new_page(viewport=SIZE)
+            page.goto(graph.page())
+            page.wait_for_timeout(3000)
+            film = Film(page)
+            shoot(film)
+            browser.close()
+    except PlateError as error:
+        parser.error(str(error))
+    write(film.frames, out)
+    print(f"{out}/page.png, {out}/page.webp: {len(film.frames)} frames")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
