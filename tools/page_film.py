@@ -121,7 +121,7 @@ def write(frames: list[tuple[float, bytes]], out: Path) -> None:
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/results"))
+    parser.add_argument("--out", type=Path, default=Path("docs/results"), help="(docs/results)")
     out = parser.parse_args().out
     try:
         from playwright.sync_api import sync_playwright
@@ -146,6 +146,7 @@ def main() -> int:
             browser.close()
     except PlateError as error:
         parser.error(str(error))
+    out.mkdir(parents=True, exist_ok=True)
     write(film.frames, out)
     print(f"{out}/page.png, {out}/page.webp: {len(film.frames)} frames")
     return 0
