@@ -104,7 +104,7 @@ class PlannerState:
     known : tuple of str
         Ids in the last image with all parts.
     last : mapping of str to LastSeen
-        Where each part was on the plate when it was seen last.
+        Where each part was on the plate when it was seen last; none where parts come and go.
     answer : (Wanted, Progress) or None
         The last answer, given again when the same image comes again.
     due : float
@@ -311,11 +311,12 @@ class Planner:
     def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:
         """Say what is asked of the parts in the next cycle; see `plan`."""
         estimator = state.estimator
-        there = estimator.parts
-        if self.rules.open_ended:
+        there, last = estimator.parts, state.last
+        if self.rules.open_ended:  # there is no end to names, and none is missed
             there = self._without_doubles(there, estimator.seen)
+        else:
+            last = self._last_seen(last, there, estimator.stamp)
         present = self._on_plate(there)
-        last = self._last_seen(state.last, there, estimator.stamp)
         state = replace(state, last=last, due=np.inf)
         state, found = self._advance(state, present)
         wanted = NOTHING

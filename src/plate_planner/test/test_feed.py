@@ -1,5 +1,6 @@
 """Feeding: which parts are got ready, when the plate rests, and what is reported."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -215,6 +216,15 @@ def test_parts_come_and_go_while_the_task_runs():
     for k in range(len(images), 40):
         state, _, progress = feed.plan(state, parts(), k * T)
     assert progress.phase is Phase.RUNNING
+
+
+def test_the_planner_does_not_grow_with_the_parts_that_have_gone():
+    feed, sizes = Planner(RIG, SCENARIO), []
+    state = feed.start(feed.initial())
+    for k in range(1000, 1300):
+        state, *_ = feed.plan(state, parts(**{f"black_{k}": (0.1, 0.0)}), k * T)
+        sizes.append(len(pickle.dumps(state)))
+    assert abs(sizes[299] - sizes[99]) < 100
 
 
 def test_orders_change_what_is_done_and_wrong_ones_are_refused():
