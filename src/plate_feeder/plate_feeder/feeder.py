@@ -479,6 +479,8 @@ class Feeder:
             self._give_up()
         if self._waiting is not None:
             self._answer(self._waiting, now)
+        if self._task is _Task.ASKED and self.silence(now):  # later nobody would expect it
+            self._end()
         open_s = self._open(now)
         self._decide()
         replies, self._replies = tuple(self._replies), []
@@ -606,8 +608,6 @@ class Feeder:
         silence = self.silence(now)
         if silence:
             self._answer_waiting(Code.SILENT, silence)
-            if self._task is _Task.ASKED:  # later nobody would expect it
-                self._end()
         elif waiting.purge:
             self._answer_purge(waiting, now)
         elif self._rests() and (offers := self._offers(waiting.wanted)):

@@ -404,6 +404,18 @@ def test_a_task_that_does_not_begin():
     assert not cell.output.run  # nothing begins later that nobody waits for
 
 
+@pytest.mark.parametrize("command", ["prepare_part", "get_part"])
+def test_a_task_that_does_not_begin_is_not_wanted_for_ever_by_a_client_that_does_not_wait(command):
+    cell = Cell()
+    cell.silent = True
+    cell.do(command, now=cell.t)
+    cell.feeder.gone("robot")
+    cell.run(round((START_S - 1) / PERIOD_S))
+    assert cell.output.run
+    cell.run(round(2 / PERIOD_S))
+    assert not cell.output.run
+
+
 def test_the_end_of_the_task_is_told_at_once_and_a_command_begins_it_again():
     cell = Cell(ready=())
     cell.get()
