@@ -79,6 +79,9 @@ MOVED_M = 0.002
 SPREADS = 2.0
 """Parts fall no further from the hopper's place than this [its spread]."""
 
+WAITS = "stopped until a person calls resume_feeding: "
+"""Begins the words of a stop; the reason follows."""
+
 LONGEST_S = 3600.0
 """Longest `timeout_s` that may be asked for [s]."""
 
@@ -335,7 +338,7 @@ class Feeder:
     def stop(self, why: str) -> None:
         """The plate was stopped by a person, or so that a person is needed anyway: the task is to
         end, and until `resume` each command that would move the plate is answered so."""
-        self._stop = f"stopped until a person calls resume_feeding: {why}"
+        self._stop = WAITS + why
         self.task_ended(self._stop)
 
     def resume(self) -> None:

@@ -180,7 +180,7 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     def rest(self) -> None:
         """Answer what waits, end the task, and serve no more."""
-        self._stopped = self._feeder.stopped
+        self._stopped = self._feeder.stopped.removeprefix(core.WAITS)
         self._feeder.task_ended(STOPPED)
         self._step()
         server, self._server = self._server, None
