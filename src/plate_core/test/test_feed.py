@@ -54,6 +54,13 @@ def test_a_recipe_is_read(tmp_path):
     assert math.isinf(load(tmp_path, FILE).time_limit_s)
 
 
+def test_fractions_of_a_mix_may_be_rounded(tmp_path):
+    given = "spread_m: 0.05, mix: {black: 0.6666667, grey: 0.3333334}"
+    mix = load(tmp_path, FILE.replace("spread_m: 0.05", given)).task.hopper.mix
+    np.random.default_rng(0).choice(list(mix), p=list(mix.values()))  # as the simulator does
+    assert mix["black"] == pytest.approx(2 / 3, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -85,8 +85,10 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
         if unknown := [label for label in mix if label not in labels]:
             hint = did_you_mean(unknown[0], labels)
             raise fields.fail("mix", f"the classes of parts: {known}; not {unknown[0]!r}{hint}")
-        if abs(sum(mix.values()) - 1) > WHOLE:
+        total = sum(mix.values())
+        if abs(total - 1) > WHOLE:
             raise fields.fail("mix", f"fractions of {known} that sum up to 1")
+        mix = {label: share / total for label, share in mix.items()}
         if none := [pick.label for pick in picks if not mix.get(pick.label)]:
             raise fields.fail("mix", f"more than 0 of each class of picks: {', '.join(none)} too")
     fill = fields.value(keys.HOPPER["fill"])
