@@ -16,7 +16,7 @@ LONGEST_LINE = 256
 """Of a robot [bytes]."""
 
 LONGEST_ANSWER = 250
-"""Characters; longer texts are cut."""
+"""Characters; longer texts are cut, between two words."""
 
 NUMBER = re.compile(r"[-+.\d]")
 """What begins so is to be a number: no class and no id does."""
@@ -114,7 +114,10 @@ def _seconds(word: str) -> float:
 def answer_line(code: Code, text: str) -> bytes:
     """Return the line that answers a command."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
-    return f"{code:d} {plain}"[:LONGEST_ANSWER].encode() + b"\r\n"
+    line = f"{code:d} {plain}"
+    if len(line) > LONGEST_ANSWER:  # half a number is another one
+        line = line[: LONGEST_ANSWER + 1].rpartition(" ")[0]
+    return line.encode() + b"\r\n"
 
 
 def part_text(part: ReadyPart, valid_s: float) -> str:

@@ -88,6 +88,17 @@ def test_answers_are_one_line_of_plain_text():
     assert answer_line(Code.DONE, "a\nb\r\n  c é") == b"200 a b c ?\r\n"
 
 
+def test_a_long_answer_is_cut_between_two_words():
+    counts = {f"a_type_of_part_{letter}": 12 for letter in "abcdefghijklmnop"}
+    text = quantity_text(Quantity(counts, 2, 5, 1, 0))
+    words = answer_line(Code.DONE, text).decode().split()
+    assert len(words) > 15
+    assert words == f"200 {text}".split()[: len(words)]
+    for size in range(240, 260):
+        line = answer_line(Code.DONE, size // 2 * "1 ").decode()
+        assert line == f"200 {min(size // 2, 123) * '1 '}".strip() + "\r\n"
+
+
 def test_a_part_in_millimetres_and_degrees():
     part = ReadyPart("m8_nut_12", 0.012345, -1e-7, math.radians(-190))
     assert part_text(part, 9.96) == (
