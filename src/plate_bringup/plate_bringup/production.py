@@ -277,7 +277,7 @@ class FeederCell:
         """Hand the planner's report to the feeder, and return what it orders."""
         self.feeder.hear(status_of(report), now)
         output = self.feeder.step(now)
-        if output.open_s and self.simulation is not None:
+        if output.open_s is not None and self.simulation is not None:
             self.simulation.open_hopper(output.open_s)
         for _, reply in output.replies:
             self._hear(reply, now)

@@ -32,7 +32,8 @@ The rules:
   middle of its pick window.
 - The hopper is opened for what is missing to `fill` when there are fewer parts than `least`, unless
   a part is reserved or the plate is purged, and not again within `FALLEN_S` of its closing. Until
-  then no part is offered that lies within two spreads of the place where they fall. After
+  then no part is offered that lies within two spreads of the place where they fall, and no plate
+  counts as purged. It is shut when a purge begins, and when the task ends. After
   `MOST_OPENINGS` that brought nothing it counts as empty; each new command has it tried once more.
 """
 
@@ -66,6 +67,9 @@ one more it is."""
 
 FALLEN_S = 1.0
 """So long after the hopper has closed everything that fell is seen [s]."""
+
+LONGEST_OPEN_S = 60.0
+"""The hopper is not opened for longer at once [s]: the simulator's refuses more."""
 
 MOST_OPENINGS = 3
 """After so many openings that brought nothing the hopper is empty."""
@@ -186,15 +190,15 @@ class Output:
         Whether the planner's task is to run; false: it is to be canceled if it does.
     order : FeedOrder
         For a task that runs.
-    open_s : float
-        The hopper is to be opened for so long, now [s]; 0: not.
+    open_s : float or None
+        The hopper is to be open for so long from now on [s], 0: it is to be shut; None: as it is.
     replies : tuple of (client, Reply)
         To commands that waited.
     """
 
     run: bool
     order: FeedOrder
-    open_s: float = 0.0
+    open_s: float | None = None
     replies: tuple[tuple[Hashable, Reply], ...] = ()
 
 
@@ -577,6 +581,8 @@ class Feeder:
     def _begin(self, now: float) -> None:
         self._barren = min(self._barren, MOST_OPENINGS - 1)
         if self._task is _Task.IDLE:
+            if now >= self._look_at:  # who knows what has come and gone since
+                self._opened = None
             self._task, self._since, self._ended = _Task.ASKED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
 
@@ -584,7 +590,7 @@ class Feeder:
         if self._task is _Task.RUNNING and self._status is not None:
             self._discharged += self._status.discharged
             self._lost += self._status.lost
-        self._task, self._prepared, self._opened = _Task.IDLE, None, None
+        self._task, self._prepared = _Task.IDLE, None
 
     def _give_up(self) -> None:
         """End the reservation; whether the part is still there is seen later."""
@@ -636,7 +642,7 @@ class Feeder:
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
-        if purging and not left:
+        if purging and not left and self._opened is None:  # nothing falls any more
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()
         elif now >= waiting.until:
@@ -758,22 +764,26 @@ class Feeder:
 
     # The hopper
 
-    def _open(self, now: float) -> float:
-        """Return for how long the hopper is to be opened now [s]; 0: it is not."""
+    def _open(self, now: float) -> float | None:
+        """Return for how long the hopper is to be open from now on [s], as `Output.open_s`."""
         hopper, status = self.task.hopper, self._status
-        if hopper is None or status is None or self._task is not _Task.RUNNING:
+        purging = self._waiting is not None and self._waiting.purge
+        is_open = self._opened is not None and now < self._look_at - FALLEN_S
+        if is_open and (purging or self._task is _Task.IDLE):
+            self._look_at = now + FALLEN_S
             return 0.0
+        if hopper is None or status is None or self._task is not _Task.RUNNING:
+            return None
         total, quantity = status.total, self.quantity()
         came = total + quantity.taken + quantity.discharged + quantity.lost
         if self._opened is not None and now >= self._look_at:
             self._barren = 0 if came > self._opened else self._barren + 1
             self._opened = None
-        purging = self._waiting is not None and self._waiting.purge
         if self._reserved is not None or purging or self.silence(now):
-            return 0.0
+            return None
         if self._opened is not None or self.hopper_empty or total >= hopper.least:
-            return 0.0
-        open_s = (hopper.fill - total) / hopper.rate
+            return None
+        open_s = min((hopper.fill - total) / hopper.rate, LONGEST_OPEN_S)
         self._opened, self._look_at = came, now + open_s + FALLEN_S
         return open_s
 

@@ -200,7 +200,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             self._hopper.remove_pending_request(self._opening[0])
             self._opening = None
             self._warn_of_hopper("hopper/open does not answer: does the hopper run?")
-        if output.open_s:
+        if output.open_s is not None:
             self._open(output.open_s, now)
         for client, reply in output.replies:
             if reply.code is Code.HOPPER_EMPTY and self._hopper_problem:

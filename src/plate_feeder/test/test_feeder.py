@@ -56,7 +56,7 @@ class Cell:
     def step(self):
         self.output = self.feeder.step(self.t)
         self.replies += [reply for _, reply in self.output.replies]
-        if self.output.open_s:
+        if self.output.open_s is not None:
             self.opened.append((self.t, self.output.open_s))
 
     def run(self, cycles=1):
@@ -611,6 +611,51 @@ def test_no_hopper_opens_over_a_robot_and_no_part_is_told_on_which_others_fall()
     assert len(cell.opened) == 2
 
 
+def test_a_plate_on_which_parts_still_fall_is_not_purged():
+    cell = Cell(PURGED, ready=(), seen={"black": 0})
+    cell.get()
+    cell.run(3)
+    assert cell.opened[0][1] == pytest.approx(2.0)
+    cell.feeder.cancel("robot")
+    began = cell.t
+    cell.do("purge", now=cell.t)
+    assert cell.opened[1:] == [(began, 0.0)], "no more than those that fall already"
+    reply = cell.answer()
+    assert reply.code is Code.DONE
+    assert FALLEN_S <= cell.t - began < FALLEN_S + 4 * PERIOD_S
+
+
+def test_a_hopper_is_shut_when_the_task_ends_and_not_opened_again_before_that_can_be_seen():
+    cell = Cell(replace(TASK, hopper=HOPPER), ready=(), seen={"black": 0})
+    cell.get()
+    cell.run(3)
+    cell.feeder.stop("somebody has pressed the button")
+    ended = cell.t
+    cell.run(3)
+    assert cell.opened[1:] == [(ended + PERIOD_S, 0.0)]
+    cell.feeder.resume()
+    cell.get()
+    cell.run(5)
+    assert len(cell.opened) == 2
+    cell.run(10)
+    again, duration = cell.opened[2]
+    assert again >= ended + FALLEN_S
+    assert duration == pytest.approx(2.0)
+    filled(cell, 9)
+    cell.run(40)
+    cell.feeder.stop("again")
+    cell.run(3)
+    assert len(cell.opened) == 3, "it has closed long ago"
+
+
+def test_no_hopper_is_open_for_longer_at_once_than_the_simulators_may_be():
+    slow = replace(TASK, hopper=replace(HOPPER, fill=100, least=90, rate=0.1))
+    cell = Cell(slow, ready=(), seen={"black": 1})
+    cell.get()
+    cell.run(3)
+    assert [duration for _, duration in cell.opened] == [60.0]
+
+
 def test_a_clock_that_was_set_back_holds_nothing_back_for_ever():
     cell = Cell(ready=("black_1",))
     cell.get()
@@ -663,7 +708,7 @@ def test_any_sequence_of_commands_and_statuses(seed):
         opened, reserved = len(cell.opened), feeder.reserved
         cell.run()
         rests, was = feeder.reserved is not None, reserved is not None
-        assert not (rests and was and len(cell.opened) > opened)
+        assert not (rests and was and any(open_s for _, open_s in cell.opened[opened:]))
         assert not (feeder.stopped and cell.output.run)
         if rests and cell.output.run and feeder.reserved == reserved:
             assert cell.output.order.mode is FeedMode.REST

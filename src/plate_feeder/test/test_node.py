@@ -305,6 +305,15 @@ def test_the_hopper_is_opened_and_missed(graph):
     assert graph.planner.opened == [pytest.approx((15 - 5) / 10)]
 
 
+def test_a_stop_shuts_the_hopper(graph):
+    graph.planner.seen = 5
+    graph.call(PreparePart, "prepare_part")
+    graph.until(lambda: graph.planner.opened)
+    graph.planner.end("stopped", TaskStatus.STOPPED)
+    graph.until(lambda: len(graph.planner.opened) == 2)
+    assert graph.planner.opened[1] == 0
+
+
 @pytest.mark.parametrize(
     ("jam", "told"), [("the lid is jammed", "jammed"), (None, "does not answer")]
 )
