@@ -312,6 +312,7 @@ class Feeder:
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
         self._taken = self._discharged = self._lost = 0  # the latter two: by tasks that have ended
+        self._untold = 0  # parts given up, of which no report says whether they were taken
         self._opened: int | None = None  # parts that had come until it was opened
         self._look_at, self._barren = -math.inf, 0
 
@@ -429,7 +430,10 @@ class Feeder:
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
         self._hold(known.part)
-        late = "" if self._reserved else ", but was no longer reserved: the plate may have moved"
+        late = ""
+        if self._reserved is None:
+            late = ", but was no longer reserved: the plate may have moved"
+            self._untold -= 1
         self._reserved = self._late = None
         name = known.part.id
         if taken:
@@ -597,6 +601,7 @@ class Feeder:
         if self._reserved is not None:
             self._hold(self._reserved.part)
             self._late, self._reserved = self._reserved, None
+            self._untold += 1
 
     def _hold(self, part: ReadyPart) -> None:
         assert self._status is not None  # it was told from one
@@ -775,7 +780,7 @@ class Feeder:
         if hopper is None or status is None or self._task is not _Task.RUNNING:
             return None
         total, quantity = status.total, self.quantity()
-        came = total + quantity.taken + quantity.discharged + quantity.lost
+        came = total + quantity.taken + self._untold + quantity.discharged + quantity.lost
         if self._opened is not None and now >= self._look_at:
             self._barren = 0 if came > self._opened else self._barren + 1
             self._opened = None

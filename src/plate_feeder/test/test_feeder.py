@@ -592,6 +592,22 @@ def test_a_hopper_that_brings_nothing_is_empty_and_tried_again_by_a_command():
     assert not cell.replies
 
 
+def test_a_hopper_is_not_empty_because_a_robot_does_not_tell_what_it_takes():
+    """Each get_part gives the part before it up."""
+    cell = Cell(replace(TASK, hopper=replace(HOPPER, fill=8)), ready=(), seen={"black": 8})
+    for name in range(40):
+        cell.ready = {f"black_{name}": part(f"black_{name}")}
+        cell.get()
+        for _ in range(6):
+            falls = round(sum(HOPPER.rate * open_s for t, open_s in cell.opened if t == cell.t))
+            cell.run()
+            filled(cell, cell.seen["black"] + falls)
+            assert not cell.feeder.hopper_empty
+        assert cell.replies.pop().code is Code.DONE
+        filled(cell, cell.seen["black"] - 1)
+    assert len(cell.opened) > 2 * MOST_OPENINGS
+
+
 def test_no_hopper_opens_over_a_robot_and_no_part_is_told_on_which_others_fall():
     cell = Cell(replace(TASK, hopper=HOPPER), ready=(), seen={"black": 7})
     cell.ready = {"black_1": part("black_1", -0.15)}  # in no window that we have
