@@ -134,3 +134,11 @@ def test_a_wrong_goal_of_targets_is_named(change, message):
     change(goal)
     with pytest.raises(ScenarioError, match=message):
         goal_to_scenario(goal)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_window_of_which_a_side_is_no_number_is_not_the_whole_plate(value):
+    goal = sent(load_scenario("feed"))
+    goal.picks[0].x_min = value
+    with pytest.raises(ScenarioError, match="window_m is .*(nan|inf)"):
+        goal_to_scenario(goal)

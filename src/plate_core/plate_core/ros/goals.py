@@ -242,7 +242,7 @@ def _read_feed(goal: Any) -> dict[str, Any]:
             {
                 "class": pick.label,
                 "ready": pick.ready,
-                **({} if not all(map(math.isfinite, given)) else {
+                **({} if all(map(math.isinf, given)) else {
                     "window_m": [list(pick.low), list(pick.high)]
                 }),
                 **({} if pick.angle is None else {
