@@ -218,6 +218,14 @@ def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path)
     assert text.count("<tr") == 3
 
 
+def test_what_qualify_has_found_is_not_lost_with_its_page(monkeypatch, capsys, short):
+    monkeypatch.setattr(qualify, "qualified", lambda *_: qualify.Row(5, (short,)))
+    assert qualified(monkeypatch, "--recipe", "feed", "--fill", "5", "--page", "/dev/full") == 2
+    told = capsys.readouterr()
+    assert "<- best fill" in told.out
+    assert "page is /dev/full: No space" in told.err
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
@@ -227,6 +235,7 @@ def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path)
         (["--recipe", "feed", "--fill", "5,x"], "fill is x, allowed: 1 to 100"),
         (["--recipe", "feed", "--robot-cycle", "nan"], "robot-cycle is nan, allowed: 0.2 to 60"),
         (["--recipe", "feed", "--page", "/nowhere/a.html"], "allowed: a file in a folder"),
+        (["--recipe", "feed", "--page", "/"], "page is /, allowed: a file in a folder"),
         (["--recipe", "feed_bars", "--rig", "desk"], "class is 'bar', allowed with this rig"),
     ],
 )

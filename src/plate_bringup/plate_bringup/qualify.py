@@ -217,7 +217,9 @@ def main() -> None:
         recipe = load_scenario(args.recipe)
         rig_name = args.rig or recipe.rig
         rig = load_rig(rig_name)
-        if args.page is not None and not args.page.resolve().parent.is_dir():
+        if args.page is not None and (
+            args.page.is_dir() or not args.page.resolve().parent.is_dir()
+        ):
             raise PlateError(f"page is {args.page}, allowed: a file in a folder that is there")
         for fill in args.fill:
             filled(recipe, fill)
@@ -232,16 +234,15 @@ def main() -> None:
             seeds, length_s = range(args.seeds), 60 * args.minutes
             rows.append(qualified(recipe, rig, fill, args.robot_cycle, length_s, seeds, tell))
             tell.done(rows[-1])
+        print(table(rows))
         if args.page is not None:
             page(args.page, f"Feeder: {recipe.name}", about, rows)
+            print(args.page)
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
-    print(table(rows))
-    if args.page is not None:
-        print(args.page)
     sys.exit(0 if best(rows) else 1)
 
 
