@@ -13,6 +13,7 @@ from plate_bringup import qualify
 from plate_bringup.loop import Setup
 from plate_bringup.production import (
     Act,
+    FeederCell,
     Production,
     Robot,
     Tally,
@@ -23,6 +24,7 @@ from plate_bringup.production import (
 from plate_core import PlateError, load_rig
 from plate_core.motion import usage
 from plate_core.tasks import PartGroup, load_scenario
+from plate_planner.tasks import FeedReport
 from plate_sim import Grip, Simulation
 from plate_solver import EFFORT
 from tasks.feeding import BASE, run_case
@@ -135,6 +137,16 @@ def test_parts_are_neither_made_nor_forgotten():
     there = int(np.count_nonzero(simulation.state.on_plate))
     assert there + found.picks + found.lost + found.discharged >= sum(numbers.values())
     assert there <= 2 * 10
+
+
+def test_a_hopper_that_is_opened_over_a_full_plate_does_not_end_a_production():
+    """The camera may see fewer parts than there are."""
+    recipe, rig = load_scenario("feed"), load_rig()
+    crowd = replace(recipe, parts=(PartGroup("black", 100), PartGroup("grey", 0)))
+    cell, simulation = FeederCell(recipe.task, rig, 2.0), Simulation(rig, crowd)
+    cell.act(simulation, 0.0)
+    cell.order(FeedReport(0.0, seen={"black": 5}), 0.1)
+    assert len(simulation.state.ids) == 100
 
 
 def test_recipes_that_cannot_be_filled_are_refused():

@@ -7,6 +7,7 @@ the simulator's. The plate is almost empty at first, so it begins with a heap ou
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from typing import Any
@@ -278,7 +279,8 @@ class FeederCell:
         self.feeder.hear(status_of(report), now)
         output = self.feeder.step(now)
         if output.open_s is not None and self.simulation is not None:
-            self.simulation.open_hopper(output.open_s)
+            with suppress(PlateError):  # of a full plate: the node is refused, too
+                self.simulation.open_hopper(output.open_s)
         for _, reply in output.replies:
             self._hear(reply, now)
         return output.order
