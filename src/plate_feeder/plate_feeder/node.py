@@ -22,6 +22,7 @@ from plate_core.ros import (
     RESULT_S,
     NodeOptions,
     SafeLifecycleNode,
+    add_prefix,
     msg_to_pick,
     order_to_msg,
     parameter,
@@ -367,6 +368,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             result.part = part
             result.pose = pose_to_msg(self._hand_eye.part(reply.part))
             result.pose.header.frame_id = self._hand_eye.frame
+            add_prefix(result.pose, self.options.frame_prefix)
             result.pose.header.stamp = now.to_msg()
             result.valid_until = to_time(now.nanoseconds + round(1e9 * left))
         return result

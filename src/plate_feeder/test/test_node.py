@@ -555,6 +555,13 @@ def test_poses_in_the_frame_of_the_robot(make, tmp_path):
     assert graph.say(graph.robot(), "get_part").startswith("200 x=480.00 y=100.00 angle=95.73 ")
 
 
+def test_a_pose_in_the_frame_of_one_of_two_plates(make):
+    graph = make(frame_prefix="left/")
+    graph.planner.ready = {"black_3": (0.1, 0.02)}
+    _, result = graph.result(graph.send("get_part", GetPart.Goal()))
+    assert result.pose.header.frame_id == "left/plate_home"
+
+
 def test_a_recipe_brings_its_rig(make):
     graph = make(recipe="feed_bars")
     assert graph.say(graph.robot(), "get_part disc").endswith("allowed: bar\r\n")

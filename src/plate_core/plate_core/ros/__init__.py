@@ -29,7 +29,7 @@ from .convert import (
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
 from .executor import NodeExecutor
-from .frames import FRAME, camera_to_msg, plate_to_msg
+from .frames import FRAME, add_prefix, camera_to_msg, plate_to_msg
 from .goals import (
     ACTIONS,
     goal_to_scenario,
@@ -65,6 +65,7 @@ __all__ = [
     "Report",
     "SafeLifecycleNode",
     "UnlockedSubscription",
+    "add_prefix",
     "array_to_image",
     "camera_to_info",
     "camera_to_msg",
