@@ -463,6 +463,14 @@ def test_other_scenarios_keep_what_has_left_the_plate():
     assert simulation.dropped == 2
 
 
+def test_what_the_robot_took_and_a_hand_put_back_is_no_longer_taken():
+    simulation = Simulation(DISCS, load_scenario("sort_4"), 0, Disturbances(tilt_x=-SLOPE))
+    taken = simulation.move_robot(Move.GRIP, *simulation.state.position[0])
+    simulation.place(taken.id, "", np.zeros(2))
+    run(simulation, 40)
+    assert simulation.dropped == 4
+
+
 @pytest.mark.parametrize("world_of", [NONE, Disturbances(latency=0.12, pick_failure=0.2)])
 def test_a_long_production_stays_as_small_as_it_was(world_of):
     simulation = world(disturbances=world_of, seed=7)

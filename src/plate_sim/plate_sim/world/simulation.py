@@ -255,6 +255,7 @@ class Simulation:
         run_cycle(state, PlateCycle.rest(TRIAL_S), self._rig)
         if number:
             self._last_number[label] = number
+        self._taken -= {part_id}
         self._take_over(state, unit, History())
         return part_id
 
