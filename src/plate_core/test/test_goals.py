@@ -140,5 +140,5 @@ def test_a_wrong_goal_of_targets_is_named(change, message):
 def test_a_window_of_which_a_side_is_no_number_is_not_the_whole_plate(value):
     goal = sent(load_scenario("feed"))
     goal.picks[0].x_min = value
-    with pytest.raises(ScenarioError, match="window_m is .*(nan|inf)"):
+    with pytest.raises(ScenarioError, match=r"window_m is .*(nan|inf)"):
         goal_to_scenario(goal)
