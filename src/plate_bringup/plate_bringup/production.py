@@ -342,9 +342,11 @@ def filled(recipe: Scenario, fill: int) -> Scenario:
     task = recipe.task
     if not isinstance(task, FeedTask) or task.hopper is None:
         raise PlateError(f"recipe is {recipe.name!r}, allowed: one of the kind feed, with a hopper")
-    if not 1 <= fill <= MOST_PARTS:
-        raise PlateError(f"fill is {fill}, allowed: 1 to {MOST_PARTS}")
-    hopper = task.hopper
+    hopper, ready = task.hopper, sum(pick.ready for pick in task.picks)
+    if not ready <= fill <= MOST_PARTS:
+        raise PlateError(
+            f"fill is {fill}, allowed: {ready}, which are to be ready, to {MOST_PARTS}"
+        )
     least = max(1, round(fill * hopper.least / hopper.fill))
     wanted = [pick.label for pick in task.picks]
     groups = tuple(
