@@ -250,12 +250,16 @@ def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_act
             observer.change_state(name, "activate")
             observer.await_answers(30)
         observer.change_state("simulator", "deactivate")
-        record.truth.clear()
-        assert not observer.until(lambda: record.truth, 1.0)
+        assert any(silent(observer) for _ in range(10))  # what was on its way still comes
         lose_the_first_answer(monkeypatch)  # as DDS may
         observer.change_state("simulator", "activate")
         assert observer.until(lambda: record.truth, 30)
     assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
+
+
+def silent(observer):
+    observer.record.truth.clear()
+    return not observer.until(lambda: observer.record.truth, 1.0)
 
 
 def lose_the_first_answer(monkeypatch):

@@ -64,7 +64,7 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     minutes = sum(item["seconds"] for item in used.values()) / 60
     commit = common_commit(used)
     figures = "All measurements here (demos apart) and those in the tables of README, graph.md, "
-    figures += "hardware.md and feeder.md"
+    figures += "hardware.md, feeder.md and trust.md"
     lines += [f"{figures}: commit {commit}." if commit else "Each section names its commit."]
     parts = [
         ABOUT,

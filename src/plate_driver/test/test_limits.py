@@ -85,6 +85,13 @@ def test_every_limit_counts(limit):
     assert getattr(found.usage, limit) <= peak / 4
 
 
+def test_motors_that_soon_become_warm_get_what_they_may_have_for_good():
+    weak = replace(RIG, limits=replace(RIG.limits, continuous_force=10.0))
+    found = fit(weak, random_cycle(0, 1e-3))
+    assert found.factor < 1
+    assert 0.95 < np.max(found.usage.thermal_load) <= 1 + ROUNDING
+
+
 def test_rest_stays_rest():
     assert fit(RIG, PlateCycle.rest(0.05)).factor == 1
 

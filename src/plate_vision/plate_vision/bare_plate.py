@@ -10,7 +10,7 @@ from plate_core.status import Finding, Level
 
 from .plate import Region
 from .recognition import model_plate
-from .shapes import find_patches, learn_plate
+from .shapes import Background, find_patches, learn_plate
 from .vision import Vision
 
 BARE_IMAGES = 5
@@ -31,6 +31,8 @@ class BarePlate:
     ----------
     learned : bool
         From images of it: else it is modelled.
+    first : Background, optional
+        As it was learned or modelled.
     followed_at : float
         Stamp of the image by which its light was followed last [s].
     wanted : int
@@ -40,6 +42,7 @@ class BarePlate:
     """
 
     learned: bool = False
+    first: Background | None = None
     followed_at: float = -np.inf
     wanted: int = 0
     images: tuple[np.ndarray, ...] = ()
@@ -64,7 +67,8 @@ def know_plate(
     Returns what is then known, a vision that knows the background, and what a user should know.
     """
     if plate.wanted:
-        images = (*plate.images, image)
+        alike = [one for one in plate.images if one.shape == image.shape]  # grey, or in colours
+        images = (*alike, image)
         if len(images) < plate.wanted:
             return replace(plate, images=images), vision, None
         vision = replace(vision, background=learn_plate(np.stack(images)))
@@ -72,13 +76,13 @@ def know_plate(
         found = Finding(Level.OK, text)
         if things:
             found = Finding(Level.WARN, f"{text}; {things}: if these are parts, learn it again")
-        return BarePlate(learned=True, followed_at=stamp), vision, found
+        return BarePlate(True, vision.background, stamp), vision, found
     if vision.background is None:
         vision = replace(vision, background=model_plate(image, vision.region))
-        return BarePlate(followed_at=stamp), vision, Finding(Level.WARN, MODELLED)
+        return BarePlate(False, vision.background, stamp), vision, Finding(Level.WARN, MODELLED)
     if abs(stamp - plate.followed_at) < FOLLOW_S:
         return plate, vision, None
-    vision = replace(vision, background=vision.background.followed(image))
+    vision = replace(vision, background=vision.background.followed(image, plate.first))
     return replace(plate, followed_at=stamp), vision, None
 
 

@@ -197,11 +197,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             size = self._rig.camera
             self._lens = load_lens(values.camera_file, (size.width_px, size.height_px))
         self._vision = make_vision(self._rig, values.detector(), self._lens)
+        self._plate = BarePlate()
         for limit in camera_limits(self._rig.types, self._vision.calibration):
             self.get_logger().warning(limit)
         if values.bare_plate_file:
             bare = load_bare(Path(values.bare_plate_file), self._vision.region.size_px)
             self._vision = replace(self._vision, background=bare)
+            self._plate = BarePlate(True, bare)
         self._parts = self.managed_publisher(Parts, "parts", DATA)
         if self._rig.fiducials is not None:
             self._poses = self.managed_publisher(PoseStamped, "plate_pose", DATA)
@@ -232,15 +234,20 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._given_up = self._renamed = 0
         self._trails: dict[str, deque[tuple[float, float]]] = {}
         compressed = values.image_transport == "compressed"
-        topic = self.resolve_topic_name("image_raw/compressed" if compressed else "image_raw")
+        self._topic = "image_raw/compressed" if compressed else "image_raw"
+        topic = self.resolve_topic_name(self._topic)
         self._input = Input(
             "image", topic, "does the camera run?", values.input_timeout_s, time.monotonic()
         )
         self._tally, self._reported_at = Tally(), time.monotonic()
         self._images = self._refused = 0
-        self._plate = BarePlate(learned=self._vision.background is not None)
+        bare = self._plate.first if self._plate.learned else None
+        self._plate = BarePlate(bare is not None, bare)
+        self._vision = replace(self._vision, background=bare)
         self._teaching = Teaching()
         self._image: np.ndarray | None = None
+        self._came = np.empty(0)  # the last image that was used, as it came
+        self._early: float | None = None
         if self._location is None:
             self._place_camera()
 
@@ -301,8 +308,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._tally.images += 1
         self._images += 1
         try:
-            image = unpack()
+            came = image = unpack()
             began = time.perf_counter()
+            self._check_stamp(came, seconds(stamp))
             if self._location is not None:
                 image = self._find_plate(self._location, image, stamp)
             self._image = image
@@ -316,6 +324,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._tally.why = str(error)
             self._refused += 1
             return False
+        self._came = came
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
         if self._tracker is not before:
             self._note_ids()
@@ -329,6 +338,25 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._markers.get_subscription_count():
             self._markers.publish(self._scene(stamp))
         return True
+
+    def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
+        """Refuse another image with the stamp of the one before, which would be answered with what
+        that showed, and one image that comes late; after two earlier ones time began anew."""
+        last, early = self._tracker.stamp, self._early
+        self._early = None
+        if last is None or stamp > last:
+            return
+        if stamp < last and early is None:
+            self._early = stamp
+            raise ImageError(
+                f"stamp is {stamp:.3f} s, {last - stamp:.3f} s before that of the image before, "
+                "allowed: one image after the other, of one camera"
+            )
+        if stamp == last and not np.array_equal(image, self._came):
+            raise ImageError(
+                f"stamp is {stamp:.3f} s, that of another image before, allowed: a stamp of its "
+                "own (does the camera's node fill it in?)"
+            )
 
     def _know_plate(self, image: np.ndarray, stamp: float) -> None:
         """Learn the bare plate, or model it, or follow its light."""
@@ -452,6 +480,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         """Judge what came; see `plate_core.status`."""
         tally = self._tally
         findings = [used("images", tally.images, tally.refused, tally.why)]
+        if rivals := self.rivals(self._topic):
+            findings.append(Finding(Level.WARN, rivals))
         if tally.problem:
             findings.append(Finding(Level.WARN, tally.problem))
         if self._vision.catalogue is not None and not self._plate.learned:
@@ -502,7 +532,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             if self._location is None:
                 self._place_camera()
         except PlateError as error:
-            self.get_logger().warning(f"camera_info ignored: {error}")
+            self._warn(f"camera_info ignored: {error}")
 
     def retune(self) -> None:
         """Take the live options."""

@@ -269,7 +269,11 @@ def _quality(
 ) -> np.ndarray:
     """Return how well parts were seen (n, 3), see `Tracker.quality`; the scatter of a part that is
     not wholly on the plate is not known."""
-    whole = vision.region.depth(*centre_px.T) >= found["radius_px"]
+    # The plate may reach beyond the image.
+    corner_px = np.array(vision.region.size_px) - 1
+    border_px = np.minimum(centre_px, corner_px - centre_px).min(axis=1) + 0.5
+    depth_px = np.minimum(vision.region.depth(*centre_px.T), border_px)
+    whole = depth_px >= found["radius_px"]
     place = np.where(whole, CENTRE_PX / vision.calibration.scale(centre), np.nan)
     angle = np.where(found["angle_rad"] != 0, MARK_PX / found["radius_px"], ANY_ANGLE)
     return np.column_stack([place, angle, found["confidence"]])

@@ -74,6 +74,17 @@ def test_markers_and_home(make_plate, rng, tmp_path, capsys):
     line = capsys.readouterr().out.splitlines()[-1]
     seen = np.array(eval(line.split(":", 1)[1]))
     assert np.abs(seen - plate.rig.camera.corners_px).max() < 0.15
+    cv2.imwrite(str(folder / "9.png"), cv2.resize(plate.take(np.zeros(3), rng), (1280, 960)))
+    with pytest.raises(SystemExit):
+        main(["home", str(folder), "--rig-file", str(rig)])
+    assert "9.png: 1280 x 960 px, allowed: 640 x 480 px" in capsys.readouterr().err
+
+
+def test_the_size_of_a_board_is_asked_for(capsys):
+    for text in ("9", "9x", "nine"):
+        with pytest.raises(SystemExit):
+            main(["board", "--board", text, "--square", "0.03"])
+        assert f"board is '{text}', allowed: its squares along x and y" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -93,6 +104,16 @@ def test_markers_and_home(make_plate, rng, tmp_path, capsys):
         ("large: cannot be read, allowed: a video", ["lens", "odd/large", *BOARD]),
         ("empty.png: cannot be read, allowed: a whole picture", ["lens", "odd/empty.png", *BOARD]),
         ("2 x 7 squares, allowed", ["board", "--board", "2x7", "--square", "0.03"]),
+        ("3 x 7 squares, allowed: 4 x 4 to", ["board", "--board", "3x7", "--square", "0.03"]),
+        ("squares of 30 m, allowed: 0.001 to 1", ["board", "--board", "9x7", "--square", "30"]),
+        ("squares of inf m, allowed", ["board", "--board", "9x7", "--square", "inf"]),
+        ("pixels, allowed: 200,000,000", ["board", "--board", "40x40", "--square", "0.1"]),
+        (
+            "marker of 6 px, allowed: at least 7 px",
+            ["board", "--board", "9x7", "--square", "0.001", "--marker", "0.0005"],
+        ),
+        ("no/board.png: cannot be written", ["board", *BOARD, "--out", "no/board.png"]),
+        ("board.sheet: cannot be written", ["board", *BOARD, "--out", "board.sheet"]),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(words, arguments, tmp_path, monkeypatch, capsys):

@@ -332,6 +332,42 @@ def test_wrong_images_are_refused_and_the_node_goes_on(graph, draw, rng):
     assert names(graph.answer(msg)) == ["black_1", "grey_1"]
 
 
+def test_each_image_needs_a_stamp_of_its_own(graph, draw, rng):
+    """A camera that fills in none had the parts of its first image answered for ever."""
+    one, other = (draw(CENTRE_PX + [shift, 0], LABEL, rng, radius=7.9) for shift in (0, 30))
+    for again in (one, one):
+        assert names(graph.answer(image(again, 0.0))) == ["black_1", "grey_1"]
+    assert graph.answer(image(other, 0.0)) is None
+    assert "stamp is 0.000 s, that of another image before, allowed: a stamp" in graph.warnings[-1]
+
+
+def test_one_image_that_comes_late_ends_no_ids_but_time_may_begin_anew(graph, draw, rng):
+    both = draw(CENTRE_PX, ["grey", "grey"], rng, radius=7.9)
+    second = draw(CENTRE_PX[1:], ["grey"], rng, radius=7.9)
+    graph.answer(image(both, 5.0))
+    assert names(graph.answer(image(second, 5.1))) == ["grey_2"]
+    assert graph.answer(image(both, 5.05)) is None
+    assert "stamp is 5.050 s, 0.050 s before that of the image before" in graph.warnings[-1]
+    assert names(graph.answer(image(second, 5.2))) == ["grey_2"]
+    assert graph.answer(image(second, 0.0)) is None
+    assert names(graph.answer(image(second, 0.1))) == ["grey_1"]
+
+
+def test_two_cameras_on_one_topic_are_told(graph):
+    assert "image_raw (" not in graph.detector._find(0.0).message
+    second = rclpy.create_node("camera_2", namespace="/detector_test")
+    try:
+        second.create_publisher(Image, "image_raw", IMAGE)
+        graph.until(
+            lambda: (
+                "2 nodes publish image_raw (camera_2, probe), allowed: one"
+                in graph.detector._find(0.0).message
+            )
+        )
+    finally:
+        second.destroy_node()
+
+
 def test_live_parameters(graph, draw, rng):
     frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
     radius_px = graph.detector._vision.options.radius_px
@@ -383,6 +419,22 @@ def test_distortion_of_camera_info_is_used(graph):
     graph.until(lambda: graph.warnings)
     assert "camera_info ignored: distortion_model is 'equidistant'" in graph.warnings[0]
     assert graph.detector._vision.calibration.lens is not None
+
+
+@pytest.mark.parametrize("wrong", ["no scale", "far"])
+def test_a_camera_info_of_no_lens_is_refused_and_the_node_goes_on(graph, draw, rng, wrong):
+    msg = camera_info([-0.2, 0.0, 0.0, 0.0, 0.0])
+    if wrong == "no scale":
+        msg.k[8] = 0.0
+    else:
+        msg.k[2], msg.d = 1e15, [0.01, 0.0, 0.0, 0.0, 0.0]
+    graph.infos.publish(msg)
+    graph.until(lambda: graph.warnings)
+    assert "camera_info ignored: " in graph.warnings[0]
+    assert "allowed: " in graph.warnings[0]
+    assert names(graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0))) == [
+        "black_1", "grey_1",
+    ]  # fmt: skip
 
 
 @pytest.fixture
@@ -669,6 +721,40 @@ def test_parts_of_taught_types(rig_with_types, draw_types, rng):
         assert graph.detector._find(0.0).level == 0
         found = msg_to_parts(graph.answer(shown(LYING, 3.0)))
         assert np.abs(found.position - parts.position).max() < 1e-4
+    finally:
+        graph.close()
+
+
+def test_a_modelled_plate_is_not_learned_by_a_rest(rig_with_types, draw_types, rng):
+    """And images in grey levels among those in colours are not learned as one plate."""
+    graph = Graph(rig_file=rig_with_types)
+    try:
+        to_image = graph.detector._vision.calibration.to_image
+
+        def shown(poses, stamp_s, encoding="bgr8"):
+            frame = draw_types(TYPES, poses, rng, to_image=to_image)
+            return image(frame if encoding == "bgr8" else frame[:, :, 1], stamp_s, encoding)
+
+        def warned():
+            return "modelled" in graph.detector._find(0.0).message
+
+        graph.images.publish(shown(LYING, 1.0))
+        graph.until(lambda: graph.parts)
+        graph.detector.trigger_deactivate()
+        graph.detector.trigger_activate()
+        graph.images.publish(shown(LYING, 1.2))
+        graph.until(lambda: len(graph.parts) > 1)
+        assert warned()
+        called(graph, "learn_plate")
+        for k in range(8):
+            graph.images.publish(shown([], 2.0 + k, "mono8" if k == 2 else "bgr8"))
+            graph.until(lambda k=k: len(graph.parts) > 2 + k)
+        assert not warned()
+        graph.detector.trigger_deactivate()
+        graph.detector.trigger_activate()
+        assert not warned()
+        assert len(graph.answer(shown(LYING, 20.0)).parts) == 3
+        assert len(graph.answer(shown(LYING, 20.1, "mono8")).parts) == 3
     finally:
         graph.close()
 

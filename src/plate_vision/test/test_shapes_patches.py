@@ -149,6 +149,32 @@ def test_slow_changes_of_light_are_followed():
     assert worst(find_patches(image, bare().followed(image)), [(80.4, 90.3)]) < 0.15
 
 
+@pytest.mark.parametrize("light", [0.25, 0.6, 1.2])
+def test_jumps_of_the_exposure_are_followed(light):
+    """And back to what was learned, though the light was off meanwhile."""
+    learned = followed = bare()
+    for now in (light, 0.0, 1.0, light):
+        image = picture([(disc(80.4, 90.3, 12), DARK)], light=now)
+        followed = followed.followed(image, learned)
+        seen = find_patches(image, followed)
+        assert worst(seen, [(80.4, 90.3)]) < 0.2 if now else not seen
+
+
+def test_grey_levels_are_compared_with_a_plate_in_colours_and_colours_with_a_grey_one():
+    image = picture([(disc(80.4, 90.3, 12), DARK)])
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    plain = learn_plate(cv2.cvtColor(picture([], seed=11), cv2.COLOR_BGR2GRAY)[None])
+    for seen, background in ((grey, bare()), (image, plain)):
+        assert worst(find_patches(seen, background), [(80.4, 90.3)]) < 0.15
+
+
+def test_a_part_that_the_image_cuts_off_is_not_whole_where_the_plate_goes_on():
+    plate = make_region(SIZE[::-1], np.array([[-50, 250], [310, 250], [310, -50], [-50, -50]]))
+    image = picture([(disc(80.4, 90.3, 12), RED), (disc(255.0, 90.3, 12), RED)])
+    whole = {round(p.centre_px[0]) > 200: p.whole for p in find_patches(image, bare(), plate)}
+    assert whole == {False: True, True: False}
+
+
 def test_a_highlight_is_part_of_its_part():
     parts = [(disc(80.4, 90.3, 16), (60, 60, 60)), (disc(86, 84, 3), (252, 252, 252))]
     (patch,) = find_patches(picture(parts), bare())
@@ -225,7 +251,7 @@ def test_a_photograph_has_dark_and_bright_parts_and_any_border():
 @pytest.mark.parametrize(
     ("image", "message"),
     [
-        (np.zeros((10, 20), np.uint8), "260 x 200 px, 3 channels"),
+        (np.zeros((10, 20), np.uint8), "260 x 200 px"),
         (np.zeros((*SIZE, 3)), "uint8"),
         (np.zeros((2, 3, 4, 5), np.uint8), r"\(H, W\)"),
     ],

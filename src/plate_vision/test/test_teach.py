@@ -1,12 +1,14 @@
 """Types learned from drawn pictures beside their truth; what cannot be learned; the program."""
 
+import resource
+from contextlib import contextmanager
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from plate_core import RigError, config_path, load_rig
+from plate_core import PlateError, RigError, config_path, load_rig
 from plate_core.rig import PartType, load_part_types
 from plate_vision import make_vision
 from plate_vision.errors import TeachError
@@ -184,6 +186,54 @@ def folder(tmp_path, monkeypatch, draw_types):
     return tmp_path
 
 
+def test_pictures_that_a_type_is_taught_from_stay(folder):
+    """Also of the type's name, beside the file of types; and those that somebody else wrote in."""
+    before = (folder / "screw.png").read_bytes()
+    rig = ["--rig", str(config_path("rig.yaml")), "--bare", "bare.png"]
+    main(["screw", "screw.png", *rig])
+    assert (folder / "screw.png").read_bytes() == before
+    assert cv2.imread("screw_taught.png").shape == (320, 320, 3)
+    main(["delete", "screw"])
+    assert not (folder / "screw_taught.png").exists()
+    save_part_types(folder / "parts.yaml", {"screw": replace(TYPES["screw"], picture="screw.png")})
+    main(["delete", "screw"])
+    assert (folder / "screw.png").read_bytes() == before
+
+
+def test_a_type_is_not_merged_into_itself(folder, capsys):
+    save_part_types(folder / "parts.yaml", TYPES)
+    with pytest.raises(SystemExit):
+        main(["merge", "nut", "nut"])
+    assert "type 'nut' into itself, allowed: another one" in capsys.readouterr().err
+    assert [*load_part_types("parts.yaml")] == [*TYPES]
+
+
+@contextmanager
+def full_disk():
+    """No file may be longer than 100 bytes."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_file_of_types_is_not_lost_where_the_disk_is_full(tmp_path):
+    path = tmp_path / "parts.yaml"
+    save_part_types(path, TYPES)
+    with full_disk(), pytest.raises(PlateError, match=r"types .*parts\.yaml: cannot be written"):
+        save_part_types(path, {"nut": TYPES["nut"]})
+    assert [*load_part_types(path)] == [*TYPES]
+    assert [*tmp_path.iterdir()] == [path]
+
+
+@pytest.mark.parametrize("name", ["unknown", "group", "n" * 33])
+def test_names_that_nothing_would_be_called_by_are_refused(name, tmp_path):
+    with pytest.raises(RigError, match=f"type '{name}', allowed: small letters and digits"):
+        save_part_types(tmp_path / "parts.yaml", {name: TYPES["nut"]})
+
+
 def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     rig = ["--rig", str(config_path("rig.yaml")), "--bare", "bare.png"]
     main(["screw", "screw.png", *rig])
@@ -192,13 +242,13 @@ def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     types = load_part_types("parts.yaml")
     assert apart(types["screw"], TYPES["screw"], 1000.0)[0] < 0.25
     assert apart(types["bracket"], TYPES["bracket"], 1000.0)[0] < 0.25
-    assert cv2.imread("screw.png") is not None
+    assert cv2.imread("screw_taught.png") is not None
     capsys.readouterr()
     main(["list"])
     assert "corners, 0 holes, symmetry 1, 13.6" in capsys.readouterr().out
     main(["rename", "screw", "bolt"])
     assert [*load_part_types("parts.yaml")] == ["bolt", "bracket"]
-    assert (folder / "bolt.png").exists()
+    assert (folder / "bolt_taught.png").exists()
     main(["merge", "bolt", "bracket"])
     main(["delete", "bolt"])
     assert [*load_part_types("parts.yaml")] == []

@@ -1,5 +1,7 @@
 """The whole stage without ROS: frames drawn here, parts in metres."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,6 +97,17 @@ def test_how_a_part_over_the_edge_scatters_is_not_known(vision, draw, rng):
     tracker = observe(vision, Tracker(), draw([edge], ["black"], rng), 0.0)
     assert len(tracker.parts) == 1
     assert np.isnan(tracker.quality[0, 0])
+
+
+def test_nor_how_one_scatters_that_the_image_cuts_off(draw, rng):
+    """Of a plate that reaches beyond the image."""
+    corners = tuple(map(tuple, np.add(load_rig().camera.corners_px, [200.0, 0.0]).tolist()))
+    rig = load_rig()
+    vision = make_vision(replace(rig, camera=replace(rig.camera, corners_px=corners)))
+    places = [[400.0, 240.0], [635.0, 240.0]]
+    frame = draw(places, ["black"] * 2, rng, corners=corners, radius=7.9)
+    tracker = observe(vision, Tracker(), frame, 0.0)
+    assert np.isfinite(tracker.quality[:, 0]).tolist() == [True, False]
 
 
 def test_drift_of_still_parts_is_small(draw, rng):

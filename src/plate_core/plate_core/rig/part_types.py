@@ -47,6 +47,12 @@ SMALLEST_M2 = 1e-8
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
 """Of a type: as `nut` or `nut_m4`; a number alone after the last _ would be taken for a part's."""
 
+LONGEST = 32
+"""Letters of a name."""
+
+TAKEN = ("black", "grey", "unknown", "group")
+"""The classes of round parts on rigs without types, and of what is of no type."""
+
 CENTRED = 0.03
 """Distances of less than this fraction of a part's reach are of its making."""
 
@@ -165,11 +171,11 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
     """Read a mapping of names to part types; errors as `load_part_types`."""
     types, names = {}, fields.keys()
     for name in names:
-        if not NAME.fullmatch(name) or name in ("black", "grey"):
+        if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
             raise RigError(
-                f"{fields.where}: type {name!r}, allowed: small letters and digits, as nut or "
-                "nut_m4, no number alone after the last _, and not black or grey, the classes of "
-                "round parts on rigs without types"
+                f"{fields.where}: type {name!r}, allowed: small letters and digits, at most "
+                f"{LONGEST}, as nut or nut_m4, no number alone after the last _, and not "
+                f"{', '.join(TAKEN)}, which are classes of parts of no type"
             )
         types[name] = _part_type(name, fields.child(name))
     fields.finish()

@@ -5,7 +5,7 @@ Others use the names below; `calibrate_camera` is the program `calibrate`.
 
 from .boards import Board, LensFit, draw_board, find_corners, fit_lens
 from .encodings import decode, decode_file, grey_levels
-from .files import load_lens, read_pictures, rig_of_picture, save_lens
+from .files import load_lens, read_pictures, rig_of_picture, save_lens, write_picture
 from .lens import (
     LENS_MODELS,
     Calibration,
@@ -40,4 +40,5 @@ __all__ = [
     "rig_of_picture",
     "save_lens",
     "square_corners",
+    "write_picture",
 ]

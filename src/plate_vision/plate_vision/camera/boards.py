@@ -31,6 +31,12 @@ NEAR = 4
 is no matter."""
 
 
+LEAST_SQUARE_M, MOST_SQUARE_M = 1e-3, 1.0
+"""Bounds of a square's side [m]."""
+
+MOST_PIXELS = 200_000_000
+"""Of a board for the printer: A0 at 300 dpi has 140 million."""
+
 LEAST_PICTURES = 5
 """Pictures that are needed: three tell K in principle, in noise more are wanted."""
 
@@ -52,9 +58,9 @@ class Board:
     Attributes
     ----------
     columns, rows : int
-        Squares along x and y, 3 to 40.
+        Squares along x and y, 3 to 40; of a chessboard 4 at least.
     square_m : float
-        Side of a square [m].
+        Side of a square [m], 0.001 to 1.
     marker_m : float
         Side of the markers in the white squares [m] of a ChArUco board, numbered along the rows;
         0: a chessboard.
@@ -69,12 +75,17 @@ class Board:
     dictionary: str = "5X5_100"
 
     def __post_init__(self) -> None:
-        if not (3 <= self.columns <= 40 and 3 <= self.rows <= 40):
+        least = 4 if self.marker_m == 0 else 3  # OpenCV finds no chessboard of fewer
+        if not (least <= self.columns <= 40 and least <= self.rows <= 40):
             raise CalibrationError(
-                f"board: {self.columns} x {self.rows} squares, allowed: 3 x 3 to 40 x 40"
+                f"board: {self.columns} x {self.rows} squares, allowed: {least} x {least} to "
+                "40 x 40"
             )
-        if not self.square_m > 0:
-            raise CalibrationError(f"board: squares of {self.square_m:g} m, allowed: more than 0")
+        if not LEAST_SQUARE_M <= self.square_m <= MOST_SQUARE_M:
+            raise CalibrationError(
+                f"board: squares of {self.square_m:g} m, allowed: {LEAST_SQUARE_M:g} to "
+                f"{MOST_SQUARE_M:g}"
+            )
         if not 0 <= self.marker_m <= 0.9 * self.square_m:
             raise CalibrationError(
                 f"board: markers of {self.marker_m:g} m, allowed: 0 to 0.9 squares"
@@ -102,8 +113,14 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
     Raises
     ------
     CalibrationError
-        If the dictionary is not known, or has too few markers.
+        If the dictionary is not known, or has too few markers; or the picture would be too large.
     """
+    pixels = (board.columns + 1) * (board.rows + 1) * square_px**2
+    if pixels > MOST_PIXELS:
+        raise CalibrationError(
+            f"board: {board.columns} x {board.rows} squares of {square_px} px are {pixels:,} "
+            f"pixels, allowed: {MOST_PIXELS:,} (is the square's side in metres?)"
+        )
     y, x = np.mgrid[: board.rows, : board.columns]
     squares = np.where((x + y) % 2 == 1, 255, 0).astype(np.uint8)
     picture = squares.repeat(square_px, axis=0).repeat(square_px, axis=1)

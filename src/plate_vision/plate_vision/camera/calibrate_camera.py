@@ -19,7 +19,7 @@ from ..drawing import draw_errors
 from ..errors import CalibrationError
 from ..plate.home import find_home
 from .boards import Board, Corners, LensFit, draw_board, find_corners, fit_lens
-from .files import load_lens, read_pictures, save_lens
+from .files import load_lens, read_pictures, save_lens, write_picture
 from .lens import rig_lens
 from .markers import draw_marker
 
@@ -75,7 +75,12 @@ def _board_options(parser: argparse.ArgumentParser) -> None:
 
 def _size(text: str) -> tuple[int, int]:
     columns, _, rows = text.partition("x")
-    return int(columns), int(rows)
+    try:
+        return int(columns), int(rows)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"board is {text!r}, allowed: its squares along x and y, such as 9x7"
+        ) from None
 
 
 def _make_board(args: argparse.Namespace) -> Board:
@@ -101,9 +106,9 @@ def _lens(args: argparse.Namespace) -> None:
     if size_px is None:
         raise CalibrationError(f"{args.pictures}: no pictures in it, allowed: JPEG, PNG or a video")
     fit = fit_lens(board, seen, size_px)
-    save_lens(args.out, args.name, size_px, fit.lens)
-    cv2.imwrite(str(args.errors), draw_errors(fit))
     print(_summary(fit))
+    save_lens(args.out, args.name, size_px, fit.lens)
+    write_picture(args.errors, draw_errors(fit))
     print(f"{args.out}: camera_info file; {args.errors}: errors of the corners")
 
 
@@ -127,7 +132,7 @@ def _summary(fit: LensFit) -> str:
 def _board(args: argparse.Namespace) -> None:
     board = _make_board(args)
     square_px = round(board.square_m / INCH_M * PRINT_DPI)
-    cv2.imwrite(str(args.out), draw_board(board, square_px))
+    write_picture(args.out, draw_board(board, square_px))
     print(f"{args.out}: print at {PRINT_DPI} dpi; squares are then {1e3 * board.square_m:g} mm")
 
 
@@ -142,7 +147,7 @@ def _markers(args: argparse.Namespace) -> None:
             draw_marker(fiducials.dictionary, number, side_px), side_px // 4, constant_values=255
         )
         path = args.out / f"marker_{number}.png"
-        cv2.imwrite(str(path), picture)
+        write_picture(path, picture)
         print(f"{path}: print at {PRINT_DPI} dpi; its side is then {1e3 * fiducials.side_m:g} mm")
 
 
@@ -150,9 +155,16 @@ def _home(args: argparse.Namespace) -> None:
     rig = load_rig(args.rig_file)
     if rig.fiducials is None:
         raise CalibrationError("rig file: fiducials are missing, allowed: a file with that section")
-    lens = rig_lens(rig) if args.camera is None else load_lens(args.camera)
+    size_px = (rig.camera.width_px, rig.camera.height_px)
+    lens = rig_lens(rig) if args.camera is None else load_lens(args.camera, size_px)
     corners = []
     for name, picture in read_pictures(args.pictures):
+        here = (picture.shape[1], picture.shape[0])
+        if here != size_px:
+            raise CalibrationError(
+                f"{name}: {here[0]} x {here[1]} px, allowed: {size_px[0]} x {size_px[1]} px, "
+                "width_px and height_px of the rig file"
+            )
         calibration, error = find_home(picture, rig.fiducials, lens)
         corners.append(calibration.to_image(rig.plate.corners))
         print(f"{name}: corners of the markers {1e3 * error:.3f} mm rms from where they should be")

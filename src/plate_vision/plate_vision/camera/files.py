@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from plate_core import Rig
-from plate_core.files import check_file, read_file
+from plate_core.files import check_file, draft, read_file
 from plate_core.yaml_fields import Fields, read_yaml
 
 from ..errors import CalibrationError, ImageError
@@ -56,7 +56,13 @@ def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> L
 
 def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Lens) -> None:
     """Write the camera_info file of a camera, with images of a width and height: no rectification
-    (R = 1), P = [K 0]."""
+    (R = 1), P = [K 0].
+
+    Raises
+    ------
+    PlateError
+        If it cannot be written: what was there stays.
+    """
     matrix = np.asarray(lens.matrix, dtype=float)
     distortion = np.ravel(lens.distortion).astype(float)
     data = {
@@ -70,7 +76,8 @@ def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Len
         "projection_matrix": _block(np.column_stack([matrix, np.zeros(3)])),
     }
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None)
-    Path(path).write_text(text, encoding="utf-8")
+    with draft(path, "camera file") as file:
+        file.write(text.encode())
 
 
 def _block(matrix: np.ndarray) -> dict[str, object]:
@@ -113,6 +120,24 @@ def read_pictures(path: Path) -> Iterator[tuple[str, np.ndarray]]:
         yield file.name, _read(file)
     if not files:
         yield from _film(path)
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """Write a picture (H, W) or (H, W, 3) uint8 of the kind that its ending says.
+
+    Raises
+    ------
+    ImageError
+        If it cannot be written.
+    """
+    try:
+        done = cv2.imwrite(str(path), picture)
+    except cv2.error:  # of no kind that it knows
+        done = False
+    if not done:
+        raise ImageError(
+            f"{path}: cannot be written, allowed: {', '.join(PICTURES)}, in a folder that is there"
+        )
 
 
 def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:

@@ -26,6 +26,9 @@ LENS_MODELS = {4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
 """Distortion models of sensor_msgs/CameraInfo by their number of parameters: k1, k2, p1, p2[, k3];
 the rational polynomial has k4, k5, k6 too."""
 
+LENS_MATRIX = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 1]])
+"""Where a camera matrix may be other than 0."""
+
 CORRECTIONS = 2
 """Times that what OpenCV's straightening leaves is taken off: each leaves a hundredth of it."""
 
@@ -57,6 +60,10 @@ class Lens:
             raise CalibrationError(
                 f"lens matrix: focal lengths are {matrix[0, 0]:g} and {matrix[1, 1]:g} px, "
                 "allowed: more than 0"
+            )
+        if not np.array_equal(matrix * LENS_MATRIX, matrix) or matrix[2, 2] != 1:
+            raise CalibrationError(
+                f"lens matrix: got {matrix.tolist()}, allowed: [fx, 0, cx], [0, fy, cy], [0, 0, 1]"
             )
         count = np.size(self.distortion)
         if count not in LENS_MODELS:
@@ -184,7 +191,8 @@ def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = N
     least = SLENDER * float(np.max(np.ptp(corners, axis=0), initial=0)) ** 2
     corners = check_quadrilateral(corners, "corners", CalibrationError, "m", least)
     if lens is not None:
-        corners_px = lens.straighten(corners_px)
+        straight, name = lens.straighten(corners_px), "corners_px without the lens's distortion"
+        corners_px = check_quadrilateral(straight, name, CalibrationError)
     return calibrate_by_matrix(fit_homography(corners, corners_px), lens)
 
 

@@ -106,12 +106,17 @@ def draw_marker(dictionary: str, number: int, side_px: int) -> np.ndarray:
     Raises
     ------
     CalibrationError
-        As `find_markers`, or if the dictionary has no such number.
+        As `find_markers`, or if the dictionary has no such number, or its modules would not fill
+        a pixel.
     """
     known = _dictionary(dictionary)
     count = len(known.bytesList)
     if not 0 <= number < count:
         raise CalibrationError(f"marker {number} of {dictionary}, allowed: 0 to {count - 1}")
+    if side_px < known.markerSize + 2:
+        raise CalibrationError(
+            f"marker of {side_px} px, allowed: at least {known.markerSize + 2} px for {dictionary}"
+        )
     if hasattr(cv2.aruco, "generateImageMarker"):
         return np.asarray(cv2.aruco.generateImageMarker(known, number, side_px))
     old: Any = cv2.aruco

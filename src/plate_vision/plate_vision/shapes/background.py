@@ -37,8 +37,11 @@ SAMPLES = 2000
 PASSES = 4
 """Times that the change of light is fitted to those pixels that agree with it."""
 
+SPARSE = 8
+"""Of so many rows and columns one is looked at for a jump of the light."""
+
 START = 25.0
-"""Largest change of light that is followed at once [L]."""
+"""Largest change of light that is followed without a jump [L]."""
 
 MOST_PIXELS = 30_000
 """Of a photograph so many are looked at for its background."""
@@ -112,18 +115,30 @@ class Background:
             return self.lab[:, :, 0]
         return np.asarray(cv2.cvtColor(self.lab, cv2.COLOR_LAB2BGR)[:, :, 1])
 
-    def followed(self, image: np.ndarray) -> Background:
+    def followed(self, image: np.ndarray, learned: Background | None = None) -> Background:
         """Return the background under the light of an image (H, W) or (H, W, 3) uint8, which shows
         parts as well; as it is if too little of it is seen.
+
+        A jump of light or exposure is measured against `learned`, in which no light was burnt out
+        or too dark; against itself if None.
 
         Raises
         ------
         ImageError
             If the image has another shape than the background.
         """
-        return self._lit_as(colours_like(image, self))
+        lab = colours_like(image, self)
+        lit = self._lit_as(lab)
+        if lit is None:
+            first = learned or self
+            few = np.s_[::SPARSE, ::SPARSE]
+            jump = np.median(lab[few].astype(np.float32) - first.lab[few], axis=(0, 1))
+            moved = np.clip(np.rint(first.lab + jump), 0, 255).astype(np.uint8)
+            lit = replace(first, lab=moved)._lit_as(lab)
+        return lit or self
 
-    def _lit_as(self, lab: np.ndarray) -> Background:
+    def _lit_as(self, lab: np.ndarray) -> Background | None:
+        """Return it under the light of colours (H, W, C); None if too little of it is seen."""
         height, width, channels = self.lab.shape
         step = max(1, int(np.sqrt(height * width / SAMPLES)))
         grid = np.s_[step // 2 :: step, step // 2 :: step]
@@ -136,7 +151,7 @@ class Background:
             near = np.maximum(limit, START if turn == 0 else 0)
             kept = _size(change - design @ fit, self.chroma) <= near
             if np.count_nonzero(kept) < 0.1 * len(kept):
-                return self
+                return None
             part = design[kept]
             fit = np.linalg.lstsq(part.T @ part, part.T @ change[kept], rcond=None)[0]
         if np.max(np.abs(design @ fit)) < 0.5:
@@ -263,13 +278,14 @@ def colours(image: np.ndarray) -> np.ndarray:
 
 
 def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
-    """Return an image's colours (H, W, C) once they can be compared with a background's."""
+    """Return an image's colours (H, W, C) once they can be compared with a background's: grey
+    levels with the colours of a picture file, or colours with grey levels."""
     lab = colours(image)
+    if lab.shape[2] != background.lab.shape[2]:
+        code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY
+        lab = colours(cv2.cvtColor(np.ascontiguousarray(image), code))
     if lab.shape != background.lab.shape:
-        seen, known = (
-            f"{shape[1]} x {shape[0]} px, {shape[2]} channels"
-            for shape in (lab.shape, background.lab.shape)
-        )
+        seen, known = (f"{shape[1]} x {shape[0]} px" for shape in (lab.shape, background.lab.shape))
         raise ImageError(f"image: {seen}, allowed: {known}, as the background has")
     return _cleaned(lab) if background.cleaned else lab
 

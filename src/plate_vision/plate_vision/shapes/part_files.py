@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
 
+from plate_core.files import draft
 from plate_core.rig import PartType, load_part_types, read_part_types
 from plate_core.yaml_fields import Fields
 
-from ..camera.files import read_pictures
+from ..camera.files import read_pictures, write_picture
 from ..camera.lens import Calibration
 from ..errors import TeachError
 from ..plate.region import Region
@@ -33,14 +33,15 @@ def save_part_types(path: Path, types: Mapping[str, PartType]) -> None:
 
     Raises
     ------
-    TeachError
-        If that would refuse it: nothing is then written.
+    PlateError
+        If that would refuse it, or it cannot be written: what was there stays.
     """
     data = {name: _as_data(part) for name, part in types.items()}
     read_part_types(Fields(data, path.name, TeachError))
     head = "# Part types; `ros2 run plate_vision teach` writes it. Outlines in metres.\n"
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
-    path.write_text(head + text, encoding="utf-8")
+    with draft(path, "types") as file:
+        file.write((head + text).encode())
 
 
 def _as_data(part: PartType) -> dict[str, Any]:
@@ -80,8 +81,8 @@ def add_type(
 
     Raises
     ------
-    TeachError
-        As `learn_type` and `check_alike`.
+    PlateError
+        As `learn_type` and `check_alike`, or if a file cannot be written.
     """
     types = read_types(path) if path.exists() else {}
     lesson = learn_type(name, examples, calibration, background, region)
@@ -91,8 +92,8 @@ def add_type(
         part = replace(lesson.part, mass_kg=known.mass_kg, mu=known.mu)
         lesson = replace(lesson, part=part)
     types[name] = lesson.part
+    write_picture(path.with_name(lesson.part.picture), lesson.picture)
     save_part_types(path, types)
-    cv2.imwrite(str(path.with_name(lesson.part.picture)), lesson.picture)
     return lesson
 
 

@@ -258,23 +258,24 @@ def _window(
     own, deviation_here = cover[here], away[here]
     offset = (-x0, -y0)
     inside = np.zeros(own.shape, np.uint8)
-    cv2.drawContours(inside, rims, number, 1, cv2.FILLED, offset=offset)
+    cv2.drawContours(inside, rims[number : number + 1], 0, 1, cv2.FILLED, offset=offset)
     holes, gaps, enclosed = (np.zeros_like(inside) for _ in range(3))
     child = family[number][2]
     full = np.mean(deviation_here[inside > 0]) if child >= 0 else 0
     while child >= 0:
-        one = np.zeros_like(inside)
-        cv2.drawContours(one, rims, child, 1, cv2.FILLED, offset=offset)
-        ring = np.zeros_like(inside)
-        cv2.drawContours(ring, rims, child, 1, 1, offset=offset)
-        one[ring > 0] = 0
-        enclosed |= one
-        level = deviation_here[(one > 0) & (own < HALF)]
+        rim = rims[child]
+        left, top, wide, high = cv2.boundingRect(rim)  # noise has thousands of them
+        part = np.s_[top - y0 : top - y0 + high, left - x0 : left - x0 + wide]
+        one = np.zeros((high, wide), np.uint8)
+        cv2.drawContours(one, [rim], 0, 1, cv2.FILLED, offset=(-left, -top))
+        cv2.drawContours(one, [rim], 0, 0, 1, offset=(-left, -top))
+        enclosed[part] |= one
+        level = deviation_here[part][(one > 0) & (own[part] < HALF)]
         if len(level) >= LEAST_HOLE_PX2 and np.median(level) < HOLE * full:
-            area, hull = cv2.contourArea(rims[child]), cv2.contourArea(cv2.convexHull(rims[child]))
-            around = 4 * np.pi * area / max(cv2.arcLength(rims[child], True), 1) ** 2
+            area, hull = cv2.contourArea(rim), cv2.contourArea(cv2.convexHull(rim))
+            around = 4 * np.pi * area / max(cv2.arcLength(rim, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
-            (holes if convex or around > ROUND else gaps)[one > 0] = 1
+            (holes if convex or around > ROUND else gaps)[part][one > 0] = 1
         child = family[child][0]
     solid = inside > gaps
     # Inside its rim a part covers all of a pixel, whatever its colours.
@@ -304,10 +305,9 @@ def _patch(
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
     column, row = window.corner[0] + x0, window.corner[1] + y0
     bottom, right = row + mask.shape[0], column + mask.shape[1]
-    if region is None:
-        edge = (row, column, shape[0] - bottom, shape[1] - right)
-        rims = (mask[0], mask[:, 0], mask[-1], mask[:, -1])
-        whole = not any(gap == 0 and np.any(rim) for gap, rim in zip(edge, rims, strict=True))
-    else:
-        whole = bool(np.all(region.usable[row:bottom, column:right][near]))
+    edge = (row, column, shape[0] - bottom, shape[1] - right)
+    rims = (mask[0], mask[:, 0], mask[-1], mask[:, -1])
+    whole = not any(gap == 0 and np.any(rim) for gap, rim in zip(edge, rims, strict=True))
+    if region is not None:
+        whole = whole and bool(np.all(region.usable[row:bottom, column:right][near]))
     return Patch(mask, (column, row), cover, whole, piece.group)

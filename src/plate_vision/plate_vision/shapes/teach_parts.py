@@ -21,7 +21,7 @@ from ..errors import TeachError
 from ..recognition import calibrate_by_scale
 from ..vision import make_vision
 from .part_files import OUT, add_type, colour_text, load_bare, read_types, save_part_types, told
-from .teaching import Example, apart, merged
+from .teaching import Example, apart, drawn_name, merged
 
 COMMANDS = ("list", "merge", "rename", "delete")
 """Words that are no names of types."""
@@ -203,6 +203,8 @@ def _list(args: argparse.Namespace) -> None:
 
 def _merge(args: argparse.Namespace) -> None:
     types = read_types(args.out)
+    if args.name == args.other:
+        raise TeachError(f"{args.out}: type {args.other!r} into itself, allowed: another one")
     part, other = _known(types, args.name, args.out), _known(types, args.other, args.out)
     outlines, _, colours = apart(part, other, 1e3)
     types[args.name] = merged(part, other)
@@ -220,8 +222,8 @@ def _rename(args: argparse.Namespace) -> None:
     if args.new in types:
         raise TeachError(f"{args.out}: type {args.new!r} is there, allowed: a new name")
     picture = part.picture
-    if picture == f"{args.name}.png" and args.out.with_name(picture).exists():
-        picture = f"{args.new}.png"
+    if picture == drawn_name(args.name) and args.out.with_name(picture).exists():
+        picture = drawn_name(args.new)
     renamed = {(args.new if name == args.name else name): kept for name, kept in types.items()}
     renamed[args.new] = replace(part, name=args.new, picture=picture)
     save_part_types(args.out, renamed)
@@ -235,7 +237,7 @@ def _delete(args: argparse.Namespace) -> None:
     part = _known(types, args.name, args.out)
     del types[args.name]
     save_part_types(args.out, types)
-    if part.picture:
+    if part.picture == drawn_name(args.name):  # others are not ours
         args.out.with_name(part.picture).unlink(missing_ok=True)
     print(f"{args.name} is forgotten")
 

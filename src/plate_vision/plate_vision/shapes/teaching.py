@@ -215,13 +215,18 @@ def learn_type(
         part,
         colour_lab=(float(colour[0]), float(colour[1]), float(colour[2])),
         scatter_m=scatter,
-        picture=f"{name}.png",
+        picture=drawn_name(name),
     )
     size = 2 * np.sqrt(np.array([o.area for o in outlines]) / np.pi)
     picture = _picture(part, shown[0].example, pose, calibration)
     doubts = _doubts(name, shown, colour, coloured)
     size_m = np.array([size.mean(), size.std()])
     return Lesson(part, len(outlines), size_m, picture, tuple(unused), doubts)
+
+
+def drawn_name(name: str) -> str:
+    """Return the name of the picture that is drawn of a type: `nut.png` may be what shows it."""
+    return f"{name}_taught.png"
 
 
 def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Calibration) -> None:
