@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from robot_languages import MOST_RETRIES, Named, Pose, Rapid, Record, Robot, Stopped, URScript
+from rapid import MOST_RETRIES, Named, Rapid, Record
+from robot_language import Robot, Stopped
 from scipy.spatial.transform import Rotation
+from urscript import Pose, URScript
 
 from plate_core import load_rig
 from plate_core.tasks import FeedTask, Pick
