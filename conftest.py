@@ -10,6 +10,7 @@ import time
 
 import pytest
 from graph.domains import own_domain
+from graph.shared_memory import remove_leftovers
 from needs import missing
 
 LEFT_OUT = {need: f"{need} is missing: make test-tools" for need in missing()}
@@ -72,3 +73,4 @@ def pytest_configure(config):
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.__enter__())
     config.add_cleanup(lambda: domain.__exit__(None, None, None))
+    config.add_cleanup(remove_leftovers)  # tests kill processes

@@ -24,6 +24,9 @@ EXPECTED = {
 }
 """By fault: what task_status says, and a node whose diagnostics go bad (but for the planner's)."""
 
+HELD_UP = "the planner itself stood still for"
+"""What it says instead after some kills, about one in a hundred: DDS held it up (docs/graph.md)."""
+
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
     options = LightOptions(scenario=str(tmp_path / "middle.yaml"))
@@ -33,8 +36,8 @@ def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain
         for (kind, node), (reason, question, other) in EXPECTED.items():
             row = faults.put(kind, node)
             assert row.task.startswith("aborted"), row
-            assert reason in row.task
-            assert question in row.task
+            held_up = kind == "kill" and HELD_UP in row.task
+            assert held_up or (reason in row.task and question in row.task), row
             levels = {name: level for name, level, *_ in row.diagnostics}
             assert levels["planner"] == "ERROR", row
             assert levels[other] in ("STALE", "ERROR"), row

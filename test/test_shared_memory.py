@@ -1,0 +1,44 @@
+"""Shared memory that killed processes leave is removed, and none that is in use."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from graph.shared_memory import FOLDER, remove_leftovers  # noqa: E402
+
+NODE = "import rclpy; rclpy.init(); node = rclpy.create_node('short_lived'); print(flush=True); input()"
+
+
+def segments(pid):
+    """Names of the segments that a process holds the locks of."""
+    held = (os.readlink(fd.path) for fd in os.scandir(f"/proc/{pid}/fd") if fd.is_symlink())
+    locks = [path for path in held if path.startswith(f"{FOLDER}/fastrtps_")]
+    return {os.path.basename(path).removesuffix("_el") for path in locks if "_port" not in path}
+
+
+def test_only_what_a_killed_process_left_is_removed():
+    nodes = [
+        subprocess.Popen(
+            [sys.executable, "-c", NODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        for _ in range(2)
+    ]
+    try:
+        for node in nodes:
+            node.stdout.readline()
+        killed, alive = (segments(node.pid) for node in nodes)
+        nodes[0].kill()
+        nodes[0].wait()
+        removed = set(remove_leftovers())
+    finally:
+        for node in nodes:
+            node.kill()
+            node.communicate()
+    assert killed and killed <= removed
+    assert alive and not alive & removed
+    assert not any((FOLDER / name).exists() for name in killed)
+    assert alive <= set(remove_leftovers())
