@@ -10,7 +10,10 @@ rclpy = pytest.importorskip("rclpy")
 
 from graph.shared_memory import FOLDER, remove_leftovers  # noqa: E402
 
-NODE = "import rclpy; rclpy.init(); node = rclpy.create_node('short_lived'); print(flush=True); input()"
+NODE = [
+    sys.executable, "-c",
+    "import rclpy; rclpy.init(); node = rclpy.create_node('short'); print(flush=True); input()",
+]  # fmt: skip
 
 
 def segments(pid):
@@ -22,10 +25,7 @@ def segments(pid):
 
 def test_only_what_a_killed_process_left_is_removed():
     nodes = [
-        subprocess.Popen(
-            [sys.executable, "-c", NODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
-        for _ in range(2)
+        subprocess.Popen(NODE, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in range(2)
     ]
     try:
         for node in nodes:
@@ -38,7 +38,9 @@ def test_only_what_a_killed_process_left_is_removed():
         for node in nodes:
             node.kill()
             node.communicate()
-    assert killed and killed <= removed
-    assert alive and not alive & removed
+    assert killed
+    assert killed <= removed
+    assert alive
+    assert not alive & removed
     assert not any((FOLDER / name).exists() for name in killed)
     assert alive <= set(remove_leftovers())

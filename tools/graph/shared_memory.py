@@ -1,4 +1,4 @@
-"""Shared memory of DDS that a killed process leaves behind: up to 16 MB each, until the next boot."""
+"""Shared memory of DDS that a killed process leaves: up to 16 MB, until the next boot."""
 
 from __future__ import annotations
 
