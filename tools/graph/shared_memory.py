@@ -10,18 +10,14 @@ FOLDER = Path("/dev/shm")
 """Where Linux keeps it."""
 
 
-def remove_leftovers() -> list[str]:
-    """Remove the segments whose owner has ended; return their names.
+def remove_leftovers() -> None:
+    """Remove the segments whose owner has ended.
 
     Fast DDS locks a file beside each segment for as long as its participant lives, and makes
     the file anew if somebody removes it before it is locked.
     """
-    removed = []
     for lock in FOLDER.glob(f"fastrtps_{16 * '[0-9a-f]'}_el"):
         with suppress(OSError), lock.open("rb") as file:  # in use, or of another user
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            segment = lock.with_name(lock.name.removesuffix("_el"))
-            segment.unlink(missing_ok=True)
+            lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
             lock.unlink()
-            removed.append(segment.name)
-    return removed
