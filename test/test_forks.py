@@ -65,6 +65,15 @@ def test_its_exit_code_and_last_words_are_told(start, text, code, said):
     assert said in log.read_text()
 
 
+def test_an_exit_code_is_told_also_where_ends_of_children_were_ignored(request):
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        fork, _ = request.getfixturevalue("start")("#!python\nraise SystemExit(4)\n")
+        assert fork.wait(30) == 4
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
 def test_a_node_is_a_child_of_the_program_and_goes_on_without_its_server(start, server):
     fork, log = start(WAITS)
     assert f"PPid:\t{os.getpid()}\n" in Path(f"/proc/{fork.pid}/status").read_text()

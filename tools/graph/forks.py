@@ -63,6 +63,7 @@ class Server:
     def __init__(self, modules: Iterable[str], environment: Mapping[str, str]) -> None:
         self._loaded = _of_loading(environment)
         _libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, no end of a child can be heard of
         self._process = subprocess.Popen(
             [sys.executable, __file__, *modules],
             stdin=subprocess.PIPE,
