@@ -175,7 +175,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     with Image.open(tmp_path / "strip.png") as strip:
         assert min(strip.size) > 600
     with Image.open(tmp_path / "demo.gif") as animation:
-        assert 30 < animation.n_frames <= 100
+        assert 10 < animation.n_frames <= 100
     assert (tmp_path / "demo.gif").stat().st_size < 6e6
     if records:
         check_bag(tmp_path / "bag", result)
@@ -200,7 +200,7 @@ def check_bag(folder, result):
         "trajectory_msgs/msg/JointTrajectory",
         pytest.approx(result["motor_setpoints"], abs=3),
     )
-    assert said["/image_raw"][1] > 30
+    assert said["/image_raw"][1] > 10
     assert said["/task_status"][1] >= 2  # latched: what was said before we listened, too
 
 

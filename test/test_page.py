@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import uuid
 from pathlib import Path
 
@@ -53,11 +54,9 @@ class Browser:
         return message
 
     async def until(self, true):
-        async def wait():
-            while not true(self.newest):
-                await self.read()
-
-        await asyncio.wait_for(wait(), TIMEOUT_S)
+        end = time.monotonic() + TIMEOUT_S  # a wait_for in another may lose its timeout
+        while not true(self.newest):
+            await self.read(end - time.monotonic())
 
     async def send(self, text):
         await self._connection.write_message(text)
@@ -65,8 +64,9 @@ class Browser:
     async def ask(self, name, /, **values):
         self._number += 1
         await self.send(json.dumps({"do": name, "number": self._number, **values}))
+        end = time.monotonic() + TIMEOUT_S
         while True:
-            message = await self.read()
+            message = await self.read(end - time.monotonic())
             if message["kind"] == "answer" and message["number"] == self._number:
                 return message
 
@@ -180,7 +180,7 @@ def test_a_part_follows_a_path_that_is_drawn(url):
         start = browser.part("grey_1")
         end = [start["x"] * 0.6, start["y"] * 0.5]
         points = [[start["x"], start["y"]], end]
-        answer = await browser.ask("follow", id="grey_1", points=points, speed=0.04, closed=False)
+        answer = await browser.ask("follow", id="grey_1", points=points, speed=0.02, closed=False)
         assert answer["ok"], answer
         await browser.until(lambda newest: newest.get("paths", {}).get("paths"))
         (path,) = browser.newest["paths"]["paths"]

@@ -1,7 +1,6 @@
 """The real port: pyserial on a pseudo-terminal. The protocol over it: test/test_serial_path.py."""
 
 import os
-import time
 import tty
 
 import numpy as np
@@ -58,7 +57,7 @@ def test_a_port_is_for_one_program(terminal):
 def test_other_end_that_vanishes_is_a_trouble_not_a_crash(terminal):
     master, slave = terminal
     name = os.ttyname(slave)
-    transport = SerialTransport(lambda: open_port(name), time.monotonic, 1)
+    transport = SerialTransport(lambda: open_port(name), lambda: 0.0, 1)
     transport.open()
     assert transport.poll() == []
     _, [hello] = Reader().fed(os.read(master, 1000))
