@@ -1,6 +1,6 @@
-"""The firmware: the document's bytes, a table's whole way, limits, watchdog, faults, fuzz."""
+"""The firmware: the examples' bytes, a table's whole way, limits, watchdog, faults, fuzz."""
 
-import re
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,13 +54,14 @@ from plate_core.serial_protocol import (  # fmt: skip
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_bytes_are_those_of_the_document(device):
-    text = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
-    examples = re.findall(r"^\| (\w+) \| .* \| `([0-9a-f ]+)` \|$", text, re.MULTILINE)
+def test_bytes_are_those_of_the_examples(device):
+    with (ROOT / "firmware/frames.csv").open(encoding="utf-8") as table:
+        examples = list(csv.DictReader(table))
     host = b"".join(
-        bytes.fromhex(h)
-        for name, h in examples
-        if name not in ("Capabilities", "Acknowledgement", "Pulse", "Telemetry", "DriveTrouble")
+        bytes.fromhex(row["frame"])
+        for row in examples
+        if row["message"]
+        not in ("Capabilities", "Acknowledgement", "Pulse", "Telemetry", "DriveTrouble")
     )
     assert run(device, host, host[:-1] + b"\xff\0", 0.02).refused == 1
     done = run(device, host, 0.02)

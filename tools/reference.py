@@ -17,13 +17,13 @@ PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
 
 HEAD = """# All keys of scenario and rig files
 
-Made from the code by `python tools/reference.py`. A key must be there if its table says nothing
-under `if left out`, or has no such column. What is wrong in a file is refused with file, key, value
-and what is allowed.
+Made from the code by `python tools/reference.py`. In brackets: what may stand there, and what
+counts where the key is left out; if nothing is said of that the key must be there. What is wrong in
+a file is refused with file, key, value and what is allowed.
 
-Coordinates are in the frame `plate_home`: origin at the centre of the plate at rest, x along its
-long side, y to the left, angles counter-clockwise from x. How the files are used:
-[your own task](guide/tasks.md), [your own rig](guide/rig.md).
+Coordinates are in `plate_home`: origin at the centre of the plate at rest, x along its long side, y
+to the left, angles counter-clockwise from x. How the files are used: [tasks](guide/tasks.md),
+[rig](guide/rig.md).
 """
 
 
@@ -39,18 +39,11 @@ def _sections(sections: Iterable[Section]) -> Iterable[str]:
     told: set[tuple[str, str]] = set()
     for section in sections:
         yield f"\n### `{section.where}`\n\n{section.about}\n\n"
-        optional = any(_default(key) for key in section.keys)
-        head = ("key", "what", *["if left out"] * optional, "meaning")
-        yield _row(*head) + "|" + "---|" * len(head) + "\n"
         for key in section.keys:
             meaning = "as above" if (key.name, key.meaning) in told else key.meaning
             told.add((key.name, key.meaning))
-            yield _row(f"`{key.name}`", _what(key), *[_default(key)] * optional, meaning)
-
-
-def _row(*cells: str) -> str:
-    """Return a row of a table."""
-    return f"| {' | '.join(cells)} |\n"
+            left_out = f"; left out: {_default(key)}" if _default(key) else ""
+            yield f"- `{key.name}` ({_what(key)}{left_out}): {meaning}\n"
 
 
 def _what(key: Key) -> str:

@@ -1,6 +1,6 @@
-"""The serial codec: the bytes of docs/protocol.md, round trips, damaged and random bytes."""
+"""The serial codec: the bytes of firmware/frames.csv, round trips, damaged and random bytes."""
 
-import re
+import csv
 import struct
 import zlib
 from pathlib import Path
@@ -43,8 +43,10 @@ from plate_core.serial_protocol import (  # fmt: skip
     unframe,
 )
 
-DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
-EXAMPLES = re.findall(r"^\| (\w+) \| .* \| `([0-9a-f ]+)` \|$", DOCUMENT.read_text(), re.MULTILINE)
+ROOT = Path(__file__).resolve().parents[3]
+DOCUMENT = (ROOT / "docs/protocol.md").read_text(encoding="utf-8")
+with (ROOT / "firmware/frames.csv").open(encoding="utf-8") as table:
+    EXAMPLES = [(row["message"], row["frame"]) for row in csv.DictReader(table)]
 
 
 def f32(*values: float) -> tuple[float, ...]:
@@ -95,15 +97,16 @@ SAID = [
 ]
 
 
-def test_document_shows_all():
+def test_examples_show_all():
     assert [name for name, _ in EXAMPLES] == [type(p.message).__name__ for p in SAID]
     assert {type(p.message) for p in SAID} == set(get_args(Message))
+    assert f"`{EXAMPLES[0][1]}`" in DOCUMENT
 
 
 @pytest.mark.parametrize(
     ("said", "text"), list(zip(SAID, [t for _, t in EXAMPLES], strict=True)), ids=str
 )
-def test_bytes_are_those_of_the_document(said, text):
+def test_bytes_are_those_of_the_examples(said, text):
     data = bytes.fromhex(text)
     assert frame(pack(said)) == data
     assert parse(unframe(data[:-1])) == said
