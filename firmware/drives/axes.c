@@ -82,7 +82,7 @@ void enter(Axis *axis, Stage stage)
     axis->since = 0;
     axis->asked = false;
     axis->step = 0;
-    axis->unheard = axis->missed = axis->doubled = axis->answers = 0;
+    axis->unheard = axis->missed = axis->doubled = axis->astray = axis->answers = 0;
     if (stage != UP)
         axis->status = axis->still = 0;
 }
@@ -91,6 +91,17 @@ void enter(Axis *axis, Stage stage)
 static float apart_m(int m, int32_t a, int32_t b)
 {
     return fabsf((float)(int32_t)((uint32_t)a - (uint32_t)b)) / drives[m].counts_per_m;
+}
+
+/* With current it is to be where it was told, also before it is led: a drive may count anew then. */
+static void watch(int m)
+{
+    Axis *axis = &axes[m];
+    float off_m = apart_m(m, axis->actual, axis->reached);
+    bool astray = enabled(axis) && limits->following_m > 0 && off_m > limits->following_m;
+    axis->astray = astray ? (uint8_t)(axis->astray + 1) : 0;
+    if (axis->astray == ASTRAY_CYCLES)
+        alarm(m, TROUBLE_ASTRAY, 0, (uint32_t)lrintf(1e6f * off_m), FAULT_FOLLOWING);
 }
 
 bool stands(const Axis *axis) { return axis->still == STILL_CYCLES; }
@@ -102,6 +113,7 @@ void placed(int m, int32_t actual)
         lose_home(m);
     axis->actual = actual;
     axis->error = (int32_t)((uint32_t)actual - (uint32_t)axis->reached);
+    watch(m);
     axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
     if (!axis->told || apart_m(m, actual, axis->rest) > STILL_M) {
         axis->rest = actual;

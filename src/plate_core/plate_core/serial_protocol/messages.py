@@ -91,6 +91,7 @@ class Trouble(IntEnum):
     HOME_LOST = 17  # a drive may count from elsewhere; until Home
     RANGE = 18  # the drive's counts end within the stroke; code: its position
     CROOKED = 19  # no rigid plate has the positions that are told
+    ASTRAY = 20  # it is not where it was told to be; code: how far off [um]
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
@@ -279,6 +280,7 @@ WORDS = {
     "watchdog_timeout to 0.1 s",
     Trouble.HOME_LOST: "home is lost: let the plate hang at home, then call home, then enable",
     Trouble.RANGE: "position {code:08X}h at home: its counts end within the stroke, move its zero",
+    Trouble.ASTRAY: "the drive does not follow: {code} um from its setpoint",
     Trouble.CROOKED: "the motors' positions fit no rigid plate: a drive has lost counts, or two "
     "are swapped",
 }
