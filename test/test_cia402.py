@@ -558,7 +558,7 @@ def test_a_drive_whose_fault_stays_is_not_enabled(bench):
     enable(bench, 400)
     assert bench.state == State.OFF
     assert all(drive.enables == 1 for drive in bench.drives)
-    assert said_by(bench, DriveTrouble)[-1].words == "motor_3: emergency 4210h, error register 01h"
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(3, Trouble.EMERGENCY, 1, 0x4210)
 
 
 def test_a_drive_that_keeps_its_current_is_reset(bench):

@@ -174,7 +174,9 @@ def test_a_drives_own_words_are_told(bench):
     bench.run(30)
     report = bench.transport.report()
     assert (report.condition, report.reason) == (Condition.OFF, DriverReason.FOLLOWING)
-    assert report.text == "following: motor_2: emergency 8611h, error register 20h"
+    assert (
+        report.text == "following: motor_2: emergency 8611h, error register 20h (following error)"
+    )
 
 
 def test_who_is_too_late_for_the_rig_brakes_and_is_not_enabled(bench):
