@@ -561,11 +561,14 @@ def test_a_drive_whose_fault_stays_is_not_enabled(bench):
     assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(3, Trouble.EMERGENCY, 1, 0x4210)
 
 
-def test_a_drive_that_keeps_its_current_is_reset(bench):
+@pytest.mark.parametrize("pushed", [0, 5000])
+def test_a_drive_that_keeps_its_current_is_reset(bench, pushed):
     ready(bench)
     bench.drives[0].keeps = True
     tell(bench, say(300, Stop(1)))
-    live(bench, 150)
+    live(bench, 10)
+    bench.drives[0].jammed, bench.drives[0].slip = True, pushed
+    live(bench, 140)
     assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
     assert (0, bytes([0x81, NODES[0]])) in [frame[1:] for frame in bench.sent]
     assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(1, Trouble.KEEPS, 0, 0x237)

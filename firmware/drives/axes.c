@@ -98,7 +98,7 @@ static void watch(int m)
 {
     Axis *axis = &axes[m];
     float off_m = apart_m(m, axis->actual, axis->reached);
-    bool astray = enabled(axis) && limits->following_m > 0 && off_m > limits->following_m;
+    bool astray = wanted && enabled(axis) && limits->following_m > 0 && off_m > limits->following_m;
     axis->astray = astray ? (uint8_t)(axis->astray + 1) : 0;
     if (axis->astray == ASTRAY_CYCLES)
         alarm(m, TROUBLE_ASTRAY, 0, (uint32_t)lrintf(1e6f * off_m), FAULT_FOLLOWING);
