@@ -439,6 +439,7 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
     motor = 0 if kind in (Trouble.OTHER_MASTER, Trouble.BUS_OFF) else 2
     assert {(t.motor, t.kind) for t in told} == {(motor, kind)}
     assert {t.code for t in told} <= set(code if trouble is jam else [code])
+    assert trouble is not jam or Fault.NO_HOME not in Fault(bench.faults)
     check_bus(bench)
 
 
@@ -700,6 +701,28 @@ def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_named(bench, 
     at, _ = travel(led(bench), 1)
     assert at[-1] - at[0] <= 6
     assert all(each.state == "switch on disabled" for each in bench.drives)
+
+
+def test_a_drive_that_counts_from_elsewhere_at_a_second_enable_has_lost_home(bench):
+    ready(bench)
+    tell(bench, say(300, Stop(1)))
+    live(bench, 50)
+    bench.plate = PLATE
+    drive, enter = bench.drives[2], bench.drives[2].enter
+
+    def counts_anew(state):
+        enter(state)
+        if state == "enabled":
+            drive.slip += 5500  # which the others cannot tell: its weight is a half
+
+    drive.enter, drive.lag_ms = counts_anew, 20
+    enable(bench, 350)
+    drive.enter = enter
+    live(bench, 1200)
+    enable(bench, 400)
+    assert bench.state == State.OFF
+    assert said_by(bench, DriveTrouble)[-1].kind == Trouble.HOME_LOST
+    assert [each.enables for each in bench.drives] == [2] * 4  # not led to a wrong home
 
 
 def test_an_absolute_zero_that_cannot_be_is_refused(bench):

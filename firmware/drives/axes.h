@@ -37,6 +37,7 @@ typedef struct {
     int32_t error;     /* of actual, when it was taken */
     int32_t rest;      /* it has stood near here [counts] */
     uint8_t still;     /* cycles since then, 0 to STILL_CYCLES */
+    bool leapt;        /* with that its position did what no motor can */
     bool told;         /* where it is, since the board started */
     uint16_t keeps;    /* ticks with current that it was told to take away */
     uint16_t alarm;    /* ticks for which `faults` are told on */
