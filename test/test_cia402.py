@@ -439,8 +439,16 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
     motor = 0 if kind in (Trouble.OTHER_MASTER, Trouble.BUS_OFF) else 2
     assert {(t.motor, t.kind) for t in told} == {(motor, kind)}
     assert {t.code for t in told} <= set(code if trouble is jam else [code])
-    assert trouble is not jam or Fault.NO_HOME not in Fault(bench.faults)
     check_bus(bench)
+
+
+def test_a_plate_that_jams_keeps_its_home(bench):
+    playing(bench, 0.008)
+    for drive in bench.drives:
+        drive.jammed = True
+    live(bench, 250)
+    assert (bench.state, bench.faults) == (State.OFF, Fault.FOLLOWING)
+    assert said_by(bench, DriveTrouble)[-1].kind == Trouble.ASTRAY
 
 
 def stopped(bench, drive):
