@@ -351,6 +351,24 @@ def test_a_jammed_motor_is_let_go(bench, rig_file, capsys, monkeypatch):
     assert "quick stop" not in bench.drives[1].history  # it would not follow that either
 
 
+def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_let_go(bench, rig_file, capsys):
+    drive, enter = bench.drives[1], bench.drives[1].enter
+
+    def counts_anew(state):
+        enter(state)
+        if state == "enabled":
+            drive.slip += 24_000  # by a turn
+
+    drive.enter = counts_anew
+    bench.only(2)
+    assert bench.run(rig_file) == 1
+    assert "error: motor_2: does not follow: 24 mm from its setpoint, allowed: 3" in (
+        capsys.readouterr().out
+    )
+    assert len(bench.reached) <= 20  # ms with current: two bus cycles
+    assert drive.history[3:] == ["switch on disabled"]
+
+
 def test_a_motor_that_does_not_move_is_said(bench, rig_file, capsys):
     """Though that is less than following_error_m."""
     bench.drives[0].jammed = True

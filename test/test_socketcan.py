@@ -12,6 +12,7 @@ import sys
 import termios
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,7 +175,9 @@ def test_a_drives_own_words_are_told(bench):
     bench.run(30)
     report = bench.transport.report()
     assert (report.condition, report.reason) == (Condition.OFF, DriverReason.FOLLOWING)
-    assert report.text == "following: motor_2: emergency 8611h, error register 20h"
+    assert (
+        report.text == "following: motor_2: emergency 8611h, error register 20h (following error)"
+    )
 
 
 def test_who_is_too_late_for_the_rig_brakes_and_is_not_enabled(bench):
@@ -379,7 +382,17 @@ def test_a_process_that_says_nothing_is_no_measurement(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
-    assert "the process has ended" in capsys.readouterr().err
+    assert "the process that leads the drives has ended" in capsys.readouterr().err
+
+
+def test_a_process_that_has_ended_is_no_broken_pipe():
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with near, far:
+        port = HostPort(Path("/bin/false"), "ended", lambda _: far.dup())
+        os.waitid(os.P_PID, port._process.pid, os.WEXITED | os.WNOWAIT)
+        with pytest.raises(OSError, match="the process that leads the drives has ended"):
+            port.write(b"a")
+        port.close()
 
 
 def test_how_late_it_is_can_be_asked(program, monkeypatch, capsys):

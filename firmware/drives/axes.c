@@ -82,7 +82,7 @@ void enter(Axis *axis, Stage stage)
     axis->since = 0;
     axis->asked = false;
     axis->step = 0;
-    axis->unheard = axis->missed = axis->doubled = axis->answers = 0;
+    axis->unheard = axis->missed = axis->doubled = axis->astray = axis->answers = 0;
     if (stage != UP)
         axis->status = axis->still = 0;
 }
@@ -93,6 +93,22 @@ static float apart_m(int m, int32_t a, int32_t b)
     return fabsf((float)(int32_t)((uint32_t)a - (uint32_t)b)) / drives[m].counts_per_m;
 }
 
+/* With current it is to be where it was told, also before it is led. A leap that no motor can make
+   tells that it counts from elsewhere. */
+static void watch(int m, bool leaps)
+{
+    Axis *axis = &axes[m];
+    float off_m = apart_m(m, axis->actual, axis->reached);
+    bool astray = wanted && enabled(axis) && limits->following_m > 0 && off_m > limits->following_m;
+    axis->astray = astray ? (uint8_t)(axis->astray + 1) : 0;
+    axis->leapt = astray && (leaps || axis->leapt);
+    if (axis->astray != ASTRAY_CYCLES)
+        return;
+    alarm(m, TROUBLE_ASTRAY, 0, (uint32_t)lrintf(1e6f * off_m), FAULT_FOLLOWING);
+    if (axis->leapt)
+        lose_home(m);
+}
+
 bool stands(const Axis *axis) { return axis->still == STILL_CYCLES; }
 
 void placed(int m, int32_t actual)
@@ -100,8 +116,10 @@ void placed(int m, int32_t actual)
     Axis *axis = &axes[m];
     if (axis->stage == STARTING && axis->answers == 0 && apart_m(m, actual, axis->actual) > STILL_M)
         lose_home(m);
+    bool leaps = apart_m(m, actual, axis->actual) > limits->following_m;
     axis->actual = actual;
     axis->error = (int32_t)((uint32_t)actual - (uint32_t)axis->reached);
+    watch(m, leaps);
     axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
     if (!axis->told || apart_m(m, actual, axis->rest) > STILL_M) {
         axis->rest = actual;

@@ -14,6 +14,7 @@
 #define START_TICKS 100     /* for a start; also until a drive that is up may be enabled */
 #define STARTS 10           /* tries */
 #define KEEPS_TICKS 100     /* for a drive to take its current away */
+#define ASTRAY_CYCLES 2     /* on end with a following error */
 #define CROOKED_CYCLES 5    /* on end with positions that are not of one rigid plate */
 #define STILL_CYCLES 150    /* for which an axis must stand before it gets current, */
 #define STILL_M 0.0005f     /* within this [m] */
@@ -28,7 +29,7 @@ typedef struct {
     uint16_t since;    /* ticks since that, or since the stage began */
     uint16_t unheard;  /* ticks since its heartbeat, 0 to SILENT_TICKS + 1 */
     uint8_t answers;   /* positions since they were asked for last */
-    uint8_t missed, doubled; /* cycles on end */
+    uint8_t missed, doubled, astray; /* cycles on end */
     uint16_t status;   /* its statusword, or state */
     uint32_t errors;   /* its own, as it tells them */
     int32_t actual, home, target; /* [counts] */
@@ -36,6 +37,7 @@ typedef struct {
     int32_t error;     /* of actual, when it was taken */
     int32_t rest;      /* it has stood near here [counts] */
     uint8_t still;     /* cycles since then, 0 to STILL_CYCLES */
+    bool leapt;        /* with that its position did what no motor can */
     bool told;         /* where it is, since the board started */
     uint16_t keeps;    /* ticks with current that it was told to take away */
     uint16_t alarm;    /* ticks for which `faults` are told on */

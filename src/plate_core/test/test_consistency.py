@@ -11,7 +11,7 @@ import yaml
 
 from plate_core import RigError, config_path, load_rig
 from plate_core.rig import LEAST_GAMMA, Lens, doubts, part_radius_px, rig_names, to_image
-from plate_core.rig.check_rig import shake
+from plate_core.rig.check_rig import report, shake
 
 RIG = load_rig()
 MARKERS = {
@@ -234,6 +234,13 @@ def mixed():
     return replace(rig, motors=(*rig.motors[:3], other.motors[3]))
 
 
+def test_what_a_millimetre_is_to_a_drive_is_told():
+    said = report(load_rig("linear_motors"), "a.yaml", [])
+    assert "motor_2: cia402, node 2: 1 mm along its direction is -1000 counts" in said
+    said = report(load_rig("odrives"), "a.yaml", [])
+    assert "motor_1: odrive, node 1: 1 mm along its direction is +0.025 turns" in said
+
+
 @pytest.mark.parametrize(
     ("rig", "impossible", "text"),
     [
@@ -253,13 +260,20 @@ def mixed():
             False,
             "turns_per_m is 40: at speed_mp",
         ),
+        (
+            drives((1, 1e7), (2, 1e6), *GOOD),
+            False,
+            "counts_per_m is 1e+07, 1e+06, 1e+06, 1e+06 of ",
+        ),
+        (drives(following_error_m=0.01), False, "is 0.01, so that a motor which is stuck at home"),
         (drives(following_error_m=0.0), False, "following_error_m is 0: nobody but the drives the"),
     ],
 )
 def test_drives_that_do_not_fit_are_named(rig, impossible, text):
-    [doubt] = doubts(rig)
+    doubt, *more = doubts(rig)
     assert doubt.impossible == impossible
     assert text in doubt.text
+    assert all("count alike" in each.text for each in more)
 
 
 @pytest.mark.parametrize(

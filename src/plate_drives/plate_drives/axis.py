@@ -212,7 +212,7 @@ class Axis:
                 raise PlateError(words(self._motor, kind, index, code))
         if self._master.rival:
             raise PlateError(words(0, Trouble.OTHER_MASTER))
-        self._astray = self._led and astray > self._allowed
+        self._astray = enabled(self._status) and astray > self._allowed
         if self._astray:
             raise PlateError(
                 f"motor_{self._motor}: does not follow: {1e3 * astray:.2g} mm from its setpoint, "

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from plate_core import PlateError
-from plate_core.serial_protocol import DriveTrouble, Trouble
+from plate_core.serial_protocol import DriveTrouble, Trouble, abort_words
 
 __all__ = ["Master", "open_bus"]
 
@@ -26,37 +26,18 @@ LOST_ARBITRATION = 0x002
 ANSWER_S = 0.3
 """Longest wait for a node's answer [s]."""
 
-ABORTS = {
-    0x06010002: "read only", 0x06020000: "no such object", 0x06040041: "cannot be mapped",
-    0x06070010: "wrong length", 0x06090011: "no such subindex", 0x06090030: "value not allowed",
-    0x08000022: "not in this state of the drive",
-}  # fmt: skip
-EMERGENCIES = {
-    "8130": "heartbeat missed", "8611": "following error", "81": "communication", "2": "current",
-    "3": "voltage", "4": "temperature", "5": "hardware", "6": "software", "7": "sensor",
-}  # fmt: skip
-"""What aborts mean, and emergencies by how their code begins: the first that fits counts."""
-
 
 class Refused(PlateError):
     """A node has answered a request by an abort, the code."""
 
     def __init__(self, node: int, index: int, sub: int, code: int) -> None:
         self.code = code
-        why = f"abort {code:08X}h, {ABORTS.get(code, 'see its manual')}"
-        super().__init__(f"node {node} refuses object {index:04X}h:{sub:02X} ({why})")
+        super().__init__(f"node {node} refuses object {index:04X}h:{sub:02X} ({abort_words(code)})")
 
 
 def words(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> str:
     """Return what is wrong with a motor's drive, as `driver_status` says it of a board's."""
-    text = DriveTrouble(motor, kind, index, code % 2**32).words
-    return text + meaning(code) if kind is Trouble.EMERGENCY else text
-
-
-def meaning(code: int) -> str:
-    """Return ` (what an emergency or object 603Fh means)`; empty if that is unknown."""
-    fitting = [text for start, text in EMERGENCIES.items() if f"{code:04X}".startswith(start)]
-    return f" ({fitting[0]})" if fitting else ""
+    return DriveTrouble(motor, kind, index, code % 2**32).words
 
 
 @dataclass

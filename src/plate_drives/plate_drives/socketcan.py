@@ -36,6 +36,7 @@ SOURCES = Path(__file__).parent / "firmware"
 """A link in the source tree, a copy where the package is installed."""
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
+ENDED = "the process that leads the drives has ended"
 FADE = 1e-3
 """Of the greatest lateness, with each telemetry: it is forgotten in 10 s."""
 
@@ -173,15 +174,17 @@ class HostPort:
         except BlockingIOError:
             return b""
         if not data:
-            raise OSError("the process has ended")
+            raise OSError(ENDED)
         return data
 
     def write(self, data: bytes) -> int:
-        """Write what fits; returns how many bytes that is."""
+        """Write what fits; returns how many bytes that is; an OSError if the process has ended."""
         try:
             return os.write(self._in.fileno(), data)
         except BlockingIOError:
             return 0
+        except BrokenPipeError:
+            raise OSError(ENDED) from None
 
     def close(self) -> None:
         """Let it end."""

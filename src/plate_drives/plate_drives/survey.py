@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from plate_core import PlateError, Rig
 from plate_core.rig import Doubt, Drive, Limits
-from plate_core.serial_protocol import Trouble
+from plate_core.serial_protocol import Trouble, emergency_words
 
-from .master import Master, Refused, meaning, words
+from .master import Master, Refused, words
 
 OBJECTS = {
     "device type": (0x1000, 0), "vendor": (0x1018, 1), "serial": (0x1018, 4), "modes": (0x6502, 0),
@@ -130,7 +130,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
     for needed in set(NEEDED) & set(one.refusals):
         yield f"{name}: {one.refusals[needed]}: it cannot be led"
     if in_fault(status):
-        why = f"error code {code:04X}h{meaning(code)}, error register {register:02X}h"
+        why = f"error code {code:04X}h{emergency_words(code)}, error register {register:02X}h"
         yield f"{words(number, Trouble.FAULT, code=status)}: {why}"
     elif enabled(status):
         yield f"{name}: the drive has current (statusword {status:04X}h): who leads it?"

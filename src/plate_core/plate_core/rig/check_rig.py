@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from ..errors import PlateError
 from .consistency import Doubt, doubts
+from .keys import ODRIVE_COUNTS
 from .motors import PEAK_OVER_RMS, motor_levers
 from .rig import Rig, read_rig, rig_names, rig_path
 
@@ -79,6 +81,7 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
         f"motors: {limits.force:g} N at the peak, {limits.continuous_force:g} N continuously (root "
         f"mean square: peaks of {PEAK_OVER_RMS:g} times that in a task), "
         f"{1e3 * limits.stroke_m:g} mm to either side, {limits.speed:g} m/s",
+        *_drives(rig),
         "",
         "shaken as a sinusoid, for a moment travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
     ]
@@ -95,6 +98,18 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
     if not found:
         lines.append("nothing is inconsistent")
     return "\n".join(lines)
+
+
+def _drives(rig: Rig) -> Iterator[str]:
+    """Yield what 1 mm along each motor's direction is to its drive."""
+    for motor in rig.motors:
+        if drive := motor.drive:
+            odrive = drive.kind == "odrive"
+            scale = 1e-3 * drive.sign * drive.counts_per_m / (ODRIVE_COUNTS if odrive else 1)
+            yield (
+                f"{motor.name}: {drive.kind}, node {drive.node}: 1 mm along its direction is "
+                f"{scale:+g} {'turns' if odrive else 'counts'}"
+            )
 
 
 def shake(rig: Rig, way: str, hz: float) -> Shake:

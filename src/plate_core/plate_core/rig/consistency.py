@@ -177,6 +177,13 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
                 f"stroke of {rig.limits.stroke_m:g} m: "
                 f"{MOST_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
             )  # fmt: skip
+    scales = ", ".join(f"{drive.counts_per_m / unit:g}" for drive in drives.values())
+    alike = len(set(kinds.values())) == 1
+    if alike and len({drive.counts_per_m for drive in drives.values()}) > 1:
+        yield Doubt(
+            "motors", f"motors: {key} is {scales} of {', '.join(drives)}: is that so? Drives of "
+            "one make mostly count alike",
+        )  # fmt: skip
     if rig.limits.following_error_m == 0:
         yield Doubt(
             "limits", "limits: following_error_m is 0: nobody but the drives themselves notices "
@@ -215,6 +222,12 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
             f"limits: following_error_m is {limits.following_error_m:g}, allowed: 0 (not watched), "
             f"or {LEAST_FOLLOWING_M:g} and more",
             True,
+        )
+    elif limits.following_error_m >= limits.stroke_m:
+        yield Doubt(
+            "limits",
+            f"limits: following_error_m is {limits.following_error_m:g}, so that a motor which is "
+            f"stuck at home is never noticed; better: well below stroke_m, {limits.stroke_m:g}",
         )
     if limits.continuous_force > limits.force:
         yield Doubt(

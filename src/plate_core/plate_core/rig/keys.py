@@ -35,7 +35,7 @@ MOTOR = Section(
             None, "needed with a drive",
         ),
         Key(
-            "counts_per_m", Number(1e3, 1e9), "Counts of a cia402 drive's position.", None,
+            "counts_per_m", Number(1e3, 1e9), "Counts of a cia402 drive's position (6064h).", None,
             "needed with it",
         ),
         Key(

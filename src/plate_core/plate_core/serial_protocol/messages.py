@@ -91,6 +91,7 @@ class Trouble(IntEnum):
     HOME_LOST = 17  # a drive may count from elsewhere; until Home
     RANGE = 18  # the drive's counts end within the stroke; code: its position
     CROOKED = 19  # no rigid plate has the positions that are told
+    ASTRAY = 20  # it is not where it was told to be; code: how far off [um]
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
@@ -255,17 +256,53 @@ class DriveTrouble:
         whose = f"motor_{self.motor}" if self.motor else "bus"
         errors = [name for bit, name in ODRIVE_ERRORS.items() if self.code >> bit & 1]
         return f"{whose}: " + WORDS[self.kind].format(
-            object=self.object, code=self.code, errors=", ".join(errors) or "none told"
-        )
+            object=self.object, code=self.code, errors=", ".join(errors) or "none told",
+            abort=abort_words(self.code), allowed=ALLOWED.get(self.object, "see its manual"),
+            meaning=emergency_words(self.code),
+        )  # fmt: skip
+
+
+def abort_words(code: int) -> str:
+    """Return code and meaning of an abort by which a node refuses an object."""
+    return f"abort {code:08X}h, {ABORTS.get(code, 'see its manual')}"
+
+
+def emergency_words(code: int) -> str:
+    """Return ` (what an emergency or object 603Fh means)`; empty if that is unknown."""
+    fitting = [text for start, text in EMERGENCIES.items() if f"{code:04X}".startswith(start)]
+    return f" ({fitting[0]})" if fitting else ""
+
+
+ABORTS = {
+    0x06010002: "read only", 0x06020000: "no such object", 0x06040041: "cannot be mapped",
+    0x06040042: "too much is mapped", 0x06070010: "wrong length", 0x06090011: "no such subindex",
+    0x06090030: "value not allowed", 0x06090031: "value too great", 0x06090032: "value too small",
+    0x08000020: "cannot be stored", 0x08000021: "it is led by another interface",
+    0x08000022: "not in this state of the drive",
+}  # fmt: skip
+EMERGENCIES = {
+    "8130": "heartbeat missed", "8611": "following error", "81": "communication", "2": "current",
+    "3": "voltage", "4": "temperature", "5": "hardware", "6": "software", "7": "sensor",
+    "FF": "its maker's own: see its manual",
+}  # fmt: skip
+"""What aborts mean, and emergencies by how their code begins: the first that fits counts."""
+
+ALLOWED = {
+    0: "2, CANSimple of firmware 0.6", 0x1000: "...0192h, CiA 402",
+    0x1018: "the serial of the rig file", 0x6061: "8, cyclic synchronous position",
+    0x6502: "with bit 7, cyclic synchronous position",
+}  # fmt: skip
+"""What an object that is read in the set-up must say; 0 is an ODrive's version of its protocol."""
 
 
 WORDS = {
     Trouble.SILENT: "the drive does not answer",
     Trouble.RESET: "the drive was reset",
     Trouble.NOT_OPERATIONAL: "the drive is not operational (NMT state {code})",
-    Trouble.REFUSED: "the drive refuses object {object:04X}h in its set-up (abort {code:08X}h)",
-    Trouble.WRONG_DRIVE: "not the drive of the rig file: object {object:04X}h is {code:08X}h",
-    Trouble.EMERGENCY: "emergency {code:04X}h, error register {object:02X}h",
+    Trouble.REFUSED: "the drive refuses object {object:04X}h in its set-up ({abort})",
+    Trouble.WRONG_DRIVE: "the drive does not fit: object {object:04X}h is {code:X}h ({code}), "
+    "allowed: {allowed}",
+    Trouble.EMERGENCY: "emergency {code:04X}h, error register {object:02X}h{meaning}",
     Trouble.FAULT: "the drive is in fault (statusword {code:04X}h)",
     Trouble.LEFT: "the drive has left operation (statusword {code:04X}h)",
     Trouble.NOT_ENABLED: "the drive does not go into operation (status {code:04X}h)",
@@ -279,6 +316,7 @@ WORDS = {
     "watchdog_timeout to 0.1 s",
     Trouble.HOME_LOST: "home is lost: let the plate hang at home, then call home, then enable",
     Trouble.RANGE: "position {code:08X}h at home: its counts end within the stroke, move its zero",
+    Trouble.ASTRAY: "the drive does not follow: {code} um from its setpoint",
     Trouble.CROOKED: "the motors' positions fit no rigid plate: a drive has lost counts, or two "
     "are swapped",
 }
