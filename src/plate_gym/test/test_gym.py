@@ -404,6 +404,16 @@ def test_motions_beyond_the_limits_are_scaled_down(gym):
         env.step(3)
 
 
+def test_who_is_told_what_runs_cannot_change_it(gym):
+    """Not beyond the limits, nor at all."""
+    env = gym.PlateEnv("Sort4-v1", action="cycle")
+    env.reset(seed=0)
+    for _ in range(2):
+        *_, info = env.step(env.action_space.sample())
+    with pytest.raises(ValueError, match="read-only"):
+        info["running"].coefficients[:] *= 5
+
+
 def test_the_guide_is_right(capsys):
     """Its programs run, and its table of environments says what their scenarios say."""
     from plate_gym.agents import KNOWN, Brief
