@@ -117,7 +117,7 @@ def test_a_plate_that_has_ended_begins_anew(gym):
     assert not np.any([reward[1:], ended[1:], over[1:]])
 
 
-@pytest.mark.parametrize("action", ["motion", "cycle"])
+@pytest.mark.parametrize("action", ["motion", "cycle", "forces"])
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_goes_on_alike(gym, action, copied):
     many = gym.PlateVectorEnv("Corners12-v1", 2, action=action, threads=2)
