@@ -5,6 +5,7 @@ import pickle
 import re
 from functools import partial
 from itertools import islice
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,18 @@ def test_a_copy_goes_on_alike(gym, action, copied):
     many.step(many.action_space.sample())
     twin, actions = copied(many), many.action_space.sample()
     assert np.array_equal(many.step(actions)[0], twin.step(actions)[0])
+
+
+def test_a_forked_process_goes_on(gym):
+    many = gym.PlateVectorEnv("Sort4-v1", 2, action="forces", threads=2)
+    many.reset(seed=0)
+    still = np.zeros(many.action_space.shape)
+    many.step(still)
+    child = get_context("fork").Process(target=many.step, args=(still,))
+    child.start()
+    child.join(30)
+    child.kill()
+    assert child.exitcode == 0
 
 
 def test_motions_of_any_kind_can_be_vectorised(gym):
