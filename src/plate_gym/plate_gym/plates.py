@@ -232,9 +232,10 @@ class Plates:
             lost = plate.simulation.state.dropped - plate.dropped
             gained = (plate.to_go_m - score.to_go_m[k]) / plate.first_m
             plate.dropped, plate.to_go_m = plate.dropped + lost, score.to_go_m[k]
+            before = plate.done
             self._mark(plate, bool(score.met[k]))
             failed = plate.dropped > 0 or score.failed[k]
-            reward[k], ended[k] = gained - lost + plate.done, plate.done or failed
+            reward[k], ended[k] = gained - lost + (plate.done - before), plate.done or failed
             over[k] = not ended[k] and plate.time >= self.scenario.time_limit_s - ROUNDING_S
         return Step(reward, ended, over, self._info(rows, score))
 

@@ -261,6 +261,7 @@ def test_what_counts(gym):
     assert info["success"]
     assert info["there"] == 4
     assert info["time_s"] == pytest.approx(0.6)  # seen there at 0.1 s, held for 0.5 s
+    assert env.step(still)[1:3] == (0, True)  # who goes on gets nothing for it
 
     env.reset(seed=1)
     state = env.plates.plates[0].simulation.state
