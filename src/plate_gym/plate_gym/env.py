@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from plate_core import PlateError
 from plate_sim.world import Simulation
 
-from .plates import Plate, Plates
+from .plates import SEEDS, Plate, Plates
 from .spaces import action_space, observation_space
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
@@ -26,9 +26,6 @@ NO_WINDOW = "render_mode is 'human', and there is no window: {}"
 
 ROUNDING = 1e-6
 """Actions may be beyond their bounds by so much: those of float32 are."""
-
-SEEDS = 2**31
-"""Of worlds where none is given: below this."""
 
 
 class PlateEnv(gym.Env):

@@ -44,6 +44,9 @@ was seen that never was [s]."""
 LEAST_WAY_M = 0.01
 """A task with less of a way counts as one with so much, in rewards [m]."""
 
+SEEDS = 2**31
+"""Of worlds where none is given, and of solvers: below this."""
+
 ROUNDING_S = 1e-6
 """Sums of periods that differ by less are the same [s]."""
 
@@ -109,7 +112,7 @@ class Plate:
     @cached_property
     def controller(self) -> Controller:
         """Our solver, for levels of action that need one."""
-        return Controller(self._shared.rig, seed=self._seed)
+        return Controller(self._shared.rig, seed=self._seed % SEEDS)
 
     def begin(self, cycle: PlateCycle) -> None:
         """Take in that the cycle that ran has ended, and begin the next."""

@@ -154,6 +154,16 @@ def test_motions_of_any_kind_can_be_vectorised(gym):
     assert np.array_equal(*seen)
 
 
+def test_a_seed_may_be_any_number(gym):
+    env = gym.PlateEnv("Sort4-v1", action="forces")
+    still = np.zeros(env.action_space.shape)
+    for seed in (5, 2**31 + 5):  # of the solver, too
+        first = env.reset(seed=seed)[0]
+        seen = env.step(still)[0]
+        assert np.array_equal(env.reset(seed=seed)[0], first)
+        assert np.array_equal(env.step(still)[0], seen)
+
+
 def test_some_plates_begin_anew(gym):
     many, one = gym.PlateVectorEnv("Sort4-v1", 3), gym.PlateEnv("Sort4-v1")
     many.reset(seed=np.int64(3))
