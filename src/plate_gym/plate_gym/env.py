@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
 from typing import Any
 
 import gymnasium as gym
@@ -186,8 +186,10 @@ class PlateVectorEnv(VectorEnv):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Let the cycle that runs end, on each plate."""
         check_begun(self.plates.plates)
-        if len(actions) != self.num_envs:
-            raise PlateError(f"actions are {len(actions)}, allowed: {self.num_envs}, one a plate")
+        count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
+        if count != self.num_envs:
+            said = count or repr(actions)
+            raise PlateError(f"actions are {said}, allowed: {self.num_envs}, one a plate")
         if not isinstance(actions, np.ndarray):
             actions = iterate(self.action_space, actions)
         each = checked_actions(self.single_action_space, actions)
@@ -235,25 +237,38 @@ def check_begun(plates: Sequence[Plate]) -> None:
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
     """Return actions, within the bounds; refuse what is not in the space by more than rounding."""
-    box = space if isinstance(space, gym.spaces.Box) else None
-    if box and isinstance(actions, np.ndarray) and actions.shape[1:] == box.shape:  # all at once
-        close = np.clip(actions, box.low, box.high)
-        if np.can_cast(close.dtype, float) and np.max(np.abs(close - actions)) <= ROUNDING:
+    if not isinstance(space, gym.spaces.Box):
+        cycles = list(actions)
+        for action in cycles:
+            if not space.contains(action):
+                raise PlateError(f"action is {type(action).__name__}, allowed: {space}")
+        return cycles
+    low, high = space.low, space.high
+    if isinstance(actions, np.ndarray) and fits(actions, actions.shape[:1] + space.shape):
+        close = np.clip(actions, low, high)
+        if np.max(np.abs(close - actions)) <= ROUNDING:
             return list(close)
     result = []
     for action in actions:
-        near = action
-        if box and np.shape(action) == box.shape:
-            near = np.clip(action, box.low, box.high)
-            near = near if np.max(np.abs(near - action)) <= ROUNDING else action
-        if not space.contains(near):
-            said = type(action).__name__
-            if isinstance(action, np.ndarray) and action.size:
-                low, high = np.min(action), np.max(action)
-                said = f"{action.dtype} of shape {action.shape}, from {low:g} to {high:g}"
-            raise PlateError(f"action is {said}, allowed: {space}")
-        result.append(near)
+        try:
+            given = np.asarray(action)
+        except ValueError:  # rows of different lengths
+            given = np.array(None)
+        if fits(given, space.shape):
+            close = np.clip(given, low, high)
+            if np.max(np.abs(close - given)) <= ROUNDING:
+                result.append(close)
+                continue
+        said = f"{given.dtype} of shape {given.shape}" if given.ndim else type(action).__name__
+        if given.ndim and given.size and np.can_cast(given.dtype, float):
+            said += f", from {np.min(given):g} to {np.max(given):g}"
+        raise PlateError(f"action is {said}, allowed: {space}")
     return result
+
+
+def fits(given: np.ndarray, shape: tuple[int, ...]) -> bool:
+    """Whether an array is of numbers, as many as asked."""
+    return given.shape == shape and np.can_cast(given.dtype, float)
 
 
 def checked_mode(mode: str | None) -> str | None:

@@ -192,9 +192,9 @@ def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
     with pytest.raises(PlateError, match=r"reset_mask is \[True\], allowed: 2 of True and False"):
         many.reset(options={"reset_mask": [True]})
     many.reset(seed=1)
-    for count in (1, 3):
+    for wrong, count in ((np.zeros((1, 18)), 1), (np.zeros((3, 18)), 3), (None, None)):
         with pytest.raises(PlateError, match=f"actions are {count}, allowed: 2"):
-            many.step(np.zeros((count, 18)))
+            many.step(wrong)
 
 
 def test_rounding_is_forgiven(gym):
@@ -406,6 +406,11 @@ def test_wrong_settings_are_refused(gym, settings, words):
         (np.full(18, 1.1), "float64 of shape (18,), from 1.1 to 1.1"),
         (np.full(18, np.nan), "float64 of shape (18,), from nan to nan"),
         (np.zeros(17), "float64 of shape (17,), from 0 to 0"),
+        ([2] * 18, "int64 of shape (18,), from 2 to 2"),
+        (["a"] * 18, "<U1 of shape (18,)"),
+        (np.full(18, None), "object of shape (18,)"),
+        ([10**400] * 18, "object of shape (18,)"),
+        ([[1], [1, 2]], "list"),
     ],
 )
 def test_wrong_actions_are_refused(gym, wrong, words):
