@@ -73,7 +73,7 @@ class PlateEnv(gym.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin in the world of a seed: of `bench/closed_loop.py` too; drawn if none is given."""
-        seed = None if seed is None else operator.index(seed)
+        seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
         self._show()
@@ -163,17 +163,16 @@ class PlateVectorEnv(VectorEnv):
                 f"reset_mask is {mask.tolist()}, allowed: {count} of True and False, one True"
             )
         seeds: list[int | None] = [None] * count
-        if isinstance(seed, Sequence | np.ndarray):
-            seeds = list(seed)
+        if seed is not None and np.ndim(seed):
+            seeds = [None if own is None else checked_seed(own) for own in seed]
         elif seed is not None:
-            seeds = [operator.index(seed) + k for k in range(count)]
+            seeds = [checked_seed(seed) + k for k in range(count)]
         if len(seeds) != count:
             raise PlateError(f"seed has {len(seeds)} numbers, allowed: {count}, one for each plate")
         rows, worlds = np.flatnonzero(mask).tolist(), []
         for k in rows:
             own = seeds[k]
             if own is not None:
-                own = operator.index(own)
                 self._chance[k] = seeding.np_random(own)[0]
             worlds.append(drawn(self._chance[k]) if own is None else own)
         check_begun([self.plates.plates[k] for k in np.flatnonzero(~mask)])
@@ -276,6 +275,17 @@ def checked_mode(mode: str | None) -> str | None:
     if mode not in (None, *METADATA["render_modes"]):
         raise PlateError(f"render_mode is {mode!r}, allowed: None, rgb_array, human")
     return mode
+
+
+def checked_seed(seed: Any) -> int:
+    """Return a seed as a number of Python's; refuse what is none."""
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise PlateError(f"seed is {seed!r}, allowed: a whole number from 0 on")
+    return number
 
 
 def drawn(chance: np.random.Generator) -> int:

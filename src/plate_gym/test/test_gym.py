@@ -189,6 +189,10 @@ def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
             call()
     with pytest.raises(PlateError, match="seed has 3 numbers, allowed: 2"):
         many.reset(seed=[1, 2, 3])
+    for wrong, said in ((-1, "-1"), (1.5, "1.5"), ("a", "'a'")):
+        for call in (one.reset, many.reset, lambda seed: many.reset(seed=[0, seed])):
+            with pytest.raises(PlateError, match=f"seed is {said}, allowed: a whole number from"):
+                call(seed=wrong)
     with pytest.raises(PlateError, match=r"reset_mask is \[True\], allowed: 2 of True and False"):
         many.reset(options={"reset_mask": [True]})
     many.reset(seed=1)
