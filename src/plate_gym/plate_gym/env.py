@@ -134,9 +134,10 @@ class PlateVectorEnv(VectorEnv):
         render_mode: str | None = None,
         threads: int | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise PlateError(f"num_envs is {num_envs}, allowed: at least 1")
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        for name, value in (("num_envs", num_envs), ("threads", threads)):
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise PlateError(f"{name} is {value!r}, allowed: a whole number from 1 on")
         self.num_envs = num_envs
         self.plates = Plates(task, world, action, observation, num_envs, min(threads, num_envs))
         self.single_action_space = action_space(self.plates)

@@ -187,6 +187,9 @@ def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
     for call in early:
         with pytest.raises(gymnasium.error.ResetNeeded):
             call()
+    for name, wrong in (("num_envs", 0), ("num_envs", 1.5), ("threads", 0), ("threads", 1.5)):
+        with pytest.raises(PlateError, match=f"{name} is {wrong}, allowed: a whole number from 1"):
+            gym.PlateVectorEnv("Sort4-v1", **{name: wrong})
     with pytest.raises(PlateError, match="seed has 3 numbers, allowed: 2"):
         many.reset(seed=[1, 2, 3])
     for wrong, said in ((-1, "-1"), (1.5, "1.5"), ("a", "'a'")):
