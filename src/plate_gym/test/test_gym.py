@@ -178,11 +178,14 @@ def test_some_plates_begin_anew(gym):
 def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
     import gymnasium
 
+    from plate_gym.agents import Brief
+
     one, many = gym.PlateEnv("Sort4-v1"), gym.PlateVectorEnv("Sort4-v1", 2)
     shown, some = gym.PlateEnv("Sort4-v1", render_mode="rgb_array"), {"reset_mask": [True, False]}
     early = [
         lambda: one.step(one.action_space.sample()), shown.render,
         lambda: many.step(many.action_space.sample()), lambda: many.reset(options=some),
+        lambda: Brief.of(one),
     ]  # fmt: skip
     for call in early:
         with pytest.raises(gymnasium.error.ResetNeeded):
