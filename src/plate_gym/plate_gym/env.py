@@ -97,6 +97,10 @@ class PlateEnv(gym.Env):
         if self._film is not None:
             self._film.close()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy has: a window of its own it opens when it needs it."""
+        return vars(self) | ({"_film": None} if self.render_mode == "human" else {})
+
     def _show(self) -> None:
         if self.render_mode == "human":
             self._picture()
@@ -338,6 +342,7 @@ class Window:
         except tkinter.TclError as problem:
             return gym.logger.warn(NO_WINDOW.format(problem))
         self._root.title("plate")
+        self._root.protocol("WM_DELETE_WINDOW", self.close)
         self._label = tkinter.Label(self._root)
         self._label.pack()
         self._picture = tkinter.PhotoImage

@@ -3,10 +3,13 @@
 import copy
 import pickle
 import re
+import sys
 from functools import partial
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
+from threading import Lock
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -375,6 +378,57 @@ def test_a_rendered_picture_shows_the_parts(gym):
     assert np.max(np.abs(env.render().astype(float) - again)) > 50
     seen = gym.PlateEnv("Sort4-v1").reset(seed=0)[0]
     assert np.array_equal(env.reset(seed=0)[0], seen)  # pictures change nothing
+
+
+class Tk:
+    """Of the desktop: as Tk, it destroys a window that is closed, unless it was told otherwise."""
+
+    def __init__(self):
+        self.lock, self.updates, self.closed, self.on_close = Lock(), 0, False, self.destroy
+
+    def title(self, text):
+        pass
+
+    def protocol(self, name, call):
+        assert name == "WM_DELETE_WINDOW"
+        self.on_close = call
+
+    def update(self):
+        self.updates += 1
+        if self.updates == 2:
+            self.on_close()
+
+    def destroy(self):
+        assert not self.closed, "application has been destroyed"
+        self.closed = True
+
+
+def test_a_window_that_is_closed_or_copied_ends_nothing(gym, monkeypatch):
+    windows = []
+
+    class Label(SimpleNamespace):
+        def pack(self):
+            pass
+
+        def configure(self, image):
+            assert not self.root.closed, "application has been destroyed"
+
+    def opened():
+        windows.append(Tk())
+        return windows[-1]
+
+    desktop = SimpleNamespace(
+        Tk=opened, Label=lambda root: Label(root=root), PhotoImage=Label, TclError=RuntimeError
+    )
+    monkeypatch.setitem(sys.modules, "tkinter", desktop)
+    env = gym.PlateEnv("Sort4-v1", render_mode="human")
+    env.reset(seed=0)
+    copy.deepcopy(env).reset()
+    for _ in range(3):
+        env.step(np.zeros(18))
+    env.close()
+    env.close()
+    assert [(window.updates, window.closed) for window in windows] == [(2, True), (1, False)]
 
 
 def test_a_rest_after_motion_is_reached_by_the_tail(gym):
