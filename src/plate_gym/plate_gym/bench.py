@@ -12,7 +12,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -120,13 +120,13 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
         If the agent fails: names it, task, seed and step.
     """
     kind = agent_class(agent)
-    env = PlateEnv(task, world, kind.action, kind.observation)
-    seen, info = env.reset(seed=seed)
-    plate, brief = env.plates.plates[0], Brief.of(env)
     spent, total, used = [], 0.0, 0.0
     places = hashlib.blake2b(digest_size=8)
     ended = over = False
     try:
+        env = PlateEnv(task, world, kind.action, kind.observation)
+        seen, info = env.reset(seed=seed)
+        plate, brief = env.plates.plates[0], Brief.of(env)
         began = clocks()
         mind = kind(brief, seed_of_agent(seed))
         start = clocks() - began
@@ -234,8 +234,11 @@ def episodes(
     if workers == 1:
         yield from map(run, seeds)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(run, seeds)
+    try:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            yield from pool.map(run, seeds)
+    except BrokenExecutor as problem:
+        raise PlateError(f"agent {agent}, {task}: its process died: {said(problem)}") from problem
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

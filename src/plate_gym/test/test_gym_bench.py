@@ -168,6 +168,7 @@ CHEATS = {
     "Set": "def act(self, seen, info): self.brief.scenario = None",
     "Nan": "def act(self, seen, info): return np.full(18, np.nan)",
     "Exit": "def act(self, seen, info): raise SystemExit(3)",
+    "Wish": "action = 'wish'\n    def act(self, seen, info): pass",
 }
 
 
@@ -188,6 +189,14 @@ def module(tmp_path, monkeypatch):
 def test_who_cheats_or_fails_is_named(bench, module, name):
     with pytest.raises(PlateError, match=f"agent odd_agents:{name}, Sort4-v1, seed 3, step 0: "):
         bench.evaluate(f"odd_agents:{name}", "Sort4-v1", np.arange(3, 4))
+
+
+def test_an_agent_that_kills_its_process_is_named(bench, tmp_path, monkeypatch):
+    text = LAZY.replace("return", "__import__('os')._exit(0)  #")
+    (tmp_path / "deadly.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlateError, match="agent deadly:Lazy, Sort4-v1: its process died: Broken"):
+        bench.evaluate("deadly:Lazy", "Sort4-v1", [0], workers=2)
 
 
 @pytest.mark.parametrize(
