@@ -315,7 +315,7 @@ def check(
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary is not that of its rows")
         run = partial(episodes, result["agent"], result["world"], task, workers=workers)
-        picks = sorted(chance.permutation(list(rows))[:CHECKED].tolist())
+        picks = sorted(chance.permutation(np.array(list(rows), object))[:CHECKED].tolist())
         for seed, true in zip(picks, run(picks), strict=True):
             wrong += [
                 f"{task}, seed {seed}: {key} is {rows[seed][key]!r}, again: {value!r}"
@@ -376,7 +376,7 @@ def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
 def ranges(seeds: list[int]) -> str:
     """Say seeds, in order, as ranges `FIRST:END`."""
     ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
-    runs = np.split(np.array(seeds), ends)
+    runs = np.split(np.array(seeds, object), ends)  # of any size
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
@@ -472,7 +472,7 @@ def seed_range(text: str) -> range:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
     except ValueError:
         seeds = range(0)
-    if not 0 < len(seeds) <= MOST_SEEDS or seeds[0] < 0:
+    if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MOST_SEEDS:
         raise argparse.ArgumentTypeError(
             f"is {text!r}, allowed: FIRST:END, at most {MOST_SEEDS} of them, or one number"
         )

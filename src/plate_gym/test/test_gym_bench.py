@@ -123,6 +123,22 @@ def test_what_is_claimed_and_made_of_other_code_is_told(bench, result, monkeypat
     assert bench.ranges([0, 1, 2, 5, 8, 9]) == "0:3, 5, 8:10"
 
 
+def test_seeds_of_any_size_are_run_again(bench, result, monkeypatch):
+    seeds, asked = [1, 2**63, 2**63 + 1], []
+    row = result["tasks"]["Sort4-v1"]["rows"][0]
+
+    def episode(agent, world, task, seed):
+        asked.append(seed)
+        return row | {"seed": seed}
+
+    monkeypatch.setattr(bench, "episode", episode)
+    found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", seeds)))
+    told = []
+    assert bench.check(found, told.append) == []
+    assert asked == 2 * seeds
+    assert told[0] == f"Sort4-v1: claimed are seeds 1, {2**63}:{2**63 + 2}"
+
+
 @pytest.mark.parametrize("good", [True, False])
 def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, good):
     """An agent that does well on the seeds that it hands in only."""
@@ -382,6 +398,7 @@ def ended(main):
             "Sort4-v1, seed 0: dropped is 1, again: 0",
         ),
         (["--seeds", "5:1"], 2, "is '5:1', allowed: FIRST:END"),
+        (["--seeds", f"0:{10**20}"], 2, "allowed: FIRST:END, at most 100000 of them"),
     ],
 )
 def test_the_command_says_what_is_wrong(
