@@ -335,6 +335,20 @@ def check(
     return wrong
 
 
+def read(path: Path) -> Any:
+    """Return what a file of JSON says.
+
+    Raises
+    ------
+    PlateError
+        If it is none, names the file.
+    """
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError) as problem:  # too long a number, lists in lists
+        raise PlateError(f"{path} is no JSON: {problem}") from problem
+
+
 def validate(result: Any) -> None:
     """Refuse what is no result of `evaluate`: by its keys and types, not by what it claims.
 
@@ -355,8 +369,9 @@ def validate(result: Any) -> None:
         for k, row in enumerate(rows):
             where = f"result: {task}: rows[{k}]"
             check_fields(where, row, ROW)
-            if row["seed"] < 0:
-                raise PlateError(f"{where}: seed is {row['seed']}, allowed: from 0 on")
+            for key in ("seed", *TIMES):
+                if row[key] < 0:
+                    raise PlateError(f"{where}: {key} is {row[key]}, allowed: from 0 on")
         if len({row["seed"] for row in rows}) < len(rows):
             raise PlateError(f"result: {task}: a seed is given twice, allowed: each once")
 
@@ -443,8 +458,7 @@ def main() -> int:
     workers = max(args.workers, 1)
     try:
         if args.check:
-            result = json.loads(args.check.read_text("utf-8"))
-            wrong = check(result, partial(print, flush=True), workers, args.fresh or 0)
+            wrong = check(read(args.check), partial(print, flush=True), workers, args.fresh or 0)
             print("\n".join(wrong) or "the same again")
             return bool(wrong)
 
@@ -456,9 +470,6 @@ def main() -> int:
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
             args.world or "nominal", workers, partial(print, flush=True), keep,
         )  # fmt: skip
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        print(f"error: {args.check} is no JSON: {error}", file=sys.stderr)
-        return 2
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

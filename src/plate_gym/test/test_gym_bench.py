@@ -87,6 +87,7 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
         (["tasks", "Sort4-v1", "rows", 1, "seed"], "0", "rows[1]: seed is '0', allowed: int"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], 0.0, "rows[1]: seed is 0.0, allowed: int"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], -1, "rows[1]: seed is -1, allowed: from 0 on"),
+        (["tasks", "Sort4-v1", "rows", 1, "wall_ms"], -2, "wall_ms is -2, allowed: from 0 on"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], 0, "a seed is given twice, allowed: each once"),
         (["tasks", "Sort4-v1", "rows", 1, "return"], np.nan, "return is nan, allowed: float"),
         (["tasks", "Sort5-v1"], {}, "result: task is 'Sort5-v1'"),
@@ -387,6 +388,8 @@ def ended(main):
         (["--agent", "C"], 2, "error: agent is 'C', allowed: B, A, "),
         (["--check", "nowhere.json"], 2, "error: [Errno 2] No such file"),
         (["--check", "text.json"], 2, "error: text.json is no JSON: "),
+        (["--check", "deep.json"], 2, "error: deep.json is no JSON: "),
+        (["--check", "long.json"], 2, "error: long.json is no JSON: "),
         (["--check", "empty.json"], 2, "error: result has , allowed: agent, world, "),
         (["--check", "false.json", "--json", "x"], 2, "not with --json"),
         (["--check", "false.json", "--seeds", "3", "--agent", "A"], 2, "not with --agent, --seeds"),
@@ -408,7 +411,8 @@ def test_the_command_says_what_is_wrong(
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
     false = copy.deepcopy(result)
     false["tasks"]["Sort4-v1"]["rows"][0]["dropped"] = 1
-    for name, text in (("text", "..."), ("empty", "{}"), ("false", json.dumps(false))):
+    files = {"text": "...", "empty": "{}", "deep": "[" * 100_000, "long": "9" * 5000}
+    for name, text in (files | {"false": json.dumps(false)}).items():
         (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["bench", *words])
