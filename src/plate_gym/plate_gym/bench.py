@@ -30,7 +30,7 @@ from .env import PlateEnv, drawn
 from .plates import clocks
 from .tasks import TASKS, WORLDS, chosen, digest
 
-__all__ = ["ROW", "agent_class", "check", "evaluate", "ranges", "summary", "validate"]
+__all__ = ["ROW", "agent_class", "check", "evaluate", "ranges", "read", "summary", "validate"]
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
 """Whose versions a result names, those of them that are installed."""
