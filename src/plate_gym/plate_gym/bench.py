@@ -9,6 +9,7 @@ import importlib
 import json
 import operator
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -235,7 +236,8 @@ def episodes(
         yield from map(run, seeds)
         return
     try:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        calm = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for this process
+        with ProcessPoolExecutor(workers, get_context("spawn"), calm) as pool:
             yield from pool.map(run, seeds)
     except BrokenExecutor as problem:
         raise PlateError(f"agent {agent}, {task}: its process died: {said(problem)}") from problem
@@ -473,6 +475,9 @@ def main() -> int:
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("stopped: of the task that ran nothing is kept", file=sys.stderr)
+        return 130
     return 0
 
 

@@ -283,19 +283,23 @@ def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
 
 
 def test_what_was_done_before_a_failure_is_kept(bench, result, monkeypatch, tmp_path, capsys):
-    row = result["tasks"]["Sort4-v1"]["rows"][0]
+    row, problems = result["tasks"]["Sort4-v1"]["rows"][0], []
 
     def episode(agent, world, task, seed):
         if task == "Sort10-v1":
-            raise PlateError("lost")
+            raise problems.pop()
         return row | {"seed": seed}
 
     monkeypatch.setattr(bench, "episode", episode)
     place = tmp_path / "found.json"
     words = ["--task", "Sort4-v1", "--task", "Sort10-v1", "--seeds", "7", "--workers", "1"]
     monkeypatch.setattr(sys, "argv", ["bench", "--json", str(place), *words])
-    assert bench.main() == 2
-    assert list(json.loads(place.read_text())["tasks"]) == ["Sort4-v1"]
+    for problem, code in ((PlateError("lost"), 2), (KeyboardInterrupt, 130)):
+        problems.append(problem)
+        place.unlink(missing_ok=True)
+        assert bench.main() == code
+        assert list(json.loads(place.read_text())["tasks"]) == ["Sort4-v1"]
+    assert capsys.readouterr().err == "error: lost\nstopped: of the task that ran nothing is kept\n"
 
 
 def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
