@@ -168,7 +168,7 @@ class PlateVectorEnv(VectorEnv):
                 f"reset_mask is {mask.tolist()}, allowed: {count} of True and False, one True"
             )
         seeds: list[int | None] = [None] * count
-        if isinstance(seed, Sequence | np.ndarray) and getattr(seed, "ndim", 1):
+        if isinstance(seed, Sequence | np.ndarray) and getattr(seed, "ndim", True):
             seeds = [None if own is None else checked_seed(own) for own in seed]
         elif seed is not None:
             seeds = [checked_seed(seed) + k for k in range(count)]
