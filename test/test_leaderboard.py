@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from plate_core import PlateError
+
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "benchmarks").glob("*"))
 
@@ -58,6 +60,14 @@ def test_better_and_faster_agents_come_first(tmp_path):
         "| [fast](../../benchmarks/fast.json) | 0:4 | 100 (51 to 100) | 5.0 | 2.5 | 0 | 0 |"
     )
     assert "| 25 (5 to 70) | 1.0 |" in lines[2]
+    forged = result("slow", 4, 9.0)
+    forged["tasks"]["Sort4-v1"] = {"rows": forged["tasks"]["Sort4-v1"]["rows"], "success": 9.0}
+    (tmp_path / "slow.json").write_text(json.dumps(forged), encoding="utf-8")
+    assert lines[1] in leaderboard.tables(tmp_path).splitlines()  # what a row is made of
+    for text, words in (("{", r"slow\.json is no JSON"), ("{}", r"slow\.json: result has , allow")):
+        (tmp_path / "slow.json").write_text(text, encoding="utf-8")
+        with pytest.raises(PlateError, match=words):
+            leaderboard.tables(tmp_path)
 
 
 def test_the_network_that_has_learned_says_where_parts_are_to_come(monkeypatch):

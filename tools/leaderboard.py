@@ -6,11 +6,13 @@ python tools/leaderboard.py
 from __future__ import annotations
 
 import argparse
-import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from plate_core import PlateError
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, RESULTS = ROOT / "docs/guide/leaderboard.md", ROOT / "benchmarks"
@@ -32,14 +34,17 @@ def tables(folder: Path) -> str:
     Raises
     ------
     PlateError
-        If a file is no result.
+        If a file is no result: names it.
     """
     from plate_gym import TASKS  # needs gymnasium: --help does not
-    from plate_gym.bench import validate
+    from plate_gym.bench import read, validate
 
-    results = {path.name: json.loads(path.read_text("utf-8")) for path in folder.glob("*.json")}
-    for result in results.values():
-        validate(result)
+    results = {path.name: read(path) for path in folder.glob("*.json")}
+    for name, result in results.items():
+        try:
+            validate(result)
+        except PlateError as problem:
+            raise PlateError(f"{name}: {problem}") from problem
     text = ""
     for task in TASKS:
         there = {name: result for name, result in results.items() if task in result["tasks"]}
@@ -58,8 +63,9 @@ def tables(folder: Path) -> str:
 
 def row(file: str, agent: str, found: dict[str, Any]) -> tuple[float, float, str]:
     """Return the row of an agent's result, behind what rows are ordered by."""
-    from plate_gym.bench import ranges
+    from plate_gym.bench import ranges, summary
 
+    found = summary(found["rows"])  # not what it claims to be
     low, high = (100 * share for share in found["success_interval"])
     share, took = 100 * found["success"], found.get("time_s", np.inf)
     cells = [
@@ -76,4 +82,7 @@ def row(file: str, agent: str, found: dict[str, Any]) -> tuple[float, float, str
 
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
-    PAGE.write_text(page(), encoding="utf-8")
+    try:
+        PAGE.write_text(page(), encoding="utf-8")
+    except PlateError as problem:
+        sys.exit(f"error: {problem}")

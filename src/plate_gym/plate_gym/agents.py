@@ -19,7 +19,7 @@ from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.shapes import learn_plate
 
 from .classic import Classic
-from .env import PlateEnv
+from .env import PlateEnv, check_begun
 from .motions import Motions
 from .plates import IDLE_S
 
@@ -58,6 +58,7 @@ class Brief:
     def of(cls, env: PlateEnv) -> Brief:
         """Return that of an environment that was reset."""
         plates = env.plates
+        check_begun(plates.plates)
         return deepcopy(
             cls(
                 env.action_space, env.observation_space, plates.rig, plates.scenario,

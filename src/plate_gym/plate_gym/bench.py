@@ -9,10 +9,11 @@ import importlib
 import json
 import operator
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -30,7 +31,7 @@ from .env import PlateEnv, drawn
 from .plates import clocks
 from .tasks import TASKS, WORLDS, chosen, digest
 
-__all__ = ["ROW", "agent_class", "check", "evaluate", "ranges", "summary", "validate"]
+__all__ = ["ROW", "agent_class", "check", "evaluate", "ranges", "read", "summary", "validate"]
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
 """Whose versions a result names, those of them that are installed."""
@@ -120,13 +121,13 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
         If the agent fails: names it, task, seed and step.
     """
     kind = agent_class(agent)
-    env = PlateEnv(task, world, kind.action, kind.observation)
-    seen, info = env.reset(seed=seed)
-    plate, brief = env.plates.plates[0], Brief.of(env)
     spent, total, used = [], 0.0, 0.0
     places = hashlib.blake2b(digest_size=8)
     ended = over = False
     try:
+        env = PlateEnv(task, world, kind.action, kind.observation)
+        seen, info = env.reset(seed=seed)
+        plate, brief = env.plates.plates[0], Brief.of(env)
         began = clocks()
         mind = kind(brief, seed_of_agent(seed))
         start = clocks() - began
@@ -234,8 +235,12 @@ def episodes(
     if workers == 1:
         yield from map(run, seeds)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(run, seeds)
+    try:
+        calm = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for this process
+        with ProcessPoolExecutor(workers, get_context("spawn"), calm) as pool:
+            yield from pool.map(run, seeds)
+    except BrokenExecutor as problem:
+        raise PlateError(f"agent {agent}, {task}: its process died: {said(problem)}") from problem
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -312,7 +317,7 @@ def check(
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary is not that of its rows")
         run = partial(episodes, result["agent"], result["world"], task, workers=workers)
-        picks = sorted(chance.permutation(list(rows))[:CHECKED].tolist())
+        picks = sorted(chance.permutation(np.array(list(rows), object))[:CHECKED].tolist())
         for seed, true in zip(picks, run(picks), strict=True):
             wrong += [
                 f"{task}, seed {seed}: {key} is {rows[seed][key]!r}, again: {value!r}"
@@ -330,6 +335,20 @@ def check(
                     f"{task}: success is {claimed['success']}, with fresh seeds: {found['success']}"
                 )
     return wrong
+
+
+def read(path: Path) -> Any:
+    """Return what a file of JSON says.
+
+    Raises
+    ------
+    PlateError
+        If it is none, names the file.
+    """
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError) as problem:  # too long a number, lists in lists
+        raise PlateError(f"{path} is no JSON: {problem}") from problem
 
 
 def validate(result: Any) -> None:
@@ -352,8 +371,9 @@ def validate(result: Any) -> None:
         for k, row in enumerate(rows):
             where = f"result: {task}: rows[{k}]"
             check_fields(where, row, ROW)
-            if row["seed"] < 0:
-                raise PlateError(f"{where}: seed is {row['seed']}, allowed: from 0 on")
+            for key in ("seed", *TIMES):
+                if row[key] < 0:
+                    raise PlateError(f"{where}: {key} is {row[key]}, allowed: from 0 on")
         if len({row["seed"] for row in rows}) < len(rows):
             raise PlateError(f"result: {task}: a seed is given twice, allowed: each once")
 
@@ -373,7 +393,7 @@ def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
 def ranges(seeds: list[int]) -> str:
     """Say seeds, in order, as ranges `FIRST:END`."""
     ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
-    runs = np.split(np.array(seeds), ends)
+    runs = np.split(np.array(seeds, object), ends)  # of any size
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
@@ -440,8 +460,7 @@ def main() -> int:
     workers = max(args.workers, 1)
     try:
         if args.check:
-            result = json.loads(args.check.read_text("utf-8"))
-            wrong = check(result, partial(print, flush=True), workers, args.fresh or 0)
+            wrong = check(read(args.check), partial(print, flush=True), workers, args.fresh or 0)
             print("\n".join(wrong) or "the same again")
             return bool(wrong)
 
@@ -453,12 +472,12 @@ def main() -> int:
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
             args.world or "nominal", workers, partial(print, flush=True), keep,
         )  # fmt: skip
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        print(f"error: {args.check} is no JSON: {error}", file=sys.stderr)
-        return 2
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("stopped: of the task that ran nothing is kept", file=sys.stderr)
+        return 130
     return 0
 
 
@@ -469,7 +488,7 @@ def seed_range(text: str) -> range:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
     except ValueError:
         seeds = range(0)
-    if not 0 < len(seeds) <= MOST_SEEDS or seeds[0] < 0:
+    if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MOST_SEEDS:
         raise argparse.ArgumentTypeError(
             f"is {text!r}, allowed: FIRST:END, at most {MOST_SEEDS} of them, or one number"
         )

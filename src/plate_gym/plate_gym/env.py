@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
 from typing import Any
 
 import gymnasium as gym
@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from plate_core import PlateError
 from plate_sim.world import Simulation
 
-from .plates import Plate, Plates
+from .plates import SEEDS, Plate, Plates
 from .spaces import action_space, observation_space
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
@@ -26,9 +26,6 @@ NO_WINDOW = "render_mode is 'human', and there is no window: {}"
 
 ROUNDING = 1e-6
 """Actions may be beyond their bounds by so much: those of float32 are."""
-
-SEEDS = 2**31
-"""Of worlds where none is given: below this."""
 
 
 class PlateEnv(gym.Env):
@@ -76,7 +73,7 @@ class PlateEnv(gym.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin in the world of a seed: of `bench/closed_loop.py` too; drawn if none is given."""
-        seed = None if seed is None else operator.index(seed)
+        seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
         self._show()
@@ -99,6 +96,10 @@ class PlateEnv(gym.Env):
         """Close the window."""
         if self._film is not None:
             self._film.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy has: a window of its own it opens when it needs it."""
+        return vars(self) | ({"_film": None} if self.render_mode == "human" else {})
 
     def _show(self) -> None:
         if self.render_mode == "human":
@@ -137,9 +138,10 @@ class PlateVectorEnv(VectorEnv):
         render_mode: str | None = None,
         threads: int | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise PlateError(f"num_envs is {num_envs}, allowed: at least 1")
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        for name, value in (("num_envs", num_envs), ("threads", threads)):
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise PlateError(f"{name} is {value!r}, allowed: a whole number from 1 on")
         self.num_envs = num_envs
         self.plates = Plates(task, world, action, observation, num_envs, min(threads, num_envs))
         self.single_action_space = action_space(self.plates)
@@ -166,17 +168,16 @@ class PlateVectorEnv(VectorEnv):
                 f"reset_mask is {mask.tolist()}, allowed: {count} of True and False, one True"
             )
         seeds: list[int | None] = [None] * count
-        if isinstance(seed, Sequence | np.ndarray):
-            seeds = list(seed)
+        if isinstance(seed, Sequence | np.ndarray) and getattr(seed, "ndim", True):
+            seeds = [None if own is None else checked_seed(own) for own in seed]
         elif seed is not None:
-            seeds = [operator.index(seed) + k for k in range(count)]
+            seeds = [checked_seed(seed) + k for k in range(count)]
         if len(seeds) != count:
             raise PlateError(f"seed has {len(seeds)} numbers, allowed: {count}, one for each plate")
         rows, worlds = np.flatnonzero(mask).tolist(), []
         for k in rows:
             own = seeds[k]
             if own is not None:
-                own = operator.index(own)
                 self._chance[k] = seeding.np_random(own)[0]
             worlds.append(drawn(self._chance[k]) if own is None else own)
         check_begun([self.plates.plates[k] for k in np.flatnonzero(~mask)])
@@ -189,8 +190,10 @@ class PlateVectorEnv(VectorEnv):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Let the cycle that runs end, on each plate."""
         check_begun(self.plates.plates)
-        if len(actions) != self.num_envs:
-            raise PlateError(f"actions are {len(actions)}, allowed: {self.num_envs}, one a plate")
+        count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
+        if count != self.num_envs:
+            said = count or repr(actions)
+            raise PlateError(f"actions are {said}, allowed: {self.num_envs}, one a plate")
         if not isinstance(actions, np.ndarray):
             actions = iterate(self.action_space, actions)
         each = checked_actions(self.single_action_space, actions)
@@ -238,25 +241,38 @@ def check_begun(plates: Sequence[Plate]) -> None:
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
     """Return actions, within the bounds; refuse what is not in the space by more than rounding."""
-    box = space if isinstance(space, gym.spaces.Box) else None
-    if box and isinstance(actions, np.ndarray) and actions.shape[1:] == box.shape:  # all at once
-        close = np.clip(actions, box.low, box.high)
-        if np.can_cast(close.dtype, float) and np.max(np.abs(close - actions)) <= ROUNDING:
+    if not isinstance(space, gym.spaces.Box):
+        cycles = list(actions)
+        for action in cycles:
+            if not space.contains(action):
+                raise PlateError(f"action is {type(action).__name__}, allowed: {space}")
+        return cycles
+    low, high = space.low, space.high
+    if isinstance(actions, np.ndarray) and fits(actions, actions.shape[:1] + space.shape):
+        close = np.clip(actions, low, high)
+        if np.max(np.abs(close - actions)) <= ROUNDING:
             return list(close)
     result = []
     for action in actions:
-        near = action
-        if box and np.shape(action) == box.shape:
-            near = np.clip(action, box.low, box.high)
-            near = near if np.max(np.abs(near - action)) <= ROUNDING else action
-        if not space.contains(near):
-            said = type(action).__name__
-            if isinstance(action, np.ndarray) and action.size:
-                low, high = np.min(action), np.max(action)
-                said = f"{action.dtype} of shape {action.shape}, from {low:g} to {high:g}"
-            raise PlateError(f"action is {said}, allowed: {space}")
-        result.append(near)
+        try:
+            given = np.asarray(action)
+        except ValueError:  # rows of different lengths
+            given = np.array(None)
+        if fits(given, space.shape):
+            close = np.clip(given, low, high)
+            if np.max(np.abs(close - given)) <= ROUNDING:
+                result.append(close)
+                continue
+        said = f"{given.dtype} of shape {given.shape}" if given.ndim else type(action).__name__
+        if given.ndim and given.size and np.can_cast(given.dtype, float):
+            said += f", from {np.min(given):g} to {np.max(given):g}"
+        raise PlateError(f"action is {said}, allowed: {space}")
     return result
+
+
+def fits(given: np.ndarray, shape: tuple[int, ...]) -> bool:
+    """Whether an array is of numbers, as many as asked."""
+    return given.shape == shape and np.can_cast(given.dtype, float)
 
 
 def checked_mode(mode: str | None) -> str | None:
@@ -264,6 +280,17 @@ def checked_mode(mode: str | None) -> str | None:
     if mode not in (None, *METADATA["render_modes"]):
         raise PlateError(f"render_mode is {mode!r}, allowed: None, rgb_array, human")
     return mode
+
+
+def checked_seed(seed: Any) -> int:
+    """Return a seed as a number of Python's; refuse what is none."""
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise PlateError(f"seed is {seed!r}, allowed: a whole number from 0 on")
+    return number
 
 
 def drawn(chance: np.random.Generator) -> int:
@@ -315,6 +342,7 @@ class Window:
         except tkinter.TclError as problem:
             return gym.logger.warn(NO_WINDOW.format(problem))
         self._root.title("plate")
+        self._root.protocol("WM_DELETE_WINDOW", self.close)
         self._label = tkinter.Label(self._root)
         self._label.pack()
         self._picture = tkinter.PhotoImage

@@ -44,6 +44,9 @@ was seen that never was [s]."""
 LEAST_WAY_M = 0.01
 """A task with less of a way counts as one with so much, in rewards [m]."""
 
+SEEDS = 2**31
+"""Of worlds where none is given, and of solvers: below this."""
+
 ROUNDING_S = 1e-6
 """Sums of periods that differ by less are the same [s]."""
 
@@ -109,7 +112,7 @@ class Plate:
     @cached_property
     def controller(self) -> Controller:
         """Our solver, for levels of action that need one."""
-        return Controller(self._shared.rig, seed=self._seed)
+        return Controller(self._shared.rig, seed=self._seed % SEEDS)
 
     def begin(self, cycle: PlateCycle) -> None:
         """Take in that the cycle that ran has ended, and begin the next."""
@@ -203,14 +206,6 @@ class Plates:
         self._threads = threads
         self.plates: list[Plate] = [None] * count  # type: ignore[list-item]  # until reset
 
-    @cached_property
-    def _pool(self) -> ThreadPoolExecutor | None:
-        return ThreadPoolExecutor(self._threads) if self._threads > 1 else None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What a copy has: threads of its own it starts when it needs them."""
-        return {name: value for name, value in vars(self).items() if name != "_pool"}
-
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> dict[str, np.ndarray]:
         """Begin anew on some plates; returns what `Step.info` has."""
         for row, seed in zip(rows, seeds, strict=True):
@@ -240,9 +235,10 @@ class Plates:
             lost = plate.simulation.state.dropped - plate.dropped
             gained = (plate.to_go_m - score.to_go_m[k]) / plate.first_m
             plate.dropped, plate.to_go_m = plate.dropped + lost, score.to_go_m[k]
+            before = plate.done
             self._mark(plate, bool(score.met[k]))
             failed = plate.dropped > 0 or score.failed[k]
-            reward[k], ended[k] = gained - lost + plate.done, plate.done or failed
+            reward[k], ended[k] = gained - lost + (plate.done - before), plate.done or failed
             over[k] = not ended[k] and plate.time >= self.scenario.time_limit_s - ROUNDING_S
         return Step(reward, ended, over, self._info(rows, score))
 
@@ -259,7 +255,7 @@ class Plates:
     def _answers(self, plates: Sequence[Plate], actions: Sequence[Any]) -> list[PlateCycle]:
         """Return the cycles of actions, within the limits."""
         if self.action != "motion":
-            return list(self._each(Plate.answer, plates, actions))
+            return self._each(Plate.answer, plates, actions)
         cycles, shares = self.motions.cycles(np.array(actions, float))
         for plate, share in zip(plates, shares, strict=True):
             plate.limit_share = share
@@ -268,7 +264,7 @@ class Plates:
     def _look(self, plates: Sequence[Plate]) -> None:
         """Take in what is seen at the start of the cycles that run."""
         if self.observation == "image":
-            list(self._each(Plate.capture, plates))
+            self._each(Plate.capture, plates)
             return
         shown = [(plate, plate.simulation.sight()) for plate in plates]
         looked = [(plate, sight) for plate, sight in shown if sight is not None]
@@ -289,10 +285,12 @@ class Plates:
         for (plate, _), seen in zip(looked, now, strict=True):
             plate.seen = seen
 
-    @property
-    def _each(self) -> Callable[..., Iterable[Any]]:
-        """`map`, on all cores."""
-        return map if self._pool is None else self._pool.map
+    def _each(self, do: Callable[..., Any], *of: Iterable[Any]) -> list[Any]:
+        """`map`, on all cores: on threads that end with it, as a forked process has none."""
+        if self._threads < 2:
+            return list(map(do, *of))
+        with ThreadPoolExecutor(self._threads) as pool:
+            return list(pool.map(do, *of))
 
     def _mark(self, plate: Plate, met: bool) -> None:
         """Take in whether all is as asked: the task is done when it has been so long enough."""

@@ -3,9 +3,13 @@
 import copy
 import pickle
 import re
+import sys
 from functools import partial
 from itertools import islice
+from multiprocessing import get_context
 from pathlib import Path
+from threading import Lock
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -117,7 +121,7 @@ def test_a_plate_that_has_ended_begins_anew(gym):
     assert not np.any([reward[1:], ended[1:], over[1:]])
 
 
-@pytest.mark.parametrize("action", ["motion", "cycle"])
+@pytest.mark.parametrize("action", ["motion", "cycle", "forces"])
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_goes_on_alike(gym, action, copied):
     many = gym.PlateVectorEnv("Corners12-v1", 2, action=action, threads=2)
@@ -125,6 +129,18 @@ def test_a_copy_goes_on_alike(gym, action, copied):
     many.step(many.action_space.sample())
     twin, actions = copied(many), many.action_space.sample()
     assert np.array_equal(many.step(actions)[0], twin.step(actions)[0])
+
+
+def test_a_forked_process_goes_on(gym):
+    many = gym.PlateVectorEnv("Sort4-v1", 2, action="forces", threads=2)
+    many.reset(seed=0)
+    still = np.zeros(many.action_space.shape)
+    many.step(still)
+    child = get_context("fork").Process(target=many.step, args=(still,))
+    child.start()
+    child.join(30)
+    child.kill()
+    assert child.exitcode == 0
 
 
 def test_motions_of_any_kind_can_be_vectorised(gym):
@@ -141,6 +157,16 @@ def test_motions_of_any_kind_can_be_vectorised(gym):
     assert np.array_equal(*seen)
 
 
+def test_a_seed_may_be_any_number(gym):
+    env = gym.PlateEnv("Sort4-v1", action="forces")
+    still = np.zeros(env.action_space.shape)
+    for seed in (5, 2**31 + 5):  # of the solver, too
+        first = env.reset(seed=seed)[0]
+        seen = env.step(still)[0]
+        assert np.array_equal(env.reset(seed=seed)[0], first)
+        assert np.array_equal(env.step(still)[0], seen)
+
+
 def test_some_plates_begin_anew(gym):
     many, one = gym.PlateVectorEnv("Sort4-v1", 3), gym.PlateEnv("Sort4-v1")
     many.reset(seed=np.int64(3))
@@ -155,23 +181,33 @@ def test_some_plates_begin_anew(gym):
 def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
     import gymnasium
 
+    from plate_gym.agents import Brief
+
     one, many = gym.PlateEnv("Sort4-v1"), gym.PlateVectorEnv("Sort4-v1", 2)
     shown, some = gym.PlateEnv("Sort4-v1", render_mode="rgb_array"), {"reset_mask": [True, False]}
     early = [
         lambda: one.step(one.action_space.sample()), shown.render,
         lambda: many.step(many.action_space.sample()), lambda: many.reset(options=some),
+        lambda: Brief.of(one),
     ]  # fmt: skip
     for call in early:
         with pytest.raises(gymnasium.error.ResetNeeded):
             call()
+    for name, wrong in (("num_envs", 0), ("num_envs", 1.5), ("threads", 0), ("threads", 1.5)):
+        with pytest.raises(PlateError, match=f"{name} is {wrong}, allowed: a whole number from 1"):
+            gym.PlateVectorEnv("Sort4-v1", **{name: wrong})
     with pytest.raises(PlateError, match="seed has 3 numbers, allowed: 2"):
         many.reset(seed=[1, 2, 3])
+    for wrong, said in ((-1, "-1"), (1.5, "1.5"), ("a", "'a'")):
+        for call in (one.reset, many.reset, lambda seed: many.reset(seed=[0, seed])):
+            with pytest.raises(PlateError, match=f"seed is {said}, allowed: a whole number from"):
+                call(seed=wrong)
     with pytest.raises(PlateError, match=r"reset_mask is \[True\], allowed: 2 of True and False"):
         many.reset(options={"reset_mask": [True]})
     many.reset(seed=1)
-    for count in (1, 3):
+    for wrong, count in ((np.zeros((1, 18)), 1), (np.zeros((3, 18)), 3), (None, None)):
         with pytest.raises(PlateError, match=f"actions are {count}, allowed: 2"):
-            many.step(np.zeros((count, 18)))
+            many.step(wrong)
 
 
 def test_rounding_is_forgiven(gym):
@@ -248,6 +284,7 @@ def test_what_counts(gym):
     assert info["success"]
     assert info["there"] == 4
     assert info["time_s"] == pytest.approx(0.6)  # seen there at 0.1 s, held for 0.5 s
+    assert env.step(still)[1:3] == (0, True)  # who goes on gets nothing for it
 
     env.reset(seed=1)
     state = env.plates.plates[0].simulation.state
@@ -343,6 +380,57 @@ def test_a_rendered_picture_shows_the_parts(gym):
     assert np.array_equal(env.reset(seed=0)[0], seen)  # pictures change nothing
 
 
+class Tk:
+    """Of the desktop: as Tk, it destroys a window that is closed, unless it was told otherwise."""
+
+    def __init__(self):
+        self.lock, self.updates, self.closed, self.on_close = Lock(), 0, False, self.destroy
+
+    def title(self, text):
+        pass
+
+    def protocol(self, name, call):
+        assert name == "WM_DELETE_WINDOW"
+        self.on_close = call
+
+    def update(self):
+        self.updates += 1
+        if self.updates == 2:
+            self.on_close()
+
+    def destroy(self):
+        assert not self.closed, "application has been destroyed"
+        self.closed = True
+
+
+def test_a_window_that_is_closed_or_copied_ends_nothing(gym, monkeypatch):
+    windows = []
+
+    class Label(SimpleNamespace):
+        def pack(self):
+            pass
+
+        def configure(self, image):
+            assert not self.root.closed, "application has been destroyed"
+
+    def opened():
+        windows.append(Tk())
+        return windows[-1]
+
+    desktop = SimpleNamespace(
+        Tk=opened, Label=lambda root: Label(root=root), PhotoImage=Label, TclError=RuntimeError
+    )
+    monkeypatch.setitem(sys.modules, "tkinter", desktop)
+    env = gym.PlateEnv("Sort4-v1", render_mode="human")
+    env.reset(seed=0)
+    copy.deepcopy(env).reset()
+    for _ in range(3):
+        env.step(np.zeros(18))
+    env.close()
+    env.close()
+    assert [(window.updates, window.closed) for window in windows] == [(2, True), (1, False)]
+
+
 def test_a_rest_after_motion_is_reached_by_the_tail(gym):
     """What an agent sends that does not begin where the plate is waits until it rests."""
     from plate_gym.agents import AGENTS, Brief
@@ -382,6 +470,11 @@ def test_wrong_settings_are_refused(gym, settings, words):
         (np.full(18, 1.1), "float64 of shape (18,), from 1.1 to 1.1"),
         (np.full(18, np.nan), "float64 of shape (18,), from nan to nan"),
         (np.zeros(17), "float64 of shape (17,), from 0 to 0"),
+        ([2] * 18, "int64 of shape (18,), from 2 to 2"),
+        (["a"] * 18, "<U1 of shape (18,)"),
+        (np.full(18, None), "object of shape (18,)"),
+        ([10**400] * 18, "object of shape (18,)"),
+        ([[1], [1, 2]], "list"),
     ],
 )
 def test_wrong_actions_are_refused(gym, wrong, words):
@@ -402,6 +495,16 @@ def test_motions_beyond_the_limits_are_scaled_down(gym):
     assert usage(load_rig(), info["running"]).overall <= 1
     with pytest.raises(PlateError, match="action is int, allowed: CycleSpace"):
         env.step(3)
+
+
+def test_who_is_told_what_runs_cannot_change_it(gym):
+    """Not beyond the limits, nor at all."""
+    env = gym.PlateEnv("Sort4-v1", action="cycle")
+    env.reset(seed=0)
+    for _ in range(2):
+        *_, info = env.step(env.action_space.sample())
+    with pytest.raises(ValueError, match="read-only"):
+        info["running"].coefficients[:] *= 5
 
 
 def test_the_guide_is_right(capsys):

@@ -87,6 +87,7 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
         (["tasks", "Sort4-v1", "rows", 1, "seed"], "0", "rows[1]: seed is '0', allowed: int"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], 0.0, "rows[1]: seed is 0.0, allowed: int"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], -1, "rows[1]: seed is -1, allowed: from 0 on"),
+        (["tasks", "Sort4-v1", "rows", 1, "wall_ms"], -2, "wall_ms is -2, allowed: from 0 on"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], 0, "a seed is given twice, allowed: each once"),
         (["tasks", "Sort4-v1", "rows", 1, "return"], np.nan, "return is nan, allowed: float"),
         (["tasks", "Sort5-v1"], {}, "result: task is 'Sort5-v1'"),
@@ -121,6 +122,22 @@ def test_what_is_claimed_and_made_of_other_code_is_told(bench, result, monkeypat
         "Sort4-v1: claimed are seeds 0:2", "Sort4-v1: 2 seeds again, 0 differences so far"
     ]  # fmt: skip
     assert bench.ranges([0, 1, 2, 5, 8, 9]) == "0:3, 5, 8:10"
+
+
+def test_seeds_of_any_size_are_run_again(bench, result, monkeypatch):
+    seeds, asked = [1, 2**63, 2**63 + 1], []
+    row = result["tasks"]["Sort4-v1"]["rows"][0]
+
+    def episode(agent, world, task, seed):
+        asked.append(seed)
+        return row | {"seed": seed}
+
+    monkeypatch.setattr(bench, "episode", episode)
+    found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", seeds)))
+    told = []
+    assert bench.check(found, told.append) == []
+    assert asked == 2 * seeds
+    assert told[0] == f"Sort4-v1: claimed are seeds 1, {2**63}:{2**63 + 2}"
 
 
 @pytest.mark.parametrize("good", [True, False])
@@ -168,6 +185,7 @@ CHEATS = {
     "Set": "def act(self, seen, info): self.brief.scenario = None",
     "Nan": "def act(self, seen, info): return np.full(18, np.nan)",
     "Exit": "def act(self, seen, info): raise SystemExit(3)",
+    "Wish": "action = 'wish'\n    def act(self, seen, info): pass",
 }
 
 
@@ -188,6 +206,14 @@ def module(tmp_path, monkeypatch):
 def test_who_cheats_or_fails_is_named(bench, module, name):
     with pytest.raises(PlateError, match=f"agent odd_agents:{name}, Sort4-v1, seed 3, step 0: "):
         bench.evaluate(f"odd_agents:{name}", "Sort4-v1", np.arange(3, 4))
+
+
+def test_an_agent_that_kills_its_process_is_named(bench, tmp_path, monkeypatch):
+    text = LAZY.replace("return", "__import__('os')._exit(0)  #")
+    (tmp_path / "deadly.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlateError, match="agent deadly:Lazy, Sort4-v1: its process died: Broken"):
+        bench.evaluate("deadly:Lazy", "Sort4-v1", [0], workers=2)
 
 
 @pytest.mark.parametrize(
@@ -257,19 +283,23 @@ def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
 
 
 def test_what_was_done_before_a_failure_is_kept(bench, result, monkeypatch, tmp_path, capsys):
-    row = result["tasks"]["Sort4-v1"]["rows"][0]
+    row, problems = result["tasks"]["Sort4-v1"]["rows"][0], []
 
     def episode(agent, world, task, seed):
         if task == "Sort10-v1":
-            raise PlateError("lost")
+            raise problems.pop()
         return row | {"seed": seed}
 
     monkeypatch.setattr(bench, "episode", episode)
     place = tmp_path / "found.json"
     words = ["--task", "Sort4-v1", "--task", "Sort10-v1", "--seeds", "7", "--workers", "1"]
     monkeypatch.setattr(sys, "argv", ["bench", "--json", str(place), *words])
-    assert bench.main() == 2
-    assert list(json.loads(place.read_text())["tasks"]) == ["Sort4-v1"]
+    for problem, code in ((PlateError("lost"), 2), (KeyboardInterrupt, 130)):
+        problems.append(problem)
+        place.unlink(missing_ok=True)
+        assert bench.main() == code
+        assert list(json.loads(place.read_text())["tasks"]) == ["Sort4-v1"]
+    assert capsys.readouterr().err == "error: lost\nstopped: of the task that ran nothing is kept\n"
 
 
 def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
@@ -362,6 +392,8 @@ def ended(main):
         (["--agent", "C"], 2, "error: agent is 'C', allowed: B, A, "),
         (["--check", "nowhere.json"], 2, "error: [Errno 2] No such file"),
         (["--check", "text.json"], 2, "error: text.json is no JSON: "),
+        (["--check", "deep.json"], 2, "error: deep.json is no JSON: "),
+        (["--check", "long.json"], 2, "error: long.json is no JSON: "),
         (["--check", "empty.json"], 2, "error: result has , allowed: agent, world, "),
         (["--check", "false.json", "--json", "x"], 2, "not with --json"),
         (["--check", "false.json", "--seeds", "3", "--agent", "A"], 2, "not with --agent, --seeds"),
@@ -373,6 +405,7 @@ def ended(main):
             "Sort4-v1, seed 0: dropped is 1, again: 0",
         ),
         (["--seeds", "5:1"], 2, "is '5:1', allowed: FIRST:END"),
+        (["--seeds", f"0:{10**20}"], 2, "allowed: FIRST:END, at most 100000 of them"),
     ],
 )
 def test_the_command_says_what_is_wrong(
@@ -382,7 +415,8 @@ def test_the_command_says_what_is_wrong(
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
     false = copy.deepcopy(result)
     false["tasks"]["Sort4-v1"]["rows"][0]["dropped"] = 1
-    for name, text in (("text", "..."), ("empty", "{}"), ("false", json.dumps(false))):
+    files = {"text": "...", "empty": "{}", "deep": "[" * 100_000, "long": "9" * 5000}
+    for name, text in (files | {"false": json.dumps(false)}).items():
         (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["bench", *words])

@@ -47,6 +47,11 @@ class PlateCycle:
     _coefficients: np.ndarray  # (k, 6, 3), powers of the time since the knot
     tail: PlateCycle | None = None
 
+    def __post_init__(self) -> None:
+        states = self.knot_pose, self.knot_twist, self.knot_accel
+        for array in (self.times, *states, self._coefficients):
+            array.setflags(write=False)
+
     @property
     def period(self) -> float:
         """Length of one cycle [s]: then the next one may begin."""
@@ -197,8 +202,6 @@ class PlateCycle:
 
     @classmethod
     def _made(cls, times: np.ndarray, states: list[np.ndarray]) -> PlateCycle:
-        for array in (times, *states):
-            array.setflags(write=False)
         pose, twist, accel = states
         with np.errstate(all="ignore"):
             coefficients = quintic_pieces(times, pose, twist, accel)

@@ -127,7 +127,6 @@ class SinusoidBasis:
         for state in states:
             if not self.free_end:
                 state[-1] = state[0] if plate is None else 0
-            state.setflags(write=False)
         tail = None
         if self.free_end or (plate is not None and np.any(plate)):
             end = np.stack([state[-1] for state in states])
@@ -140,7 +139,6 @@ class SinusoidBasis:
         states = [basis @ coefficients for basis in self.knots]
         for state in states:
             state[:, -1] = state[:, 0]
-            state.setflags(write=False)
         splines = (self.spline @ coefficients).reshape(len(coefficients), -1, 6, 3)
         each = zip(*states, splines, strict=True)
         return [PlateCycle(self.times, pose, twist, accel, own) for pose, twist, accel, own in each]

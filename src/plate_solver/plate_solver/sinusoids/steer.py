@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -87,6 +88,10 @@ class SinusoidSteering:
         self._finishing = 0.0  # how long the last answer took after its search [s]
         self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}  # twists
         self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy has: what kernels keep it makes anew."""
+        return vars(self) | {"_motions": {}}
 
     def forget(self) -> None:
         """Forget the last motions."""
