@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import sys
 import time
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -83,10 +85,14 @@ MOST_CORES = 0.3
 """That other programs may take while timings are measured."""
 
 
-def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> None:
+def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> list[str]:
     """Run measurements one after the other; tells of each how far the work is, and writes it. If
-    `quiet` each waits until other programs rest."""
+    `quiet` each waits until other programs rest.
+
+    One that fails does not hold up the others; returns the names of those that have failed.
+    """
     names = list(names)
+    failed: list[str] = []
     expected = {name: seconds for name in names if (seconds := last_seconds(out, name, quick))}
     began = time.perf_counter()
     for number, name in enumerate(names, 1):
@@ -102,10 +108,24 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
             await_quiet()
         start = time.perf_counter()
         code = code_of(module)
-        result = importlib.import_module(module).measure(quick)
+        try:
+            result = importlib.import_module(module).measure(quick)
+        except Exception:
+            print("failed", flush=True)
+            traceback.print_exc()
+            failed.append(name)
+            continue
         seconds = time.perf_counter() - start
         write(out / f"{name}.json", name, about, quick, seconds, code, result)
         print(f"{seconds:.1f} s", flush=True)
+    return failed
+
+
+def told(failed: list[str]) -> int:
+    """Name at the end the measurements that have failed; returns the exit code of the program."""
+    if failed:
+        print(f"error: measurements that failed: {', '.join(failed)}", file=sys.stderr)
+    return bool(failed)
 
 
 def await_quiet() -> None:
