@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.cache import code_of
-from harness.result import write
+from harness.result import ROOT, write
 
 ABOUT = {
     "stages": {
@@ -70,16 +70,8 @@ MEASUREMENTS = {
 LONG = {"feeding_hour", "sameness", "tasks"}
 """Hours: measured only by name."""
 
-EXPECTED_S = {
-    "sim": 160.0, "bodies": 3.0, "force_map": 20.0, "solver": 15.0, "rotations": 40.0,
-    "inversion": 250.0, "model": 28.0, "trust": 170.0, "stability": 200.0,
-    "steering": 320.0, "options": 150.0, "vision": 23.0, "stages": 70.0, "control": 200.0,
-    "tracking": 53.0, "free_running": 280.0, "drives": 260.0, "sizing": 90.0, "learning": 10.0,
-    "bound": 350.0, "rigs": 800.0, "feeding": 640.0, "closed_loop": 750.0,
-    "latency": 120.0, "stop_latency": 120.0, "graph": 1200.0,
-}  # fmt: skip
-"""How long those of the charts take where they have never been run: two cores of today [s]."""
-
+PUBLISHED = ROOT / "docs/results/measured.json"
+"""Of the charts that are in docs/results: how long each measurement took, among others."""
 
 MOST_CORES = 0.3
 """That other programs may take while timings are measured."""
@@ -93,11 +85,11 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
     """
     names = list(names)
     failed: list[str] = []
-    expected = {name: seconds for name in names if (seconds := last_seconds(out, name, quick))}
+    expected = [last_seconds(out, name, quick) for name in names]
     began = time.perf_counter()
     for number, name in enumerate(names, 1):
         module, about = MEASUREMENTS[name]
-        left = sum(expected.get(n, 0.0) for n in names[number - 1 :])
+        left = sum(expected[number - 1 :])
         print(
             f"[{number}/{len(names)}, {clock(time.perf_counter() - began)}"
             + (f", about {clock(left)} left" if left else "")
@@ -152,14 +144,12 @@ def idle_s() -> float:
     return (int(cpu[4]) + int(cpu[5])) / os.sysconf("SC_CLK_TCK")
 
 
-def last_seconds(out: Path, name: str, quick: bool) -> float | None:
-    """Return how long a measurement took the last time [s], if it was as thorough."""
-    path = out / f"{name}.json"
-    if path.exists():
-        there = json.loads(path.read_text(encoding="utf-8"))
-        if there["quick"] == quick:
-            return float(there["seconds"])
-    return None if quick else EXPECTED_S.get(name)
+def last_seconds(out: Path, name: str, quick: bool) -> float:
+    """Return how long a measurement took the last time [s], if it was as thorough: here, or for
+    docs/results; else 0."""
+    published = json.loads(PUBLISHED.read_text(encoding="utf-8"))["measurements"]
+    there = (read(out, [name]) or published).get(name, {"quick": None})
+    return float(there["seconds"]) if there["quick"] == quick else 0.0
 
 
 def clock(seconds: float) -> str:
