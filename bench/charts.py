@@ -56,7 +56,7 @@ def main() -> int:
         print(f"error: nothing in {folder} or {results}: leave out --draw", file=sys.stderr)
         return told(failed) or 1
     report.write_results(text, facts, charts)
-    report.write_report(args.out / "report/index.html", data, facts, charts)
+    report.write_report(args.out / "report/index.html", facts, charts)
     if own:
         report.fill_documents(data, facts)
     print(f"{text}\n{args.out / 'report/index.html'}")
