@@ -17,7 +17,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from harness import ROOT, commit, folder_made, is_done, optional, read, run_all
+from harness import ROOT, commit, folder_made, is_done, optional, read, run_all, told
 
 
 def main() -> int:
@@ -27,12 +27,13 @@ def main() -> int:
         return 2
     for name in ("plotly", "kaleido", "pandas", "tabulate"):
         if optional(name) is None:
-            told = f"error: {name} is not installed: pip install -r requirements-bench.txt"
-            print(told, file=sys.stderr)
+            lack = f"error: {name} is not installed: pip install -r requirements-bench.txt"
+            print(lack, file=sys.stderr)
             return 1
     import report
 
     folder = args.out / "bench"
+    failed: list[str] = []
     # The project's own text shows thorough measurements only.
     own = args.out == ROOT / "out" and not args.quick
     if not args.draw:
@@ -40,10 +41,10 @@ def main() -> int:
         needed |= dict.fromkeys(report.names())
         lacking = [name for name in needed if not is_done(folder, name, args.quick)]
         if own and lacking and commit().endswith("-dirty"):
-            told = f"error: the tree is {commit()}, allowed: all changes committed (or --quick)"
-            print(told, file=sys.stderr)
+            dirty = f"error: the tree is {commit()}, allowed: all changes committed (or --quick)"
+            print(dirty, file=sys.stderr)
             return 1
-        run_all(lacking, args.quick, folder, quiet=own)
+        failed = run_all(lacking, args.quick, folder, quiet=own)
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
     for name in data:  # of every commit with that code
@@ -53,13 +54,13 @@ def main() -> int:
     charts = report.made(data, results, columns)
     if not charts:
         print(f"error: nothing in {folder} or {results}: leave out --draw", file=sys.stderr)
-        return 1
+        return told(failed) or 1
     report.write_results(text, facts, charts)
-    report.write_report(args.out / "report/index.html", data, facts, charts)
+    report.write_report(args.out / "report/index.html", facts, charts)
     if own:
         report.fill_documents(data, facts)
     print(f"{text}\n{args.out / 'report/index.html'}")
-    return 0
+    return told(failed)
 
 
 def arguments() -> argparse.Namespace:

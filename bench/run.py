@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from harness import LONG, MEASUREMENTS, ROOT, folder_made, run_all, text_table
+from harness import LONG, MEASUREMENTS, ROOT, folder_made, run_all, text_table, told
 from plate_core import did_you_mean
 
 
@@ -26,15 +26,15 @@ def main() -> int:
     if not folder_made(args.out):
         return 2
     names = args.names or [name for name in MEASUREMENTS if args.quick or name not in LONG]
-    run_all(names, args.quick, args.out)
-    for name in names:
+    failed = run_all(names, args.quick, args.out)
+    for name in (name for name in names if name not in failed):
         data = json.loads((args.out / f"{name}.json").read_text(encoding="utf-8"))
         print(f"\n== {name}: {data['about']}")
         for table in data["tables"]:
             print("\n".join(text_table(table)))
         for line in data["summary"]:
             print(f"  -> {line}")
-    return 0
+    return told(failed)
 
 
 def arguments() -> argparse.Namespace:

@@ -28,11 +28,11 @@ from emulated_board import (
     RING_BYTES,
     EmulatedBoard,
     Record,
-    assembled,
     built,
     symbols,
     unfollowed,
 )
+from tried_board import TriedBoard, assembled
 
 from plate_core import PlateCycle, load_rig
 from plate_core.serial_protocol import Enable, Fault, State, Status, Stop
@@ -376,7 +376,7 @@ def assert_moved_within_limits(record: Record) -> None:
 @emulated
 def test_a_plate_that_does_not_follow_is_let_go(watchful, tmp_path):
     """Nothing moves in an emulator: as a jammed plate, held 2 mm from its setpoint."""
-    with EmulatedBoard(watchful, tmp_path, logs=True) as board:
+    with TriedBoard(watchful, tmp_path) as board:
         host = ready(board)
         assert host.upload(1, wave(48, 0.2, 0.6)) is Status.DONE
         host.until(lambda: host.now().state is State.PLAYING)
@@ -392,7 +392,7 @@ def test_a_plate_that_does_not_follow_is_let_go(watchful, tmp_path):
 @emulated
 @pytest.mark.parametrize("now", [0, 1])
 def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path, now):
-    with EmulatedBoard(firmware, tmp_path, logs=True) as board:
+    with TriedBoard(firmware, tmp_path) as board:
         host = Host(board)
         host.begin()
         host.rest(50)
@@ -413,7 +413,7 @@ def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path, now):
 
 @emulated
 def test_a_crash_takes_the_enable_pin_down_and_feeds_no_more(firmware, tmp_path):
-    with EmulatedBoard(firmware, tmp_path, logs=True) as board:
+    with TriedBoard(firmware, tmp_path) as board:
         ready(board)
         assert board.enabled()
         board.jump(0x1000_0001)  # where there is nothing
@@ -427,7 +427,7 @@ def test_a_crash_takes_the_enable_pin_down_and_feeds_no_more(firmware, tmp_path)
 
 @emulated
 def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
-    with EmulatedBoard(firmware, tmp_path) as board:
+    with TriedBoard(firmware, tmp_path) as board:
         host = ready(board)
         old = host.now().stop
         assert host.ask(Stop(0)) is Status.DONE
@@ -459,7 +459,7 @@ def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
 @emulated
 def test_the_line_loses_no_byte(firmware, tmp_path):
     """QEMU's own line brings a byte when the one before was taken, more than the ring holds."""
-    with EmulatedBoard(firmware, tmp_path) as board:
+    with TriedBoard(firmware, tmp_path) as board:
         host = Host(board)
         host.begin()
         host.now()

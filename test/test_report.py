@@ -106,7 +106,7 @@ def every_kind(chart, tmp_path_factory):
     from report import write_report
 
     path = tmp_path_factory.mktemp("page") / "index.html"
-    write_report(path, {}, {}, [chart])
+    write_report(path, {}, [chart])
     return path
 
 

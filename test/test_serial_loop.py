@@ -13,7 +13,7 @@ from plate_core.motion import motor_state
 from plate_core.serial_protocol import Fault, State
 from plate_driver.transports import LATE_IN_MOTION, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
-from stages.upload import shaking
+from stages.device import shaking
 
 TASK = {
     "description": "One part goes to its side.",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import select
 import shutil
 import socket
@@ -40,13 +39,6 @@ RECORD = struct.Struct(f"<3I{TICK_BINS}II4f3I")
 ANSWER_S = 60.0
 """The machine may be busy: longest wait for an answer of QEMU [s]."""
 
-WRITTEN = re.compile(
-    r"^(\S+): unimplemented device write \(size 4, offset (0x[0-9a-f]+), value (0x[0-9a-f]+)\)",
-    re.MULTILINE,
-)
-BSRR, ENABLE_HIGH, ENABLE_LOW = 0x18, 1 << 10, 1 << 26
-"""GPIOB's register to set and reset pins, and PB10 in it."""
-
 NEEDS = ("arm-none-eabi-gcc", "qemu-system-arm")
 """Of tools/needs.py."""
 
@@ -68,17 +60,6 @@ def unfollowed(rig: Path, folder: Path) -> Path:
     path = folder / rig.name
     path.write_text(yaml.safe_dump(facts), encoding="utf-8")
     return path
-
-
-def assembled(source: str, elf: Path) -> Path:
-    """Assemble a program of its own for the board's processor; returns where it is."""
-    command = [
-        "arm-none-eabi-gcc", "-nostdlib", "-mcpu=cortex-m4", "-x", "assembler", "-",
-        "-Wl,-Ttext=0x08000100,--section-start=.vectors=0x08000000,-Tbss=0x20000000,-e,start",
-        "-o", str(elf),
-    ]  # fmt: skip
-    subprocess.run(command, input=source, text=True, check=True, timeout=60)
-    return elf
 
 
 def symbols(elf: Path) -> dict[str, int]:
@@ -154,18 +135,16 @@ class EmulatedBoard:
     ----------
     elf, folder : Path
         What it runs, and where its files are meanwhile.
-    logs : bool
-        Whether it keeps what is written to units that QEMU does not model.
     idle : str
         Name of two words, of which the board reads one when it has nothing to do: the first and the
         second one in turn, another one after each tick.
     """
 
-    def __init__(self, elf: Path, folder: Path, logs: bool = False, idle: str = "waits") -> None:
+    def __init__(self, elf: Path, folder: Path, idle: str = "waits") -> None:
         self.names = symbols(elf)
-        self._logs, self._idle = logs, self.names[idle]
-        self._elf = elf
+        self._elf, self._idle = elf, self.names[idle]
         self._folder = Path(tempfile.mkdtemp(dir=folder))
+        self.more: list[str] = []  # words for QEMU
 
     def __enter__(self) -> Self:
         control, line, gdb = (self._folder / name for name in ("qmp", "line", "gdb"))
@@ -173,16 +152,13 @@ class EmulatedBoard:
             "qemu-system-arm", "-M", "netduinoplus2", "-nodefaults", "-display", "none",
             "-kernel", str(self._elf), "-icount", f"shift={ICOUNT_SHIFT},sleep=off", "-S",
             "-chardev", f"socket,id=line,path={line},server=on,wait=off", "-serial", "chardev:line",
-            "-qmp", f"unix:{control},server=on,wait=off",
+            "-qmp", f"unix:{control},server=on,wait=off", *self.more,
         ]  # fmt: skip
-        if self._logs:
-            command += ["-d", "unimp", "-D", str(self._folder / "log")]
         self._machine = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._qmp = _connected(control, self._machine)
         self._heard = self._said = b""
-        self._events: set[str | None] = set()
         self._answer()
         self.order("qmp_capabilities")
         self._line = _connected(line, self._machine)
@@ -225,9 +201,7 @@ class EmulatedBoard:
                 raise RuntimeError("QEMU has closed the line for orders")
             self._heard += data
         line, _, self._heard = self._heard.partition(b"\n")
-        answer = dict(json.loads(line))
-        self._events.add(answer.get("event"))
-        return answer
+        return dict(json.loads(line))
 
     def memory(self, name: str, size: int) -> bytes:
         """Return the bytes of a variable of the firmware."""
@@ -238,14 +212,6 @@ class EmulatedBoard:
     def record(self) -> Record:
         """Return what the board has seen so far."""
         return Record.of_bytes(self.memory("record", RECORD.size))
-
-    def reset(self) -> None:
-        """Reset the chip, and let it start; its memory keeps what it held."""
-        self._events.clear()
-        self.order("system_reset")
-        while "RESET" not in self._events:
-            self._answer()
-        self._rest(0)
 
     def _rest(self, word: int) -> None:
         """Let it run until it has nothing to do, and reads one of the two words."""
@@ -269,23 +235,6 @@ class EmulatedBoard:
             while data := self._line.recv(65_536):
                 self._said += data
 
-    def jump(self, address: int) -> None:
-        """Have the processor go on from an address, sound or not."""
-        self._debugger.jump(address)
-        self.walk(1000)
-
-    def walk(self, instructions: int) -> None:
-        """Let so many instructions pass, and no interrupt."""
-        for _ in range(instructions):
-            self._debugger.step()
-        self._listen()
-
-    def write(self, data: bytes) -> None:
-        """Send bytes on QEMU's line, which has no pace: they come when the board takes them."""
-        self._line.setblocking(True)
-        self._line.sendall(data)
-        self._line.setblocking(False)
-
     def room(self) -> int:
         """How many bytes the board can be brought before it has read."""
         came, read = self._counts()
@@ -303,18 +252,6 @@ class EmulatedBoard:
     def _counts(self) -> tuple[int, int]:
         """Return how many bytes have come, and were read."""
         return struct.unpack("<2I", self._debugger.read(self.names["received"], 8))
-
-    def written(self) -> list[tuple[str, int, int]]:
-        """Return what was written to units that QEMU does not model, if it keeps a log: the
-        unit's name, the register's place in it, the value."""
-        log = (self._folder / "log").read_text(encoding="utf-8")
-        return [(unit, int(at, 16), int(value, 16)) for unit, at, value in WRITTEN.findall(log)]
-
-    def enabled(self) -> bool:
-        """Whether the pin that lets the bridges drive was last set high; needs the log."""
-        sets = [v for unit, at, v in self.written() if (unit, at) == ("GPIOB", BSRR)]
-        sets = [v for v in sets if v & (ENABLE_HIGH | ENABLE_LOW)]
-        return bool(sets) and sets[-1] == ENABLE_HIGH
 
 
 class Debugger:
@@ -335,7 +272,7 @@ class Debugger:
     ) -> None:
         self._line, self._others, self._listen = line, others, listen
         self._held = b""
-        self._ask(b"QStartNoAckMode")
+        self.ask(b"QStartNoAckMode")
 
     def close(self) -> None:
         """Hang up; the machine stays as it is."""
@@ -343,42 +280,36 @@ class Debugger:
 
     def go_to_read(self, address: int) -> None:
         """Let the machine run until it is about to read a word."""
-        self._order(f"Z3,{address:x},4")
-        self._run(b"c")
-        self._order(f"z3,{address:x},4")
+        self.order(f"Z3,{address:x},4")
+        self.run(b"c")
+        self.order(f"z3,{address:x},4")
 
-    def step(self) -> None:
-        """Let one instruction pass."""
-        self._run(b"s")
-
-    def _run(self, order: bytes) -> None:
+    def run(self, order: bytes) -> None:
+        """Let the machine run, or step, until it stops."""
         self._send(order)
         answer = self._answer()
         if answer[:3] not in (b"T05", b"S05"):
             raise RuntimeError(f"debugger: the machine has stopped: {answer!r}")
 
-    def jump(self, address: int) -> None:
-        """Set the program counter."""
-        self._ask(b"qXfer:features:read:target.xml:0,ff")  # or else QEMU sets no registers
-        self._order(f"Pf={struct.pack('<I', address).hex()}")
-
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""
-        return bytes.fromhex(self._ask(f"m{address:x},{size:x}".encode()).decode())
+        return bytes.fromhex(self.ask(f"m{address:x},{size:x}".encode()).decode())
 
     def write(self, address: int, data: bytes) -> None:
         """Change bytes of memory."""
-        self._order(f"M{address:x},{len(data):x}:{data.hex()}")
+        self.order(f"M{address:x},{len(data):x}:{data.hex()}")
 
-    def _order(self, order: str) -> None:
-        answer = self._ask(order.encode())
+    def order(self, order: str) -> None:
+        """Give an order that is answered OK."""
+        answer = self.ask(order.encode())
         if answer != b"OK":
             raise RuntimeError(f"debugger: {order[:20]}: {answer!r}")
 
     def _send(self, order: bytes) -> None:
         self._line.sendall(b"$" + order + f"#{sum(order) % 256:02x}".encode())
 
-    def _ask(self, order: bytes) -> bytes:
+    def ask(self, order: bytes) -> bytes:
+        """Send an order and return its answer."""
         self._send(order)
         while (answer := self._answer())[:1] == b"T":
             pass  # some versions tell at once that the machine has stopped, others only when asked

@@ -1,7 +1,6 @@
 """Freeze nodes of the graph at random, one or two at once, and judge every motor table by its age.
 
 python tools/freezes.py [--count 500] [--minutes 60] [--kills 0.1] [--seed 0] [--image_rate 30]
-                        [--json FILE]
 
 A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
 emergency stop. A fraction `--kills` of the faults kills it (SIGKILL), and starts it again. Judged
@@ -176,14 +175,11 @@ def main() -> int:
     parser.add_argument("--kills", type=float, default=0.0, help="share of faults that kill")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--image_rate", type=float, default=0.0, help="of a camera that runs free")
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     options = RunOptions(image_rate=args.image_rate)
     with signals_raise(), tempfile.TemporaryDirectory() as logs:
         result = run(args.count, args.minutes, args.kills, args.seed, options, Path(logs))
     print(json.dumps(result, indent=1))
-    if args.json:
-        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
     return 1 if result["wrong"] else 0
 
 

@@ -1,6 +1,6 @@
 """Flood the live page with commands from several sockets: it must not crash, and must stop in time.
 
-python tools/page_flood.py [--minutes 3] [--seed 0] [--json FILE]
+python tools/page_flood.py [--minutes 3] [--seed 0]
 
 The real graph with the simulator. Each socket sends commands of every kind as fast as the page
 reads them, some right and some wrong, opens anew now and then, and reads nothing for a while.
@@ -195,7 +195,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=3.0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     verdict = Verdict(args.minutes, SOCKETS)
     with signals_raise(), TemporaryDirectory(prefix="page_flood_") as folder:
@@ -207,8 +206,6 @@ def main() -> int:
         except PlateError as error:
             parser.error(str(error))
     print(verdict, *verdict.ends, sep="\n")
-    if args.json:
-        args.json.write_text(json.dumps(vars(verdict), indent=1), encoding="utf-8")
     failed = verdict.ends or any(verdict.late.values()) or verdict.problems
     return int(bool(failed or not verdict.stops))
 

@@ -5,7 +5,7 @@ line.
 """
 
 from harness.cache import Cache
-from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all
+from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all, told
 from harness.pool import parallel, processes, resumed
 from harness.race import LEAST_ROUNDS, Race, cpu_time, race
 from harness.result import (
@@ -50,5 +50,6 @@ __all__ = [
     "share",
     "shown",
     "text_table",
+    "told",
     "write",
 ]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import sys
 import time
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from harness.cache import code_of
-from harness.result import write
+from harness.result import ROOT, write
 
 ABOUT = {
     "stages": {
@@ -25,7 +27,7 @@ ABOUT = {
         "inversion": "Method B: what is solved, what is proven out of reach",
         "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
         "options": "Both methods with their options, and scipy, on the stick-slip cycle",
-        "vision": "Finding discs in an image: time, misses, error of the centres; noise of drifts",
+        "vision": "Finding discs in an image: time, misses, error of the centres",
         "classes": "Types of parts: names, centres and angles",
         "shapes": "Parts of any outline in hostile scenes: recall, precision, centres, time",
         "stages": "What each stage of the loop costs for one image",
@@ -49,7 +51,7 @@ ABOUT = {
         "free_running": "Cameras that run free: error against rate, exposure, latency and scatter",
         "drives": "Drives on a bus: error against latency, jitter and the drives' own loop",
         "control": "The closed loop with more and less time for the solver",
-        "serial": "The serial path: tasks, accidents, uploads",
+        "serial": "The serial path: a short task, and what befalls the line",
         "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",
         "closed_loop": "Whole tasks in the closed loop, many seeds: the table of README",
         "feeding": "A feeder in production beside peers that shake and look: speed, accuracy",
@@ -68,30 +70,26 @@ MEASUREMENTS = {
 LONG = {"feeding_hour", "sameness", "tasks"}
 """Hours: measured only by name."""
 
-EXPECTED_S = {
-    "sim": 160.0, "bodies": 3.0, "force_map": 20.0, "solver": 15.0, "rotations": 40.0,
-    "inversion": 250.0, "model": 28.0, "trust": 170.0, "stability": 200.0,
-    "steering": 320.0, "options": 150.0, "vision": 23.0, "stages": 70.0, "control": 200.0,
-    "tracking": 53.0, "free_running": 280.0, "drives": 260.0, "sizing": 90.0, "learning": 10.0,
-    "bound": 350.0, "rigs": 800.0, "feeding": 640.0, "closed_loop": 750.0,
-    "latency": 120.0, "stop_latency": 120.0, "graph": 1200.0,
-}  # fmt: skip
-"""How long those of the charts take where they have never been run: two cores of today [s]."""
-
+PUBLISHED = ROOT / "docs/results/measured.json"
+"""Of the charts that are in docs/results: how long each measurement took, among others."""
 
 MOST_CORES = 0.3
 """That other programs may take while timings are measured."""
 
 
-def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> None:
+def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> list[str]:
     """Run measurements one after the other; tells of each how far the work is, and writes it. If
-    `quiet` each waits until other programs rest."""
+    `quiet` each waits until other programs rest.
+
+    One that fails does not hold up the others; returns the names of those that have failed.
+    """
     names = list(names)
-    expected = {name: seconds for name in names if (seconds := last_seconds(out, name, quick))}
+    failed: list[str] = []
+    expected = [last_seconds(out, name, quick) for name in names]
     began = time.perf_counter()
     for number, name in enumerate(names, 1):
         module, about = MEASUREMENTS[name]
-        left = sum(expected.get(n, 0.0) for n in names[number - 1 :])
+        left = sum(expected[number - 1 :])
         print(
             f"[{number}/{len(names)}, {clock(time.perf_counter() - began)}"
             + (f", about {clock(left)} left" if left else "")
@@ -102,10 +100,24 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
             await_quiet()
         start = time.perf_counter()
         code = code_of(module)
-        result = importlib.import_module(module).measure(quick)
+        try:
+            result = importlib.import_module(module).measure(quick)
+        except Exception:
+            print("failed", flush=True)
+            traceback.print_exc()
+            failed.append(name)
+            continue
         seconds = time.perf_counter() - start
         write(out / f"{name}.json", name, about, quick, seconds, code, result)
         print(f"{seconds:.1f} s", flush=True)
+    return failed
+
+
+def told(failed: list[str]) -> int:
+    """Name at the end the measurements that have failed; returns the exit code of the program."""
+    if failed:
+        print(f"error: measurements that failed: {', '.join(failed)}", file=sys.stderr)
+    return bool(failed)
 
 
 def await_quiet() -> None:
@@ -132,14 +144,12 @@ def idle_s() -> float:
     return (int(cpu[4]) + int(cpu[5])) / os.sysconf("SC_CLK_TCK")
 
 
-def last_seconds(out: Path, name: str, quick: bool) -> float | None:
-    """Return how long a measurement took the last time [s], if it was as thorough."""
-    path = out / f"{name}.json"
-    if path.exists():
-        there = json.loads(path.read_text(encoding="utf-8"))
-        if there["quick"] == quick:
-            return float(there["seconds"])
-    return None if quick else EXPECTED_S.get(name)
+def last_seconds(out: Path, name: str, quick: bool) -> float:
+    """Return how long a measurement took the last time [s], if it was as thorough: here, or for
+    docs/results; else 0."""
+    published = json.loads(PUBLISHED.read_text(encoding="utf-8"))["measurements"]
+    there = (read(out, [name]) or published).get(name, {"quick": None})
+    return float(there["seconds"]) if there["quick"] == quick else 0.0
 
 
 def clock(seconds: float) -> str:

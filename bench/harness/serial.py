@@ -223,7 +223,7 @@ class Outcome:
         On what the device commanded.
     resting : bool
         Whether the motors were off or held at home a while after the end.
-    retries, refused, troubles
+    retries, troubles
         Of the driver.
     late, images : int
         Cycles that were played again since the next one was late, and images.
@@ -238,7 +238,6 @@ class Outcome:
     verdict: Verdict
     resting: bool
     retries: int
-    refused: int
     late: int
     images: int
     troubles: dict[str, int]
@@ -257,7 +256,7 @@ def serial_run(
     told = f" ({line.newest_trouble})" if line.newest_trouble else ""
     return Outcome(
         last.progress.phase, last.progress.text + told, time_s, last.world.dropped,
-        line.judge.verdict(), line.resting, line.transport.retries, line.transport.refused,
+        line.judge.verdict(), line.resting, line.transport.retries,
         line.late, line.images, dict(line.troubles), line.operator.enables,
     )  # fmt: skip
 

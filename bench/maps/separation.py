@@ -28,8 +28,8 @@ def spacing(rig: Rig, centres: int) -> float:
     return float(np.sqrt(np.prod(sides) / centres))
 
 
-def least_separation(rig: Rig, centres: float, force: float = LEVEL) -> float:
-    """Return the separation [m] below which two parts cannot be guaranteed a force [mu m g].
+def least_separation(rig: Rig, centres: float) -> float:
+    """Return the separation [m] below which two parts cannot be guaranteed the force `LEVEL`.
 
     A centre at the distance r from both pulls them along directions that differ by the angle
     between its arms, d sin(b)/r. Half the difference is what parts them, d sin(2 b)/(4 r) of it
@@ -38,7 +38,7 @@ def least_separation(rig: Rig, centres: float, force: float = LEVEL) -> float:
     spacing. Hence force = d/(4 h), as long as d < h. (Section 3.1.5 of the paper says only that
     near parts are hard.)
     """
-    return 4 * force * spacing(rig, int(centres))
+    return 4 * LEVEL * spacing(rig, int(centres))
 
 
 def guaranteed(rig: Rig, library: Library, separation: float, pairs: int) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, rounded
+from harness import Cache, Result, rounded
 from maps import gamma, harmonics, latency, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
 
@@ -20,15 +20,13 @@ MAPS: dict[str, StabilityMap] = {
 
 def measure(quick: bool) -> Result:
     """Measure all maps."""
-    tables, samples = [], []
+    samples, told = [], []
     for one in MAPS.values():
         found = grids(one, quick, Cache.of(f"maps.{one.key}"))
-        columns = {"panel": "panel"} if len(found) > 1 else {}
-        columns |= {"x": one.x_label, "y": one.y_label, "z": one.z_label}
-        rows = [row for grid in found for row in cells(grid)]
-        tables.append(Table(one.key, one.title, columns, rows, one.note))
-        samples += [sample(one, grid) for grid in found]
-    return Result(tables, samples=samples)
+        mine = [sample(one, grid) for grid in found]
+        samples += mine
+        told.append(f"{one.title}. {nearness(mine)}")
+    return Result([], told, samples)
 
 
 def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
@@ -39,26 +37,16 @@ def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
     return [Grid(**grid) for grid in cache[key]]
 
 
-def cells(grid: Grid) -> list[dict[str, Any]]:
-    """Return a row for each cell."""
-    return [
-        {"panel": grid.title, "x": x, "y": y, "z": z}
-        for y, row in zip(grid.y, grid.z, strict=True)
-        for x, z in zip(grid.x, row, strict=True)
-    ]
-
-
 def sample(one: StabilityMap, grid: Grid) -> dict[str, Any]:
     """Return all that a chart of a map needs.
 
-    Keys: `key`, labels, `level`, `log`; `panel`; `x`, `y` and `z`, a row for each y; `line_x` and
+    Keys: `key`; `panel`; `x`, `y` and `z`, a row for each y; `line_x` and
     `line_y`, the theory's line; `observed` and `predicted`, y of the border for each x, None where
     there is none.
     """
-    names = ("key", "title", "x_label", "y_label", "z_label", "line_label", "level", "log")
     observed, predicted = borders(one, grid)
     return {
-        **{name: getattr(one, name) for name in names},
+        "key": one.key,
         **{("panel" if key == "title" else key): value for key, value in asdict(grid).items()},
         "observed": [None if np.isnan(y) else y for y in observed],
         "predicted": [None if np.isnan(y) else y for y in predicted],

@@ -97,9 +97,9 @@ class Photograph:
         return np.ascontiguousarray(image)
 
 
-def load_photographs(path: Path = LIST) -> list[Photograph]:
+def load_photographs() -> list[Photograph]:
     """Read the list of photographs."""
-    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    data = yaml.safe_load(LIST.read_text(encoding="utf-8"))
     return [_photograph(name, entry) for name, entry in data.items()]
 
 

@@ -1,4 +1,4 @@
-"""One page with all charts and tables. It needs nothing else, no network and no other file."""
+"""One page with all charts and their rows. It needs nothing else, no network and no other file."""
 
 from __future__ import annotations
 
@@ -29,15 +29,13 @@ what it is; drag to zoom, double-click to zoom out; the names above a chart swit
 off.</p>"""
 
 
-def write_report(path: Path, data: Data, facts: Data, charts: Sequence[Chart]) -> None:
+def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     """Write the page.
 
     Parameters
     ----------
     path : path
         The HTML file.
-    data : mapping
-        Measurements by name, as in their JSON files: for the tables at the end.
     facts : mapping
         Name of a measurement -> what it was made on, as far as that is known.
     charts : sequence of Chart
@@ -59,13 +57,11 @@ def write_report(path: Path, data: Data, facts: Data, charts: Sequence[Chart]) -
         ABOUT,
         warning(facts),
         *(f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)),
-        f'</header><nav><a href="#summary">Summary</a>{links}<a href="#tables">Tables</a></nav>',
+        f'</header><nav><a href="#summary">Summary</a>{links}</nav>',
         f'<main><section id="summary"><h2>Summary</h2><table class="words">{rows}</table>',
         "</section>",
         *(section(one, facts) for one in charts),
-        '<section id="tables"><h2>All measurements</h2>',
-        *(measurement(name, item) for name, item in data.items()),
-        "</section></main>\n</html>\n",
+        "</main>\n</html>\n",
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(parts), encoding="utf-8")
@@ -95,6 +91,7 @@ def section(chart: Chart, facts: Data) -> str:
         config={"responsive": True, "displayModeBar": False},
     )
     default = f'<p class="why"><b>Our default.</b> {escape(chart.default)}</p>'
+    table = cells(chart.frame).to_html(index=False, border=0)
     csv = b64encode(chart.sheet.csv.encode()).decode()
     return (
         f'<section id="{chart.key}"><h2>{escape(chart.full_title)}</h2>'
@@ -102,7 +99,7 @@ def section(chart: Chart, facts: Data) -> str:
         f'<div class="wide"><div class="chart" role="img" aria-label="{escape(chart.title)}" '
         f'style="min-width:{chart.panels.across * PANEL_PX[0] * 3 // 4}px">{figure}</div></div>'
         f"{default if chart.default else ''}<details><summary>Table, {len(chart.sheet.rows)} rows"
-        f"</summary>{html_table(chart.frame)}</details>"
+        f'</summary><div class="scroll">{table}</div></details>'
         f'<p class="soft"><a download="{chart.key}.csv" href="data:text/csv;base64,{csv}">'
         f"{chart.key}.csv</a>. {repeat(chart.sources, facts)}</p></section>"
     )
@@ -131,27 +128,6 @@ def common_commit(facts: Data) -> str:
     """Return the commit of all measurements; empty if they are of several."""
     commits = {item.get("commit") or "" for item in facts.values()}
     return commits.pop() if len(commits) == 1 else ""
-
-
-def measurement(name: str, item: Mapping[str, Any]) -> str:
-    """Return one measurement: its sentences and tables, and what it was made on."""
-    where = ", ".join(f"{key} {value}" for key, value in item["machine"].items())
-    lines = "".join(f"<li>{escape(line)}</li>" for line in item["summary"])
-    tables = ""
-    for one in item["tables"]:
-        frame = pd.DataFrame(one["rows"], columns=list(one["columns"]))
-        tables += f"<h3>{escape(one['title'])}</h3>"
-        tables += html_table(frame.rename(columns=one["columns"]))
-        tables += f'<p class="soft">{escape(one["note"])}</p>'
-    return (
-        f"<details><summary>{escape(name)}: {escape(item['about'])}</summary><ul>{lines}</ul>"
-        f'{tables}<p class="soft">{repeat([name], {name: item})} {escape(where)}</p></details>'
-    )
-
-
-def html_table(frame: pd.DataFrame) -> str:
-    """Return a table."""
-    return f'<div class="scroll">{cells(frame).to_html(index=False, border=0)}</div>'
 
 
 def cells(frame: pd.DataFrame) -> pd.DataFrame:

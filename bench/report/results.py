@@ -53,7 +53,7 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     names = dict.fromkeys(name for one in charts for name in one.sources if name in facts)
     used = {name: facts[name] for name in names}
     columns = {one.key: one.sheet.columns for one in charts}
-    told = json.dumps({"measurements": used, "columns": columns}, indent=1)
+    told = json.dumps({"measurements": facts, "columns": columns}, indent=1)
     (folder / FACTS).write_text(told + "\n", encoding="utf-8")
     lines = [
         f"Machine{'' if len(machines(used)) == 1 else ' of ' + ', '.join(mine)}: {facts}."

@@ -12,12 +12,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, race
+from harness import Result, Table
 from plate_core import config_path
 from plate_core.rig import PartType, load_part_types
 from plate_vision import calibrate_by_scale
 from plate_vision.shapes import (
-    Patch,
     find_patches,
     learn_plate,
     make_catalogue,
@@ -33,8 +32,6 @@ NOISE = 2.0
 """Of each channel [grey levels]."""
 
 FRAMES = 50
-SECONDS = 0.5
-"""For which is timed, in each scene [s]."""
 
 SCENES: dict[str, dict[str, float]] = {
     "1 px/mm": {},
@@ -51,9 +48,6 @@ SUB = 8
 
 Pose = tuple[str, float, float, float]
 """Type, x, y [px], angle [rad]."""
-
-Shot = tuple[list[Pose], np.ndarray, list[Patch]]
-"""Truth, image, and patches found in it."""
 
 
 def measure(quick: bool) -> Result:
@@ -72,12 +66,10 @@ def measure(quick: bool) -> Result:
                     "scene": "scene", "frames": "images",
                     "wrong_percent": "wrong type [%]", "unknown_percent": "unknown [%]",
                     "rms_px": "centre RMS [px]", "angle_deg": "angle RMS [deg]",
-                    "angle_max_deg": "angle, worst [deg]", "loop_ms": "in a loop [ms]",
-                    "patches_ms": "segmentation [ms]",
+                    "angle_max_deg": "angle, worst [deg]",
                 },
                 rows,
-                "Nine types, 12 to 26 mm, apart. In a loop: naming and measuring, median; to it "
-                "comes the segmentation.",
+                "Nine types, 12 to 26 mm, apart.",
             )
         ],
     )  # fmt: skip
@@ -91,23 +83,13 @@ def _scene_row(
     calibration = calibrate_by_scale(options.get("scale", 1000.0))
     bare = learn_plate(np.stack([_drawn(types, [], options, rng) for _ in range(3)]))
     catalogue = make_catalogue(types)
-    shots: list[Shot] = []
+    shots = []
     for _ in range(frames):
         poses = _laid(types, rng)
         image = _drawn(types, poses, options, rng)
-        shots.append((poses, image, find_patches(image, bare)))
-
-    def named(shot: Shot) -> np.ndarray:
-        return recognise(shot[1], shot[2], catalogue, calibration)
-
-    timed = race(
-        {"loop": lambda: named(shots[0]), "seg": lambda: find_patches(shots[0][1], bare)}, SECONDS
-    )
-    return {
-        "scene": scene, "frames": frames,
-        **_scored(types, [(shot[0], named(shot)) for shot in shots]),
-        "loop_ms": 1e3 * timed.median("loop"), "patches_ms": 1e3 * timed.median("seg"),
-    }  # fmt: skip
+        seen = recognise(image, find_patches(image, bare), catalogue, calibration)
+        shots.append((poses, seen))
+    return {"scene": scene, "frames": frames, **_scored(types, shots)}
 
 
 def _laid(types: Mapping[str, PartType], rng: np.random.Generator) -> list[Pose]:

@@ -30,21 +30,15 @@ from plate_solver.sinusoids import SinusoidBasis, SinusoidFamily, sinusoid_basis
 NUMBER, PERIOD = 2, 0.05
 """Harmonics and period [s] of the motions: 2 x 2 x 3 = 12 parameters."""
 
-OURS = "average_force"
-BATCHED, PLAIN, CLOSED = "forces", "plain numba, n = 128", "triangular waves (19)-(21)"
-BATCH = 10
-"""Parts in one call of the second timing."""
-
 
 def measure(quick: bool) -> Result:
     """Measure error over random cases, and time per part."""
     rig = load_rig()
-    limits = Limits.of(rig)
     rng = np.random.default_rng(0)
     basis = sinusoid_basis(NUMBER, PERIOD, False)
-    cases = []
+    family, cases = SinusoidFamily(basis, Limits.of(rig)), []
     for _ in range(15 if quick else 400):
-        coefficients = random_motion(basis, rng, limits)
+        coefficients = family.coefficients(family.random(rng))
         cases.append((coefficients, rng.uniform(-rig.plate.half, rig.plate.half)))
     truth = np.array([exact_force(c, p) for c, p in cases])
     methods = evaluators(basis)
@@ -52,31 +46,31 @@ def measure(quick: bool) -> Result:
         name: np.max(np.abs([call(c, p[None])[0] for c, p in cases] - truth), axis=1)
         for name, call in methods.items()
     }
-    rows = timed_rows(methods, error, cases[0][0], rng, rig.plate.half, 0.5 if quick else 3.0)
-    batch = batch_rows(cases, truth, 0.5 if quick else 3.0)
+    seconds = 0.5 if quick else 3.0
+    place = rng.uniform(-rig.plate.half, rig.plate.half)[None]
+    one = race({name: partial(c, cases[0][0], place) for name, c in methods.items()}, seconds)
+    rows = [
+        {"method": name, "one_us": 1e6 * one.median(name), **worst(error[name])} for name in methods
+    ]
+    errors = {"median": "median error [mu m g]", "p99": "worst 1 % [mu m g]"}
     return Result(
         [
-            batch_table(batch, len(cases)),
             Table(
-                "methods",
-                "Average force of a cycle",
-                {
-                    "method": "method", "one_us": "1 part [us]",
-                    "many_us": f"{BATCH} parts, each [us]", "median": "median error [mu m g]",
-                    "p99": "worst 1 % [mu m g]", "lead": "quad's time / this",
-                },
+                "batched", "Average forces of many motions at once",
+                {"method": "method", "us": "each [us]", **errors},
+                batch_rows(cases, truth, seconds),
+                f"{len(cases)} random motions and places in one call, from coefficients. The "
+                "closed form has 8 intervals; its error is that of triangles for sines.",
+            ),
+            Table(
+                "methods", "Average force of a cycle",
+                {"method": "method", "one_us": "1 part [us]", **errors},
                 rows,
                 f"{len(cases)} random motions and places, 12 parameters. step_forces takes twist "
                 "samples that are there already; average_force integrates the cycle's spline.",
             )
         ],
     )  # fmt: skip
-
-
-def random_motion(basis: SinusoidBasis, rng: np.random.Generator, limits: Limits) -> np.ndarray:
-    """Return random coefficients (h, 3) that use the limits in full."""
-    family = SinusoidFamily(basis, limits)
-    return family.coefficients(family.random(rng))
 
 
 @njit(cache=True, fastmath=True)
@@ -102,57 +96,27 @@ def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarr
 def batch_rows(
     cases: list[tuple[np.ndarray, np.ndarray]], truth: np.ndarray, seconds: float
 ) -> list[dict[str, Any]]:
-    """Time many cases in one call, in turns, at N = 2; the closed form at N = 3 too."""
-    position = np.array([p for _, p in cases])
-    still = np.zeros_like(position)
-    motions = {NUMBER: np.array([c for c, _ in cases])}
-    basis, rng = sinusoid_basis(NUMBER + 1, PERIOD, False), np.random.default_rng(1)
-    limits = Limits.of(load_rig())
-    motions[NUMBER + 1] = np.array([random_motion(basis, rng, limits) for _ in cases])
+    """Time all cases in one call, in turns."""
+    motion, position = (np.array(column) for column in zip(*cases, strict=True))
+    still, steps = np.zeros_like(position), sinusoid_basis(NUMBER, PERIOD, False, 128).twist
+    calls: dict[str, Callable[[], np.ndarray]] = {
+        "forces": partial(sinusoid_forces, motion, position, still, force_rules(NUMBER)),
+        "plain numba, n = 128": partial(plain_forces, motion, position, steps),
+        "triangular waves (19)-(21)": partial(
+            triangular_forces, motion, position, *intervals(NUMBER)
+        ),
+    }
+    timed = race(calls, seconds)
     rows = []
-    for number, motion in motions.items():
-        steps = sinusoid_basis(number, PERIOD, False, 128).twist
-        kinks, shares = intervals(number)
-        rule = force_rules(number)
-        calls: dict[str, Callable[[], np.ndarray]] = {
-            BATCHED: partial(sinusoid_forces, motion, position, still, rule),
-            PLAIN: partial(plain_forces, motion, position, steps),
-            CLOSED: partial(triangular_forces, motion, position, kinks, shares),
-        }
-        if number > NUMBER:
-            truth = calls[BATCHED]()  # at N = 2 it has been judged
-        timed = race(calls, seconds)
-        for name, call in calls.items():
-            error = np.max(np.abs(call() - truth), axis=1)
-            judged = number == NUMBER or name != BATCHED
-            rows.append(
-                {
-                    "harmonics": number,
-                    "method": name,
-                    "us": 1e6 * timed.median(name) / len(cases),
-                    "ratio": timed.lead(PLAIN, name),
-                    "median": float(np.median(error)) if judged else None,
-                    "p99": float(np.percentile(error, 99)) if judged else None,
-                    "most": float(error.max()) if judged else None,
-                }
-            )
+    for name, call in calls.items():
+        error = np.max(np.abs(call() - truth), axis=1)
+        rows.append({"method": name, "us": 1e6 * timed.median(name) / len(cases), **worst(error)})
     return rows
 
 
-def batch_table(rows: list[dict[str, Any]], count: int) -> Table:
-    """Return the table of many cases at once."""
-    return Table(
-        "batched",
-        "Average forces of many motions at once",
-        {
-            "harmonics": "harmonics N", "method": "method", "us": "each [us]",
-            "ratio": "time / plain", "median": "median error [mu m g]",
-            "p99": "worst 1 % [mu m g]", "most": "worst [mu m g]",
-        },
-        rows,
-        f"{count} random motions and places in one call, from coefficients. Truth at N = 3: "
-        "forces. The closed form has 8 and 16 intervals; its error is that of triangles for sines.",
-    )  # fmt: skip
+def worst(error: np.ndarray) -> dict[str, float]:
+    """Return the columns of an error (n,) [mu m g]."""
+    return {"median": float(np.median(error)), "p99": float(np.percentile(error, 99))}
 
 
 def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:
@@ -245,37 +209,10 @@ def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray, np.ndarr
         return np.array(whole_cycle) / PERIOD
 
     return {
-        OURS: whole,
+        "average_force": whole,
         "step_forces, n = 128": stepwise(128),
         "step_forces, n = 512": stepwise(512),
         "step_forces, n = 1024": stepwise(1024),
         "numpy, n = 256": plain,
         "quad (scipy)": adaptive_all,
     }
-
-
-def timed_rows(
-    methods: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]],
-    error: dict[str, np.ndarray],
-    coefficients: np.ndarray,
-    rng: np.random.Generator,
-    half: np.ndarray,
-    seconds: float,
-) -> list[dict[str, Any]]:
-    """Time all methods in turns, for one part and for several."""
-    place = rng.uniform(-half, half, (BATCH, 2))
-    one, many = (
-        race({name: partial(call, coefficients, p) for name, call in methods.items()}, s)
-        for p, s in ((place[:1], seconds), (place, seconds))
-    )
-    return [
-        {
-            "method": name,
-            "one_us": 1e6 * one.median(name),
-            "many_us": 1e6 * many.median(name) / BATCH,
-            "median": float(np.median(error[name])),
-            "p99": float(np.percentile(error[name], 99)),
-            "lead": one.lead(name, "quad (scipy)"),
-        }
-        for name in methods
-    ]

@@ -15,7 +15,7 @@ import numpy as np
 
 from harness import Result, Table, cpu_time
 from plate_vision import calibrate_by_scale, find_types
-from plate_vision.shapes import GROUP, UNKNOWN, Background, Patch, find_patches, make_catalogue
+from plate_vision.shapes import GROUP, UNKNOWN, Patch, find_patches, make_catalogue
 from stages.hostile import (
     PARTS,
     SCALE_PX_M,
@@ -40,18 +40,7 @@ REACH = 0.5
 GOAL_PERCENT = (98, 99)
 """Recall and precision that are wanted."""
 
-LEAST_PX2 = 30
-"""Smallest patch of the peer."""
-
-OURS, TAUGHT, PEER = METHODS = (
-    "find_patches",
-    "find_types",
-    "difference + findContours",
-)
-
-DIFFERENCE = 25
-"""Least difference from the bare plate, of the greatest of blue, green, red, for the peer."""
-
+OURS, TAUGHT = METHODS = "find_patches", "find_types"
 
 SEEN = np.dtype(
     [("x_px", "f8"), ("y_px", "f8"), ("radius_px", "f8"), ("label", "U32"), ("whole", "?")]
@@ -118,7 +107,7 @@ def measure(quick: bool) -> Result:
                     "recall_percent": "recall [%]", "precision_percent": "precision [%]",
                     "wrong": "wrong type", "unknown": "unknown",
                     "groups": "groups", "in_groups": "parts in groups",
-                    "rms_px": "centre RMS [px]", "median_px": "centre, median [px]",
+                    "rms_px": "centre RMS [px]",
                     "ms": "median [ms]",
                 },
                 rows,
@@ -160,7 +149,6 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
         finders: dict[str, Callable[[], Any]] = {
             OURS: partial(find_patches, image, background),
             TAUGHT: partial(find_types, image, catalogue, background, calibration),
-            PEER: partial(by_difference, image, bare_image(background)),
         }
         for name, find in finders.items():
             if not times[name]:
@@ -184,7 +172,6 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
                 "groups": tally.groups,
                 "in_groups": tally.in_groups,
                 "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
-                "median_px": float(np.median(errors)) if len(errors) else None,
                 "ms": 1e3 * float(np.median(times[name])),
             }
         )
@@ -202,28 +189,3 @@ def as_seen(found: list[Patch] | np.ndarray) -> np.ndarray:
         label = GROUP if patch.group else ""
         seen[k] = (*patch.centre_px, patch.radius_px, label, patch.whole)
     return seen
-
-
-def bare_image(background: Background) -> np.ndarray:
-    """Return the bare plate (H, W) or (H, W, 3) uint8."""
-    lab = background.lab
-    return lab[:, :, 0] if lab.shape[2] == 1 else np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2BGR))
-
-
-def by_difference(image: np.ndarray, bare: np.ndarray) -> list[Patch]:
-    """Find patches as most programs do: the difference from the bare plate (H, W) or (H, W, 3), a
-    threshold, outer contours."""
-    change = cv2.absdiff(image, bare).reshape(*image.shape[:2], -1).max(axis=2)
-    mask = cv2.morphologyEx(
-        (change > DIFFERENCE).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)
-    )
-    found = []
-    for rim in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]:
-        x, y, w, h = cv2.boundingRect(rim)
-        if w * h < LEAST_PX2:
-            continue
-        inside = np.zeros((h, w), np.uint8)
-        cv2.drawContours(inside, [rim], 0, 1, cv2.FILLED, offset=(-x, -y))
-        whole = x > 0 and y > 0 and x + w < SIZE_PX[0] and y + h < SIZE_PX[1]
-        found.append(Patch(inside > 0, (x, y), inside.astype(np.float32), whole))
-    return found

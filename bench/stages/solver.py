@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from harness import Result, Table, cpu_time
+from harness import Result, cpu_time
 from plate_core import Rig, load_rig
 from plate_solver import Limits, RotationSolver, SinusoidSolver
 from plate_solver.maps import step_force_gradient, step_forces
 from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
-from stages.scenes import LARGEST, targets
+from stages.scenes import targets
 
 HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}
 """Harmonics N by parts M: the fewest with parameters to spare, as `SinusoidSolver` chooses."""
@@ -29,9 +29,6 @@ ROTATION_SHARE = 3
 TOLERANCE = 1e-4
 """Greatest error of a component that counts as success [mu m g]."""
 
-NEAR = 1e-3
-"""A wider bound [mu m g]: `RotationSolver`'s own tolerance."""
-
 RESTARTS = 20
 """Further starts that every method has."""
 
@@ -41,7 +38,10 @@ SAMPLES = 1024
 JUDGE_SAMPLES = 6007
 """Samples of the judge: no multiple of anybody else's."""
 
-OURS, PEER, ROTATIONS = "SinusoidSolver", "scipy lm", "RotationSolver"
+OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
+"""The peer: least_squares(method='lm') with our Jacobian on the same samples, random starts, then
+the same last steps on fine samples. Our times include the finished PlateCycle within the rig's
+limits, RotationSolver's also closure and ramps; scipy's end with the parameters."""
 
 
 def measure(quick: bool) -> Result:
@@ -50,32 +50,7 @@ def measure(quick: bool) -> Result:
     samples = []
     for parts in HARMONICS:
         samples += solve_all(rig, parts, 4 if quick else 45)
-    rows = [
-        nonlinear_row(parts, method, samples)
-        for parts in HARMONICS
-        for method in (OURS, PEER, ROTATIONS)
-    ]
-    return Result(
-        [
-            Table(
-                "nonlinear",
-                f"Random targets up to {LARGEST} mu m g, cold start, at most {RESTARTS} restarts",
-                {
-                    "parts": "parts M", "harmonics": "harmonics N", "method": "method",
-                    "success_percent": f"within {TOLERANCE:g} [%]",
-                    "near_percent": f"within {NEAR:g} [%]", "median_ms": "median [ms]",
-                    "p99_ms": "99 % [ms]", "median_error": "median error [mu m g]",
-                },
-                rows,
-                "scipy: least_squares(method='lm') with our Jacobian on the same samples, random "
-                "starts, then the same last steps on fine samples. Our times include the finished "
-                "PlateCycle within the rig's limits, RotationSolver's also closure and ramps; "
-                "scipy's end with the parameters. RotationSolver stops at 1e-3 itself; it gets "
-                "every third target only.",
-            ),
-        ],
-        samples=samples,
-    )  # fmt: skip
+    return Result([], [told(parts, m, samples) for parts in HARMONICS for m in METHODS], samples)
 
 
 def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
@@ -166,17 +141,9 @@ class ScipySolver:
         return least_squares(errors, start, jacobian, method="lm", max_nfev=60)
 
 
-def nonlinear_row(parts: int, method: str, samples: list[dict[str, Any]]) -> dict[str, Any]:
+def told(parts: int, method: str, samples: list[dict[str, Any]]) -> str:
     """Sum up the samples of one method at one number of parts."""
     mine = [s for s in samples if s["parts"] == parts and s["method"] == method]
-    ms, error = np.array([s["ms"] for s in mine]), np.array([s["error"] for s in mine])
-    return {
-        "parts": parts,
-        "harmonics": HARMONICS[parts] if method != ROTATIONS else None,
-        "method": method,
-        "success_percent": 100 * float(np.mean(error <= TOLERANCE)),
-        "near_percent": 100 * float(np.mean(error <= NEAR)),
-        "median_ms": float(np.median(ms)),
-        "p99_ms": float(np.percentile(ms, 99)),
-        "median_error": float(np.median(error)),
-    }
+    met = 100 * np.mean([s["error"] <= TOLERANCE for s in mine])
+    ms = np.median([s["ms"] for s in mine])
+    return f"{parts} parts, {method}: {met:.0f} % within {TOLERANCE:g} mu m g, median {ms:.3g} ms"

@@ -23,7 +23,7 @@ from harness import Result, Table, missing_peer, optional
 from plate_core.driver_status import DriverState
 from plate_core.serial_protocol import Reader, Stop, parse
 from plate_core.tasks import load_scenario
-from stages.upload import PERIOD_S, device, shaking
+from stages.device import PERIOD_S, device, shaking
 
 LONGEST_MS = 50.0
 """From call to wire, at most."""
@@ -38,7 +38,7 @@ def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
     Where it gets no time of a processor itself, the frame was there earlier than that.
     """
     reader, last, looked = Reader(), -1, time.monotonic()
-    for data, _ in device(link, ready, done):
+    for data in device(link, ready, done):
         now = time.monotonic()
         reader, packets = reader.fed(data)
         for packet in map(parse, packets):

@@ -1,5 +1,4 @@
-"""The detector beside OpenCV and scikit-image: time, misses, and the error of the centres; and what
-is seen of drift where nothing moves.
+"""The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
 
 Images come from the simulated camera, so the true centres are known.
 """
@@ -15,9 +14,8 @@ import numpy as np
 from harness import Result, Table, cpu_time, missing_peer, optional
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
-from plate_core.tasks import load_scenario
-from plate_sim import Camera, Simulation, part_greys
-from plate_vision import Tracker, detect, make_vision, observe
+from plate_sim import Camera, part_greys
+from plate_vision import detect, make_vision
 
 OURS, CONTOURS, BLOBS, HOUGH, PEAKS, REGIONS = (
     "plate_vision.detect",
@@ -37,9 +35,6 @@ ROUNDS = 5
 
 THRESHOLD = 165
 """Grey level between parts (130 at most) and plate (198 at least), for the peers."""
-
-STILL_IMAGES, STILL_RATE = 600, 30.0
-"""Images of still parts, and how many a second."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
 """Image (H, W) to centres (n, 2) [px]."""
@@ -75,36 +70,9 @@ def measure(quick: bool) -> Result:
                 "one after the other, with each image, so that each finds the caches full of "
                 "what the others left.",
             ),
-            Table(
-                "drift",
-                f"drift of still parts, {STILL_RATE:g} images a second",
-                {
-                    "parts": "parts", "frames": "images", "rms_mm_s": "standard deviation [mm/s]",
-                    "worst_mm_s": "of the worst part [mm/s]",
-                },
-                [drift_noise(60 if quick else STILL_IMAGES)],
-                "The drift is that of the last two images.",
-            ),
         ],
         [] if REGIONS in finders else [missing_peer("scikit-image")],
     )  # fmt: skip
-
-
-def drift_noise(frames: int) -> dict[str, Any]:
-    """Noise of the drift of still parts on the default rig."""
-    rig = load_rig()
-    simulation = Simulation(rig, load_scenario("sort_10"), seed=20_000)
-    vision, tracker, drift = make_vision(rig), Tracker(), []
-    for k in range(frames):
-        image = simulation.capture()
-        assert image is not None  # none is missed without disturbances
-        tracker = observe(vision, tracker, image, k / STILL_RATE)
-        drift.append(tracker.parts.velocity)
-    still = 1e3 * np.array(drift[1:])  # the first image knows no drift
-    return {
-        "parts": still.shape[1], "frames": len(still), "rms_mm_s": float(still.std()),
-        "worst_mm_s": float(still.std(axis=0).max()),
-    }  # fmt: skip
 
 
 def make_finders(rig: Rig) -> dict[str, Finder]:

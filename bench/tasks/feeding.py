@@ -138,7 +138,6 @@ def measure(quick: bool) -> Result:
             Table("by_case", "Parts a minute, and share of time that the robot waits", by_case,
                   side_by_side(rows), note),
         ],
-        told(rows),
     )  # fmt: skip
 
 
@@ -193,16 +192,3 @@ def side_by_side(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         text = f"{r['parts_per_min']:.1f}, {r['waiting']:.0f} %"
         found.setdefault(case, {"case": case})[r["method"]] = text
     return list(found.values())
-
-
-def told(rows: list[dict[str, Any]]) -> list[str]:
-    """Sum up the types of parts and the small window."""
-    small = {True: " in a small window", False: ""}
-    return [
-        f"{r['kind']}{small[r['window_mm'] is not None]}, {r['method']}: "
-        f"{r['parts_per_min']:.1f} parts a minute, the robot waits {r['waiting']:.1f} %, first "
-        f"pick after {r['first_s']:.1f} s, {r['lost']} over the edge, worst error "
-        f"{r['error_most_mm']:.2f} mm"
-        for r in rows
-        if r["changed"] == "kind" or r["window_mm"] is not None
-    ]

@@ -12,7 +12,7 @@ from plate_core import CycleError, load_rig
 from plate_core.serial_protocol import State
 from plate_driver.transports import Condition, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
-from stages.upload import PERIOD_S, shaking
+from stages.device import PERIOD_S, shaking
 
 BAUDS = (57_600, 115_200, 230_400, 460_800, 921_600)
 LOST = (0.0, 0.01, 0.03, 0.05)

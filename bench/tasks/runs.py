@@ -18,7 +18,7 @@ UNEVEN = {"friction_spread": "0.1", "friction_patches": "0.1"}
 """Friction differs by 10 % between parts and over the plate: settings of `bench/closed_loop.py`."""
 
 
-def sorting(count: int, time_limit_s: float = 900.0) -> Scenario:
+def sorting(count: int) -> Scenario:
     """Return a scenario like `sort_10` with `count` parts, half of them black."""
     scenario = load_scenario("sort_10")
     assert isinstance(scenario.task, SortTask)
@@ -27,7 +27,7 @@ def sorting(count: int, time_limit_s: float = 900.0) -> Scenario:
     task = replace(
         scenario.task, regions={one.label: scenario.task.regions[one.label] for one in parts}
     )
-    return replace(scenario, parts=parts, task=task, time_limit_s=time_limit_s)
+    return replace(scenario, parts=parts, task=task, time_limit_s=900.0)
 
 
 def runs_of(

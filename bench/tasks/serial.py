@@ -1,23 +1,18 @@
-"""The serial path: sorting over it, accidents, and uploads."""
+"""The serial path: a short task over it, with each kind of accident."""
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
 
 from harness import Cache, Result, Table, processes, resumed
-from harness.serial import Outcome, serial_run
-from plate_bringup.loop import Setup, summary
-from plate_core import PlateError, load_rig
+from harness.serial import serial_run
+from plate_bringup.loop import Setup
+from plate_core import PlateError
 from plate_core.tasks import read_scenario
 from plate_core.yaml_fields import Fields
 from plate_sim.device import FaultSchedule, LineFaults
-from stages.upload import PERIOD_S, upload_s
-
-SEEDS = range(10_000, 10_020)
-"""Of the runs over both transports."""
 
 RUNS = 100
 """Of each kind of accident."""
@@ -53,32 +48,13 @@ KINDS: dict[str, tuple[dict[str, float], str]] = {
 
 def measure(quick: bool) -> Result:
     """Run all; quick: a few of each."""
-    seeds, runs = (SEEDS[:1], 1) if quick else (SEEDS, RUNS)
-    cache = Cache.of(__name__)
+    runs = 1 if quick else RUNS
+    work = {f"{kind} {seed}": (kind, seed) for kind in KINDS for seed in range(runs)}
     with processes() as pool:
-        paths = both_paths(pool, cache, "sort_4" if quick else "sort_10", seeds)
-        work = {f"{kind} {seed}": (kind, seed) for kind in KINDS for seed in range(runs)}
-        samples = resumed(pool, accident_run, work, cache)
+        samples = resumed(pool, accident_run, work, Cache.of(__name__))
     faults = [fault_row(kind, [row for row in samples if row["kind"] == kind]) for kind in KINDS]
-    uploads = [
-        {
-            "knots": knots,
-            "bytes": 52 * (knots + 1) + 14 * -(-(knots + 1) // 4) + 36,
-            "ms": 1e3 * upload_s(knots),
-            "cycle_ms": 1e3 * PERIOD_S,
-        }
-        for knots in (48, 64, 96)
-    ]
     return Result(
         [
-            Table(
-                "paths", f"The same tasks, seeds {seeds[0]} to {seeds[-1]}",
-                {"transport": "transport", "succeeded": "succeeded", "dropped": "dropped",
-                 "time_s": "time, median [s]", "longest_s": "longest [s]",
-                 "late": "cycles repeated [%]"},
-                paths,
-                "Serial: driver's transport, line of 921,600 baud, device, in simulated time.",
-            ),
             Table(
                 "accidents", f"{runs} runs each of a short task over 921,600 baud",
                 {"kind": "accident", "done": "went on to the end", "enables": "enables, most",
@@ -95,34 +71,8 @@ def measure(quick: bool) -> Result:
                 "than 2 um; stroke of the plate as it glides without current. Judged apart from "
                 "the device.",
             ),
-            Table(
-                "uploads", "A table's upload at 921,600 baud",
-                {"knots": "pieces", "bytes": "bytes, about", "ms": "upload [ms]",
-                 "cycle_ms": "cycle [ms]"},
-                uploads,
-            ),
         ],
     )  # fmt: skip
-
-
-def both_paths(pool: Executor, cache: Cache, scenario: str, seeds: range) -> list[dict[str, Any]]:
-    """Run a scenario over both transports."""
-    transports = ("sim", "serial")
-    kinds = [(transport, scenario, seed) for transport in transports for seed in seeds]
-    runs = resumed(pool, path_run, {str(kind): kind for kind in kinds}, cache)
-    rows = []
-    for transport in transports:
-        own = [row for row in runs if row["transport"] == transport]
-        times = [row["time_s"] for row in own]
-        rows.append({
-            "transport": transport,
-            "succeeded": f"{sum(row['success'] for row in own)} of {len(own)}",
-            "dropped": sum(row["dropped"] for row in own),
-            "time_s": float(np.median(times)),
-            "longest_s": max(times),
-            "late": _share(own) if transport == "serial" else None,
-        })  # fmt: skip
-    return rows
 
 
 def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -133,7 +83,6 @@ def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     times = [row["time_s"] for row in runs]
     return {
         "kind": kind,
-        "runs": len(runs),
         "done": done,
         "enables": max(row["enables"] for row in runs),
         "told": told,
@@ -143,14 +92,9 @@ def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         "time_s": float(np.median(times)),
         "longest_s": max(times),
         "retries": float(np.median([row["retries"] for row in runs])),
-        "late": _share(runs),
+        "late": 100 * sum(r["late"] for r in runs) / max(1, sum(r["images"] for r in runs)),
         "used": max(row["used"] for row in runs),
     }
-
-
-def _share(runs: list[dict[str, Any]]) -> float:
-    """Cycles that were repeated since the next was not there in time [%]."""
-    return 100 * sum(row["late"] for row in runs) / max(1, sum(row["images"] for row in runs))
 
 
 def accident_run(kind: str, seed: int) -> dict[str, Any]:
@@ -160,32 +104,11 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
     line = FaultSchedule(LineFaults(baud=BAUD, **trouble))
     short = read_scenario(Fields(SHORT, "short", PlateError), "short")
     outcome = serial_run(Setup(short, seed), line, event, at)
-    done = well(outcome)
+    done = outcome.phase == "done" and outcome.dropped == 0
     told = not done and bool(outcome.troubles) and outcome.phase in ("stuck", "aborted")
-    verdict = outcome.verdict
     return {
-        "kind": kind, "seed": seed, "phase": outcome.phase, "text": outcome.text, "done": done,
-        "told": told, "kept": verdict.kept, "resting": outcome.resting, "time_s": outcome.time_s,
-        "retries": outcome.retries, "used": 100 * verdict.worst, "jump_um": 1e6 * verdict.jump,
-        "travel": 100 * verdict.travel, "late": outcome.late, "images": outcome.images,
+        "kind": kind, "done": done, "told": told, "kept": outcome.verdict.kept,
+        "resting": outcome.resting, "time_s": outcome.time_s, "retries": outcome.retries,
+        "used": 100 * outcome.verdict.worst, "late": outcome.late, "images": outcome.images,
         "enables": outcome.enables,
     }  # fmt: skip
-
-
-def path_run(transport: str, scenario: str, seed: int) -> dict[str, Any]:
-    """Run a task over transport sim or serial, without faults."""
-    setup = Setup(scenario, seed)
-    row: dict[str, Any] = {"transport": transport, "scenario": scenario, "seed": seed}
-    if transport == "sim":
-        plain = summary(setup, load_rig())
-        return row | {key: plain[key] for key in ("success", "dropped", "time_s", "message")}
-    outcome = serial_run(setup, FaultSchedule(LineFaults(baud=BAUD)))
-    return row | {
-        "success": well(outcome), "dropped": outcome.dropped, "time_s": outcome.time_s,
-        "message": outcome.text, "kept": outcome.verdict.kept, "late": outcome.late,
-        "images": outcome.images,
-    }  # fmt: skip
-
-
-def well(outcome: Outcome) -> bool:
-    return outcome.phase == "done" and outcome.dropped == 0

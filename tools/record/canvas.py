@@ -65,25 +65,23 @@ class Canvas:
         self.line(np.vstack([corner, corner[:1]]), colour, 1.5)
 
     def disc(
-        self, centre: Sequence | np.ndarray, radius: float, face: Colour | None, edge: Colour,
-        width: float = 1.5,
-    ) -> None:  # fmt: skip
+        self, centre: Sequence | np.ndarray, radius: float, face: Colour | None, edge: Colour
+    ) -> None:
         """Draw a disc with an edge; without a face only the edge, just outside of it."""
         at = self._at(centre)[0, 0].tolist()
         size = round(radius * self.scale * 2**SHIFT)
         if face is not None:
             cv2.circle(self.pixels, at, size, face, -1, cv2.LINE_AA, SHIFT)
-        cv2.circle(self.pixels, at, size, edge, self._wide(width), cv2.LINE_AA, SHIFT)
+        cv2.circle(self.pixels, at, size, edge, self._wide(1.5), cv2.LINE_AA, SHIFT)
 
     def outline(
-        self, corner: np.ndarray, holes: Sequence[np.ndarray], face: Colour | None, edge: Colour,
-        width: float = 1.5,
-    ) -> None:  # fmt: skip
+        self, corner: np.ndarray, holes: Sequence[np.ndarray], face: Colour | None, edge: Colour
+    ) -> None:
         """Draw a polygon (n, 2) [m] with holes as `disc` draws a disc."""
         rims = [self._at(each) for each in (corner, *holes)]
         if face is not None:
             cv2.fillPoly(self.pixels, rims, face, cv2.LINE_AA, SHIFT)
-        cv2.polylines(self.pixels, rims, True, edge, self._wide(width), cv2.LINE_AA, SHIFT)
+        cv2.polylines(self.pixels, rims, True, edge, self._wide(1.5), cv2.LINE_AA, SHIFT)
 
     def arrow(self, start: np.ndarray, end: np.ndarray, colour: Colour, width: float = 1) -> None:
         """Draw an arrow with a filled head."""

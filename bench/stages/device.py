@@ -1,0 +1,51 @@
+"""A device in real time at a pseudo-terminal, and a cycle for it to play."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from multiprocessing.synchronize import Event
+
+import numpy as np
+
+from plate_core import PlateCycle, load_rig
+from plate_driver.setpoints import MotorTable, prepare
+from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
+
+PERIOD_S = 0.2
+
+MOST_BEHIND_US = 100_000
+"""Time that a device without a processor makes up for; what is more, it loses."""
+
+
+def shaking(knots: int, amplitude: float) -> MotorTable:
+    """Table of a cycle of `PERIOD_S` that starts at rest; amplitude [m]."""
+    t = np.arange(knots) * PERIOD_S / knots
+    wave = np.sin(np.pi * t / PERIOD_S) ** 4
+    phase = 8 * np.pi * t / PERIOD_S
+    pose = amplitude * np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
+    cycle = PlateCycle.from_samples(PERIOD_S, pose)
+    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
+    twist[[0, -1]] = accel[[0, -1]] = 0
+    still = PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
+    return prepare(load_rig(), still, 1)[0]
+
+
+def device(link: str, ready: Event, done: Event) -> Iterator[bytes]:
+    """Be the device, in real time, until told to end; yields what has come since the last look."""
+    emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), PseudoTerminal(link)
+    terminal.plug()
+    ready.set()
+    began = time.monotonic_ns()
+    while not done.is_set():
+        data = terminal.read()
+        due = (time.monotonic_ns() - began) // 1_000 - emulator.now_us
+        yield data
+        began += 1_000 * max(0, due - MOST_BEHIND_US)
+        ticks = min(due, MOST_BEHIND_US) // TICK_US
+        emulator.to_device.sent(data, emulator.now + ticks * TICK_US * 1e-6)
+        for _ in range(ticks):
+            emulator.tick()
+        terminal.write(emulator.to_host.arrived(emulator.now))
+        time.sleep(0.0005)
+    terminal.unplug()

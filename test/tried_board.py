@@ -1,0 +1,78 @@
+"""The emulated board as its tests need it: reset, sent astray, watched from outside."""
+
+import re
+import struct
+import subprocess
+from pathlib import Path
+
+from emulated_board import EmulatedBoard
+
+WRITTEN = re.compile(
+    r"^(\S+): unimplemented device write \(size 4, offset (0x[0-9a-f]+), value (0x[0-9a-f]+)\)",
+    re.MULTILINE,
+)
+BSRR, ENABLE_HIGH, ENABLE_LOW = 0x18, 1 << 10, 1 << 26
+"""GPIOB's register to set and reset pins, and PB10 in it."""
+
+
+def assembled(source: str, elf: Path) -> Path:
+    """Assemble a program of its own for the board's processor; returns where it is."""
+    command = [
+        "arm-none-eabi-gcc", "-nostdlib", "-mcpu=cortex-m4", "-x", "assembler", "-",
+        "-Wl,-Ttext=0x08000100,--section-start=.vectors=0x08000000,-Tbss=0x20000000,-e,start",
+        "-o", str(elf),
+    ]  # fmt: skip
+    subprocess.run(command, input=source, text=True, check=True, timeout=60)
+    return elf
+
+
+class TriedBoard(EmulatedBoard):
+    """Keeps a log of what is written to units that QEMU does not model."""
+
+    def __init__(self, elf: Path, folder: Path) -> None:
+        super().__init__(elf, folder)
+        self.more = ["-d", "unimp", "-D", str(self._folder / "log")]
+        self._events = set()
+
+    def _answer(self):
+        answer = super()._answer()
+        self._events.add(answer.get("event"))
+        return answer
+
+    def reset(self) -> None:
+        """Reset the chip, and let it start; its memory keeps what it held."""
+        self._events.clear()
+        self.order("system_reset")
+        while "RESET" not in self._events:
+            self._answer()
+        self._rest(0)
+
+    def jump(self, address: int) -> None:
+        """Have the processor go on from an address, sound or not."""
+        # Or else QEMU sets no registers.
+        self._debugger.ask(b"qXfer:features:read:target.xml:0,ff")
+        self._debugger.order(f"Pf={struct.pack('<I', address).hex()}")
+        self.walk(1000)
+
+    def walk(self, instructions: int) -> None:
+        """Let so many instructions pass, and no interrupt."""
+        for _ in range(instructions):
+            self._debugger.run(b"s")
+        self._listen()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes on QEMU's line, which has no pace: they come when the board takes them."""
+        self._line.setblocking(True)
+        self._line.sendall(data)
+        self._line.setblocking(False)
+
+    def written(self) -> list[tuple[str, int, int]]:
+        """What was written to those units: unit's name, register's place in it, value."""
+        log = (self._folder / "log").read_text(encoding="utf-8")
+        return [(unit, int(at, 16), int(value, 16)) for unit, at, value in WRITTEN.findall(log)]
+
+    def enabled(self) -> bool:
+        """Whether the pin that lets the bridges drive was last set high."""
+        sets = [v for unit, at, v in self.written() if (unit, at) == ("GPIOB", BSRR)]
+        sets = [v for v in sets if v & (ENABLE_HIGH | ENABLE_LOW)]
+        return bool(sets) and sets[-1] == ENABLE_HIGH
