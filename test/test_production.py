@@ -139,6 +139,26 @@ def test_parts_are_neither_made_nor_forgotten():
     assert there <= 2 * 10
 
 
+def test_wanted_parts_beside_the_chute_do_not_keep_others_from_it():
+    """Two black ones stand there, and a grey one further out: it goes, and the crowd with it, not
+    to and fro."""
+    black = ((272, -23), (271, 115), (219, 36), (115, 11), (145, -124), (160, -114))
+    grey = (
+        (285, 89), (267, 87), (263, 62), (261, 9), (248, -52), (247, 46), (235, 35), (233, -35),
+        (231, 1), (230, 85), (219, 110), (217, 18), (204, 54), (202, 93), (200, 131), (182, 127),
+        (136, -87), (128, -108), (128, -130), (117, -8),
+    )  # fmt: skip
+    recipe = load_scenario("feed")
+    groups = tuple(
+        PartGroup(label, len(places), tuple((x / 1e3, y / 1e3) for x, y in places))
+        for label, places in (("black", black), ("grey", grey))
+    )
+    recipe = replace(recipe, parts=groups, task=replace(recipe.task, hopper=None))
+    found = produce(Setup(recipe, 1, effort=FEW), 2.0, 3.0)
+    assert found.discharged >= 1
+    assert found.lost == 0
+
+
 def test_a_hopper_that_is_opened_over_a_full_plate_does_not_end_a_production():
     """The camera may see fewer parts than there are."""
     recipe, rig = load_scenario("feed"), load_rig()
