@@ -5,9 +5,9 @@ some: those that are ready stay so, those that are nearest to being ready get th
 nobody wants go over the edge to the chute. All parts keep the gripper's clearance, so a heap comes
 apart by itself. When enough are ready the plate rests: the robot may come.
 
-Wanted parts are asked the same whether or not others leave meanwhile. Near the chute only the wall
-that keeps parts from every edge keeps them: what leads them further back moves the crowd about them
-back as well, and nothing leaves.
+Wanted parts are asked the same whether or not others leave meanwhile, and of these only the one
+that is nearest to the chute counts as much. No wanted part is held back from the chute but by the
+wall that keeps parts from every edge: else the crowd about it is, too, and nothing leaves.
 """
 
 from __future__ import annotations
@@ -51,16 +51,15 @@ GAP_MARGIN_M = 2e-3
 """How much more than the gripper's clearance parts are to keep [m]."""
 
 STOCK = 0.03
-"""What a metre to the window counts for parts that are not needed yet, beside others [-]."""
+"""What a metre to the window, or to the chute, counts for parts that are not needed yet, beside
+others [-]. Many that count more push those before them against the wall, and all stand."""
 
 MANY_UNWANTED = 5
 """When so many parts lie there that nobody wants, all of them go to the chute, also while enough
 others are ready."""
 
-PURGED, UNWANTED = 6.0, 0.3
-"""What a metre to the chute counts for the part that is nearest to it, in a purge, and for others
-that nobody wants, while parts are fed; beside a metre that the nearest one has to go, while parts
-are fed [-]."""
+PURGED = 6.0
+"""What a metre to the chute counts for the part that is nearest to it, in a purge [-]."""
 
 CHANGE_M = 0.02
 """A part that was on its way to being ready is given up for one that is nearer by this [m]."""
@@ -338,7 +337,7 @@ class Feeder(TaskRules):
         aims.leaving[unwanted] = True
         first = unwanted[np.argmin(aims.left[unwanted])]
         purging = self._mode is FeedMode.PURGE
-        aims.weight[unwanted] = 1.0 if purging else UNWANTED
+        aims.weight[unwanted] = 1.0 if purging else STOCK
         aims.weight[first], aims.full[first] = PURGED if purging else 1.0, True
 
 
