@@ -139,6 +139,25 @@ def test_parts_are_neither_made_nor_forgotten():
     assert there <= 2 * 10
 
 
+def test_a_crowd_that_is_to_leave_does_not_pin_wanted_parts_at_the_chute():
+    """Three black ones stand before it, with 22 grey ones behind them."""
+    black = ((273, 59), (280, -87), (279, 103))
+    grey = (
+        (278, 38), (265, 89), (280, 132), (264, 119), (251, -74), (269, 20), (273, -5), (269, -71),
+        (253, -96), (232, -84), (252, 17), (231, -66), (267, -131), (224, -45), (243, -4),
+        (199, -130), (191, -55), (213, -7), (213, 19), (162, 35), (145, 19), (152, 95),
+    )  # fmt: skip
+    recipe = load_scenario("feed")
+    groups = tuple(
+        PartGroup(label, len(places), tuple((x / 1e3, y / 1e3) for x, y in places))
+        for label, places in (("black", black), ("grey", grey))
+    )
+    recipe = replace(recipe, parts=groups, task=replace(recipe.task, hopper=None))
+    found = produce(Setup(recipe, 1, effort=FEW), 2.0, 8.0)
+    assert found.picks >= 2
+    assert found.lost == 0
+
+
 def test_a_hopper_that_is_opened_over_a_full_plate_does_not_end_a_production():
     """The camera may see fewer parts than there are."""
     recipe, rig = load_scenario("feed"), load_rig()

@@ -146,11 +146,12 @@ def test_what_nobody_wants_goes_to_the_chute():
     many = parts(black_4=(-0.1, 0.05), **{f"grey_{k}": (-0.2, 0.03 * k - 0.1) for k in range(5)})
     _, found = run(TASK, many)
     assert np.all(found.request.targets.weight[1:] > 0)
+    fed = {"black_4": (-0.1, 0.05), "black_5": (-0.285, 0.09)}
     beside = {f"grey_{k}": (-0.29, 0.03 * k - 0.1) for k in range(5)}
-    _, found = run(TASK, parts(black_4=(-0.1, 0.05), black_5=(-0.285, 0.09), **beside))
-    asked = found.request.targets
-    assert asked.weight[1, 0] > np.max(np.delete(asked.weight[:, 0], 1)), "they take none along"
-    assert asked.low[1, 0] > -0.28
+    _, found = run(TASK, parts(**fed, **beside, grey_5=(0.2, 0.0)))
+    asked, alone = found.request.targets, run(TASK, parts(**fed))[1].request.targets
+    assert asked.weight[:2] == pytest.approx(alone.weight), "they take nothing from those fed"
+    assert asked.low[:2] == pytest.approx(alone.low), "also beside the chute"
     few = parts(black_4=(-0.1, 0.05), grey_3=(-0.2, 0.02))
     memory, _ = run(TASK, many)
     _, found = run(TASK, few, memory=memory)

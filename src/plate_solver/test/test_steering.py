@@ -152,8 +152,8 @@ def test_errors_are_what_is_beyond_intervals_edges_and_distances():
 def test_a_part_stays_beyond_the_edge_only_where_that_is_asked(weight, bound):
     start, none = np.array([[0.12, -0.12]]), np.zeros((1, 2))
     goal = Goal(start, none, none, none, 2.45, weight=weight, edge=np.array([0.1, 0.1]))
-    np.testing.assert_allclose(goal.ends.edge_high, bound)
-    np.testing.assert_allclose(goal.ends.edge_low, -bound)
+    np.testing.assert_allclose(goal.ends.edge_high, [bound, 0.1])  # not on the far side
+    np.testing.assert_allclose(goal.ends.edge_low, [-0.1, -bound])
     error, _ = goal.error(start.T.ravel())
     assert np.any(error != 0) == (weight == 0)
 

@@ -4,6 +4,10 @@ As in `move`, each cycle is to leave as little as possible of the ways to target
 some: those that are ready stay so, those that are nearest to being ready get there, and those that
 nobody wants go over the edge to the chute. All parts keep the gripper's clearance, so a heap comes
 apart by itself. When enough are ready the plate rests: the robot may come.
+
+Wanted parts are asked the same whether or not others leave meanwhile, and of these only the one
+that is nearest to the chute counts as much. No wanted part is held back from the chute but by the
+wall that keeps parts from every edge: else the crowd about it is, too, and nothing leaves.
 """
 
 from __future__ import annotations
@@ -47,19 +51,15 @@ GAP_MARGIN_M = 2e-3
 """How much more than the gripper's clearance parts are to keep [m]."""
 
 STOCK = 0.03
-"""What a metre to the window counts for parts that are not needed yet, beside others [-]."""
+"""What a metre to the window, or to the chute, counts for parts that are not needed yet, beside
+others [-]. Many that count more push those before them against the wall, and all stand."""
 
 MANY_UNWANTED = 5
 """When so many parts lie there that nobody wants, all of them go to the chute, also while enough
 others are ready."""
 
-PURGED, UNWANTED = 6.0, 0.3
-"""What a metre to the chute counts for the part that is nearest to it, in a purge, and for others
-that nobody wants, while others are fed; beside a metre that others have to go [-]."""
-
-KEPT_BACK = 12.0
-"""The same for parts that are wanted and lie as near to the chute as parts that leave over it: else
-those take them along."""
+PURGED = 6.0
+"""What a metre to the chute counts for the part that is nearest to it, in a purge [-]."""
 
 CHANGE_M = 0.02
 """A part that was on its way to being ready is given up for one that is nearer by this [m]."""
@@ -334,12 +334,10 @@ class Feeder(TaskRules):
         for axis in np.flatnonzero(out):
             ends = out[axis] * (half[axis] + np.array([BEYOND_M, FAR_M]))
             aims.low[unwanted, axis], aims.high[unwanted, axis] = ends.min(), ends.max()
-            near = out[axis] * aims.position[:, axis] > half[axis] - NEAR_CHUTE * aims.reach
-            near[unwanted] = False
-            aims.weight[near], aims.full[near] = KEPT_BACK, True
+        aims.leaving[unwanted] = True
         first = unwanted[np.argmin(aims.left[unwanted])]
         purging = self._mode is FeedMode.PURGE
-        aims.weight[unwanted] = 1.0 if purging else UNWANTED
+        aims.weight[unwanted] = 1.0 if purging else STOCK
         aims.weight[first], aims.full[first] = PURGED if purging else 1.0, True
 
 
@@ -361,6 +359,8 @@ class Aims:
         Their angles, how far they are to turn, and how much less will do [rad].
     angled : (M,) bool
         Whether an angle is asked.
+    leaving : (M,) bool
+        Whether they are to go to the chute.
     reach : (M,)
         Greatest distance of their rims from their centres [m].
     """
@@ -374,6 +374,7 @@ class Aims:
     turn: np.ndarray
     slack: np.ndarray
     angled: np.ndarray
+    leaving: np.ndarray
     reach: np.ndarray
 
     @classmethod
@@ -385,7 +386,7 @@ class Aims:
         zero, no = np.zeros(count), np.zeros(count, dtype=bool)
         return cls(
             at, -anywhere, anywhere, zero, no, parts.angle, zero.copy(), zero.copy(), no.copy(),
-            reach,
+            no.copy(), reach,
         )  # fmt: skip
 
     @property
@@ -395,8 +396,11 @@ class Aims:
         return np.asarray(way + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
 
     def targets(self, gap_m: float) -> Targets:
-        """Return it as targets of parts that keep a gap [m]."""
-        counts = way_weight(np.column_stack([self.left, 0 * self.left])[self.full])
+        """Return it as targets of parts that keep a gap [m]. Of those that are leaving, and of
+        others, ways are measured by the longest that counts in full."""
+        counts, way = np.zeros(len(self.left)), np.column_stack([self.left, 0 * self.left])
+        for who in (self.leaving, ~self.leaving):
+            counts[who] = way_weight(way[self.full & who])
         weight = counts * np.where(self.full, np.maximum(self.weight, 1.0), self.weight)
         angles, turned = None, self.angled & self.full
         if np.any(turned):

@@ -137,13 +137,13 @@ class Goal:
 
         low, high = middle - self.tolerance, middle + self.tolerance
         weighed = np.broadcast_to(self.weight, shape) > 0
-        beyond = np.where(weighed, np.maximum(low, -high), -np.inf)
-        edge = np.maximum(self.edge, beyond)  # not where a part is to be beyond
+        beyond = np.where(weighed, [-high, low], -np.inf)
+        below, above = np.maximum(self.edge, beyond)  # not where a part is to be beyond
         gap = self.position[None] - self.position[:, None]
         clear = np.broadcast_to(self.clear, (len(middle), len(middle)))
         near = np.hypot(gap[..., 0], gap[..., 1]) < clear + COMING_M
         pair = np.ascontiguousarray(np.argwhere(np.triu(near & (clear > 0), 1)))
-        wanted = np.array([flat(low), flat(high), flat(self.weight), flat(-edge), flat(edge)])
+        wanted = np.array([flat(low), flat(high), flat(self.weight), flat(-below), flat(above)])
         if self.turns is not None:
             turns, free = self.turns, np.full(len(self.position), np.inf)
             angles = np.array([turns.low, turns.high, turns.weight, -free, free])
