@@ -408,6 +408,7 @@ class Planner:
             seen=self._on_plate(estimator.seen),
             taken=estimator.taken,
             kept=state.kept,
+            late=estimator.log.delay,
         )
 
     def _ask(

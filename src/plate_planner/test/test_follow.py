@@ -405,6 +405,19 @@ def test_little_is_asked_as_long_as_the_age_of_images_is_unknown(known):
     assert np.all(speed > 0.04) if known else np.all(speed <= 0.3 * 0.04 + 1e-9)
 
 
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_errors_are_corrected_the_less_the_later_answers_begin(late):
+    scenario = load_scenario("follow_2")
+    plant, follower = Plant(scenario), Follower(scenario.task, RIG)
+    seen = Parts.make(plant.ids, follower.reference(follower.begin(plant.seen(), 0.0), 0.0))
+    asked = []
+    for error in (0.0, 0.001):
+        at = seen.position + [error, 0.0]
+        now = Situation(seen, 0.0, T, T, T, True, True, at, np.zeros(2), True, seen, 0.0, late=late)
+        asked.append(follower.assess(None, now)[1].request.low)
+    assert asked[1] - asked[0] == pytest.approx(np.array([[-0.8e-3 / T / (1 + late), 0.0]] * 2))
+
+
 def test_a_lack_that_does_not_pass_never_stops_the_references():
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)

@@ -6,7 +6,8 @@ cycle:
 
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
-kp = 1 corrects the whole predicted error in one cycle. The solver brings a part from the drift it
+kp = 1 corrects the whole predicted error in one cycle; where answers begin late by n cycles, kp is
+divided by 1 + n: what runs until then may differ from what is assumed. The solver brings a part from the drift it
 has to the one it should have: that is the D of PD, with a gain of 1. What parts are known to do
 otherwise than predicted, the drift bias, is part of the prediction, and the planner takes it away
 from what is asked.
@@ -442,7 +443,7 @@ class Follower(TaskRules):
             self.reference(memory, now.start)[path],
             self.reference(memory, now.start + now.period)[path],
             now.period,
-            self.options.kp,
+            self.options.kp / (1 + now.late),
             SPEED_RATIO_MAX * scaling * self._speeds[path],
         )
         return DriftRequest(low, high)

@@ -122,6 +122,8 @@ class Situation:
         When that was taken [s].
     kept : bool
         Whether that image did not count: see `TaskRules.keeps_last`.
+    late : int
+        By how many cycles answers begin late: as uncertain is what runs until `start`.
     """
 
     parts: Parts
@@ -137,6 +139,7 @@ class Situation:
     seen: Parts
     taken: float
     kept: bool = False
+    late: int = 0
 
 
 @dataclass(frozen=True)
