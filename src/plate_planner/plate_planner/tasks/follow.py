@@ -7,10 +7,10 @@ cycle:
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
 kp = 1 corrects the whole predicted error in one cycle; where answers begin late by n cycles, kp is
-divided by 1 + n: what runs until then may differ from what is assumed. The solver brings a part from the drift it
-has to the one it should have: that is the D of PD, with a gain of 1. What parts are known to do
-otherwise than predicted, the drift bias, is part of the prediction, and the planner takes it away
-from what is asked.
+divided by 1 + n: what runs until then may differ from what is assumed. The solver brings a part
+from the drift it has to the one it should have: that is the D of PD, with a gain of 1. What parts
+are known to do otherwise than predicted, the drift bias, is part of the prediction, and the planner
+takes it away from what is asked.
 """
 
 from __future__ import annotations
