@@ -201,7 +201,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         for limit in camera_limits(self._rig.types, self._vision.calibration):
             self.get_logger().warning(limit)
         if values.bare_plate_file:
-            bare = load_bare(Path(values.bare_plate_file), self._vision.region.size_px)
+            bare = load_bare(
+                Path(values.bare_plate_file),
+                self._vision.region.size_px,
+                self._unknown_location(),
+            )
             self._vision = replace(self._vision, background=bare)
             self._plate = BarePlate(True, bare)
         self._parts = self.managed_publisher(Parts, "parts", DATA)

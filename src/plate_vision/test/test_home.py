@@ -9,6 +9,7 @@ import pytest
 from plate_core.rig import Fiducials, to_home
 from plate_vision import (
     CalibrationError,
+    TeachError,
     Tracker,
     TrackerOptions,
     detect,
@@ -25,6 +26,7 @@ from plate_vision.plate.home import (
     hide_markers,
     locate_plate,
 )
+from plate_vision.shapes.part_files import load_bare
 from plate_vision.vision import follow_plate
 
 BENT = [-0.25, 0.08, 0.001, -0.0005, 0.0]
@@ -130,6 +132,23 @@ def test_markers_are_no_parts(make_plate, rng):
     assert gap.min(axis=0).max() < 3e-4
     colour = hide_markers(np.dstack([image] * 3), plate.fiducials, calibration, pose)
     assert np.array_equal(colour[:, :, 0], clean)
+
+
+def test_markers_are_no_part_of_the_bare_plate(make_plate, rng, tmp_path):
+    plate = make_plate()
+    for k in range(3):
+        image = plate.take(HOME, rng)
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.dstack([image] * 3))
+    size_px = (image.shape[1], image.shape[0])
+    found = load_bare(tmp_path, size_px, PlateLocation(plate.rig, plate.lens))
+    with_markers = load_bare(tmp_path, size_px)
+    home, _ = find_home(image, plate.fiducials, plate.lens)
+    for x, y in home.to_image(plate.fiducials.centres).round().astype(int):
+        here = np.s_[y - 8 : y + 9, x - 8 : x + 9]
+        assert np.ptp(found.grey[here]) < 0.3 * np.ptp(with_markers.grey[here])
+    cv2.imwrite(str(tmp_path / "9.png"), np.full((*image.shape, 3), 200, np.uint8))
+    with pytest.raises(TeachError, match=r"bare plate: 9\.png: "):
+        load_bare(tmp_path, size_px, PlateLocation(plate.rig, plate.lens))
 
 
 def test_rigid_fit_is_the_least(rng):

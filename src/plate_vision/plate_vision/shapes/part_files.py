@@ -16,7 +16,8 @@ from plate_core.yaml_fields import Fields
 
 from ..camera.files import read_pictures, write_picture
 from ..camera.lens import Calibration
-from ..errors import TeachError
+from ..errors import CalibrationError, TeachError
+from ..plate.home import PlateLocation, locate_plate
 from ..plate.region import Region
 from .background import Background, learn_plate
 from .teaching import Example, Lesson, check_alike, learn_type
@@ -97,13 +98,15 @@ def add_type(
     return lesson
 
 
-def load_bare(path: Path, size_px: tuple[int, int]) -> Background:
-    """Learn the bare plate from pictures of it.
+def load_bare(
+    path: Path, size_px: tuple[int, int], location: PlateLocation | None = None
+) -> Background:
+    """Learn the bare plate from pictures of it; of one with markers, without them.
 
     Raises
     ------
     TeachError
-        If they are not of a size (width, height).
+        If they are not of a size (width, height), or do not show all markers.
     """
     pictures = []
     for name, picture in read_pictures(path):
@@ -113,6 +116,11 @@ def load_bare(path: Path, size_px: tuple[int, int]) -> Background:
                 f"bare plate: {name}: {here[0]} x {here[1]} px, allowed: {size_px[0]} x "
                 f"{size_px[1]} px, as the other pictures"
             )
+        if location is not None:
+            try:
+                _, picture = locate_plate(location, picture)
+            except CalibrationError as error:
+                raise TeachError(f"bare plate: {name}: {error}") from None
         pictures.append(picture)
     return learn_plate(np.stack(pictures))
 
