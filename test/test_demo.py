@@ -137,6 +137,23 @@ sys.addaudithook(tell)
 """
 
 
+def test_a_domain_with_a_graph_is_left_alone(tmp_path, monkeypatch, capsys, domain):
+    rclpy = pytest.importorskip("rclpy")
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    driver = rclpy.create_node("driver", context=context)
+    words = ["--domain", str(domain), "--out", str(tmp_path / "out"), "--no-view"]
+    monkeypatch.setattr(sys, "argv", ["demo.py", *words])
+    monkeypatch.setattr(os, "environ", dict(os.environ))
+    try:
+        assert run(arguments()) == 1
+    finally:
+        driver.destroy_node()
+        rclpy.shutdown(context=context)
+    problem = f"domain is {domain}, in which a driver runs already, allowed: one without a graph"
+    assert problem in capsys.readouterr().err
+
+
 def test_a_run_leaves_results_and_pictures(tmp_path):
     mark = uuid.uuid4().hex
     (tmp_path / "demo.gif").write_text("of an earlier run")

@@ -61,6 +61,9 @@ PROGRESS_S, WAITING_S = 2.0, 10.0
 FEEDER_S = 10.0
 """Longest wait for the feeder's report [s]."""
 
+LOOK_S = 1.0
+"""Wait for nodes of others in a chosen domain [s]: nodes find each other in 0.2 s."""
+
 MOST_PICKS = 10_000
 """Parts that a robot may be asked to take."""
 
@@ -349,9 +352,23 @@ def running(
     options: RunOptions, logs: Path, chosen: int | None, line: StatusLine, pictures: bool = True
 ) -> Iterator[Session]:
     """Run the graph, in a domain of its own or the chosen one, of which programs started by us hear
-    too; show what is waited for in a line."""
+    too; show what is waited for in a line.
+
+    Raises
+    ------
+    GraphError
+        If in the chosen domain nodes of the same names run: each would hear the others'.
+    """
     with own_domain(chosen) as domain:
         os.environ.update(ros_environment(domain))
+        if chosen is not None:
+            names = [node.name for node in options.nodes(load_graph())]
+            with Observer(domain, pictures=False) as observer:
+                if observer.until(lambda: bool(observer.seen(names)), LOOK_S):
+                    raise GraphError(
+                        f"domain is {domain}, in which a {observer.seen(names)[0]} runs already, "
+                        "allowed: one without a graph (left out: a free one)"
+                    )
         with session(options, logs, domain, pictures, line.show) as graph:
             line.end()
             yield graph
