@@ -103,7 +103,7 @@ DICTIONARIES = (
 
 FIDUCIALS = Section(
     "fiducials (may be left out)",
-    "Markers on the plate: the camera finds plate_home by them, in place of `corners_px`.",
+    "Markers on the plate: the camera finds plate_home by them; `corners_px` may then be a guess.",
     (
         Key("dictionary", Choice(DICTIONARIES), "Set of ArUco markers, by OpenCV's name."),
         Key("side_m", Number(0.001, 1), "Side of a marker's black square."),
