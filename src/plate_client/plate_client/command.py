@@ -20,6 +20,7 @@ SERVICES = {
     "home": "forget where home is: the next enable finds it",
     "calibrate": "learn the plate's response",
     "resume_feeding": "let the feeder go on, which waits for that after a stop",
+    "call": "SERVICE: call any that takes nothing, such as detector/learn_plate",
 }
 OTHERS = {
     "goal": "SCENARIO: do the task of a scenario, by name or .yaml file; Ctrl-C cancels it",
@@ -86,6 +87,8 @@ def _arguments() -> argparse.Namespace:
             one.add_argument("node", nargs="?", metavar="NODE")
         if name in ("get", "set"):
             one.add_argument("name", nargs="?", metavar="NAME")
+        if name == "call":
+            one.add_argument("service", metavar="SERVICE")
         if name == "goal":
             one.add_argument("scenario", metavar="SCENARIO")
         if name == "set":

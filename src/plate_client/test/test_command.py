@@ -249,6 +249,17 @@ def test_a_lost_answer_is_asked_for_again_where_that_does_no_harm(
     assert len(sent) == calls
 
 
+def test_any_service_that_takes_nothing_can_be_called(graph):
+    def call(service):
+        return graph.run(argparse.Namespace(command="call", service=service))
+
+    assert call("home") == call(f"{graph.node.get_namespace()}/home") == "so it is"
+    with pytest.raises(PlateError, match="no service talker/teach: nodes here: talker"):
+        call("talker/teach")
+    with pytest.raises(PlateError, match="service is 'a b', allowed: words of letters"):
+        call("a b")
+
+
 def test_nobody_is_there(graph, view):
     alone = view("/nowhere")
     for command in ("home", "state", "params", "cancel", "set"):

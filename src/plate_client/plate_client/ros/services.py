@@ -26,9 +26,12 @@ that are being enabled [s]."""
 URGENT = ("emergency_stop", "cut_power", "disable")
 """These are tried for longer, also where nobody is seen."""
 
-ONCE, AGAIN_S = ("enable", "home", "calibrate"), 0.5
-"""Services of which each call counts; all others are called again after so long without an answer
+ONCE, AGAIN_S = ("enable", "home", "calibrate", "call"), 0.5
+"""Commands of which each call counts; all others are called again after so long without an answer
 [s]: DDS may lose the first one of a service that was just found."""
+
+SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
+"""Names of services."""
 
 CALLS = QoSProfile(depth=1000)
 """As in plate_core.ros, which takes too long to import."""
@@ -87,12 +90,20 @@ class Services:
             If it was not done.
         """
         service, urgent = args.command, args.command in URGENT
+        if service == "call":
+            service = args.service
+            if not SERVICE.fullmatch(service):
+                raise PlateError(
+                    f"service is {service!r}, allowed: words of letters, digits and _, with / "
+                    "between them"
+                )
         if service == "enable":
             return self._enable()
         if service == "disable":
             answer = self._call(SetBool, "enable", SetBool.Request(data=False), urgent)
         else:
-            answer = self._call(Trigger, service, Trigger.Request(), urgent)
+            once = args.command in ONCE
+            answer = self._call(Trigger, service, Trigger.Request(), urgent, once)
         if not answer.success:
             raise PlateError(str(answer.message))
         return str(answer.message)
@@ -119,7 +130,7 @@ class Services:
 
         heard = self.node.create_subscription(DriverStatus, "driver_status", said.append, LATCHED)
         try:
-            answer = self._call(SetBool, "enable", SetBool.Request(data=True))
+            answer = self._call(SetBool, "enable", SetBool.Request(data=True), once=True)
             if not answer.success:
                 raise PlateError(str(answer.message))
             if not answer.message.startswith("enabling"):
@@ -131,7 +142,9 @@ class Services:
             raise PlateError(f"not enabled, driver_status: {said[-1].text if said else 'nothing'}")
         return str(said[-1].text)
 
-    def _call(self, kind: Any, service: str, request: Any, urgent: bool = False) -> Any:
+    def _call(
+        self, kind: Any, service: str, request: Any, urgent: bool = False, once: bool = False
+    ) -> Any:
         client = self.node.create_client(kind, service, qos_profile=CALLS)
 
         def there() -> bool:  # a service may be known before the name of its node is
@@ -140,7 +153,7 @@ class Services:
         if not (self._until(there, NOBODY_S) and self._until(client.service_is_ready, FOUND_S)):
             cut = ": cut the power by hand" if urgent else ""
             raise PlateError(self._missing(service) + cut)
-        again_s = ANSWER_S if service in ONCE and not urgent else AGAIN_S
+        again_s = ANSWER_S if once else AGAIN_S
         answers: list[Any] = []
         for _ in range(round(ANSWER_S / again_s)):
             client.call_async(request).add_done_callback(lambda done: answers.append(done.result()))
