@@ -160,6 +160,7 @@ class Drive(canopen.LocalNode):
         self.deaf = True  # its supply is off
         self.stuck_mode, self.remote = False, True
         self.slip = 0.0  # counts that it has lost
+        self.leap = 0.0  # counts that it loses each time it gets current
         self.wrong_once: tuple[str, int] | None = None  # a state, and how far [counts]
         self.history: list[str] = []
         self.asked: list[tuple[str, str, int]] = []  # transitions by a controlword
@@ -261,7 +262,9 @@ class Drive(canopen.LocalNode):
     def enter(self, state: str) -> None:
         self.state = state
         self.history.append(state)
-        self.enables += state == "enabled"
+        if state == "enabled":
+            self.enables += 1
+            self.slip += self.leap
 
     def controlled(self, word: int) -> None:
         before = self.state

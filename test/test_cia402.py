@@ -693,14 +693,7 @@ def test_a_drive_that_loses_counts_is_noticed_by_the_others(bench, stopped):
 @pytest.mark.parametrize("slow", ["", "switched on"])  # motor_4, which the others wait for
 def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_named(bench, slow):
     boot(bench)
-    drive, enter = bench.drives[1], bench.drives[1].enter
-
-    def counts_anew(state):
-        enter(state)
-        if state == "enabled":
-            drive.slip += 240_000  # by a turn
-
-    drive.enter = counts_anew
+    bench.drives[1].leap = 240_000  # a turn
     bench.drives[3].holds = slow
     enable(bench)
     assert (bench.state, bench.faults & Fault.FOLLOWING) == (State.OFF, Fault.FOLLOWING)
@@ -716,16 +709,10 @@ def test_a_drive_that_counts_from_elsewhere_at_a_second_enable_has_lost_home(ben
     tell(bench, say(300, Stop(1)))
     live(bench, 50)
     bench.plate = PLATE
-    drive, enter = bench.drives[2], bench.drives[2].enter
-
-    def counts_anew(state):
-        enter(state)
-        if state == "enabled":
-            drive.slip += 5500  # which the others cannot tell: its weight is a half
-
-    drive.enter, drive.lag_ms = counts_anew, 20
+    drive = bench.drives[2]
+    drive.leap, drive.lag_ms = 5500, 20  # which the others cannot tell: its weight is a half
     enable(bench, 350)
-    drive.enter = enter
+    drive.leap = 0
     live(bench, 1200)
     enable(bench, 400)
     assert bench.state == State.OFF

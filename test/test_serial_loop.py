@@ -1,4 +1,4 @@
-"""The closed loop over the serial line in simulated time: it ends well, whatever befalls it."""
+"""The closed loop over the serial line in simulated time: it ends well, whatever goes wrong."""
 
 from dataclasses import replace
 

@@ -51,7 +51,7 @@ ABOUT = {
         "free_running": "Cameras that run free: error against rate, exposure, latency and scatter",
         "drives": "Drives on a bus: error against latency, jitter and the drives' own loop",
         "control": "The closed loop with more and less time for the solver",
-        "serial": "The serial path: a short task, and what befalls the line",
+        "serial": "The serial path: a short task, and faults of the line",
         "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",
         "closed_loop": "Whole tasks in the closed loop, many seeds: the table of README",
         "feeding": "A feeder in production beside peers that shake and look: speed, accuracy",
@@ -102,7 +102,7 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
         code = code_of(module)
         try:
             result = importlib.import_module(module).measure(quick)
-        except Exception:
+        except Exception:  # whatever it is, the others are still measured
             print("failed", flush=True)
             traceback.print_exc()
             failed.append(name)
