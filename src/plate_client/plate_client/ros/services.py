@@ -26,9 +26,9 @@ that are being enabled [s]."""
 URGENT = ("emergency_stop", "cut_power", "disable")
 """These are tried for longer, also where nobody is seen."""
 
-ONCE, AGAIN_S = ("enable", "home", "calibrate", "call"), 0.5
-"""Commands of which each call counts; all others are called again after so long without an answer
-[s]: DDS may lose the first one of a service that was just found."""
+ONCE, AGAIN_S = ("home", "calibrate", "call"), 0.5
+"""Commands of which each call counts, as of enable; all others are called again after so long
+without an answer [s]: DDS may lose the first one of a service that was just found."""
 
 SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
 """Names of services."""
