@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -23,6 +24,13 @@ def segments(pid):
     return {os.path.basename(path).removesuffix("_el") for path in locks if "_port" not in path}
 
 
+def age(names):
+    """Have the locks of segments seem to be of two minutes ago."""
+    then = time.time() - 120
+    for name in names:
+        os.utime(FOLDER / f"{name}_el", (then, then))
+
+
 def test_only_what_a_killed_process_left_is_removed():
     nodes = [
         subprocess.Popen(NODE, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in range(2)
@@ -33,6 +41,9 @@ def test_only_what_a_killed_process_left_is_removed():
         killed, alive = (segments(node.pid) for node in nodes)
         nodes[0].kill()
         nodes[0].wait()
+        remove_leftovers()  # of a minute ago at least
+        young = {name for name in killed | alive if (FOLDER / name).exists()}
+        age(killed | alive)
         remove_leftovers()
         left = {name for name in killed | alive if (FOLDER / name).exists()}
     finally:
@@ -41,6 +52,7 @@ def test_only_what_a_killed_process_left_is_removed():
             node.communicate()
     assert killed
     assert alive
+    assert young == killed | alive
     assert left == alive
     remove_leftovers()
     assert not any((FOLDER / name).exists() for name in alive)

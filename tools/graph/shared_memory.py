@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import fcntl
+import time
 from contextlib import suppress
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 """Where Linux keeps it."""
 
+AGE_S = 60.0
+"""What is younger stays [s]."""
+
 
 def remove_leftovers() -> None:
     """Remove the segments whose owner has ended.
 
-    Fast DDS locks a file beside each segment for as long as its participant lives, and makes
-    the file anew if somebody removes it before it is locked.
+    Fast DDS locks a file beside each segment for as long as its participant lives. One that is
+    younger than `AGE_S` may not be locked yet.
     """
     for lock in FOLDER.glob(f"fastrtps_{16 * '[0-9a-f]'}_el"):
         with suppress(OSError), lock.open("rb") as file:  # in use, or of another user
+            if time.time() - lock.stat().st_mtime < AGE_S:
+                continue
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
             lock.unlink()
