@@ -1,6 +1,6 @@
 """Sort for hours in real time, parts put down anew each time: does memory grow, or latency drift?
 
-python tools/soak.py [--minutes 60] [--json FILE]
+python tools/soak.py [--scenario sort_10] [--minutes 60] [--json FILE]
 
 Prints a line per task, and at the end: slope of each node's memory and of the latency (image stamp
 to motor setpoints) with 95 % intervals, from one sample per task, always in the same state; share
@@ -110,11 +110,12 @@ def text(result: dict[str, Any]) -> str:
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenario", default=RunOptions.scenario)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     until = time.monotonic() + 60 * args.minutes
-    options = RunOptions(autostart=False)
+    options = RunOptions(args.scenario, autostart=False)
     load = os.getloadavg()[2]
     with signals_raise(), tempfile.TemporaryDirectory() as logs:
         for now in work_again(options, Path(logs), lambda _: time.monotonic() > until):
