@@ -1,6 +1,6 @@
 """Sort for hours in real time, parts put down anew each time: does memory grow, or latency drift?
 
-python tools/soak.py [--scenario sort_10] [--minutes 60] [--json FILE]
+python tools/soak.py [--scenario sort_10] [--uneven 0.1] [--minutes 60] [--json FILE]
 
 Prints a line per task, and at the end: slope of each node's memory and of the latency (image stamp
 to motor setpoints) with 95 % intervals, from one sample per task, always in the same state; share
@@ -15,11 +15,12 @@ import os
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from graph.processes import signals_raise
+from graph.processes import Interrupted, signals_raise
 from graph.series import Series, Task, work_again
 from scipy import stats
 
@@ -111,18 +112,26 @@ def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default=RunOptions.scenario)
+    parser.add_argument(
+        "--uneven", type=float, default=0.0,
+        help="friction differs by this share between parts and over the plate",
+    )  # fmt: skip
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     until = time.monotonic() + 60 * args.minutes
     options = RunOptions(args.scenario, autostart=False)
     load = os.getloadavg()[2]
-    with signals_raise(), tempfile.TemporaryDirectory() as logs:
-        for now in work_again(options, Path(logs), lambda _: time.monotonic() > until):
+    result = None
+    with signals_raise(), suppress(Interrupted), tempfile.TemporaryDirectory() as logs:
+        friction = dict.fromkeys(("friction_spread", "friction_patches"), args.uneven)
+        for now in work_again(options, Path(logs), lambda _: time.monotonic() > until, friction):
             print(line(now.tasks[-1]), flush=True)
             result = {**summed_up(now), "load": [load, os.getloadavg()[2]]}
             if args.json:  # after each task: a run that is cut short has its table too
                 args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    if result is None:
+        return 1
     print(text(result), flush=True)
     well = result["faults"] == 0 and result["missed_share"] <= MOST_MISSED
     return 0 if well else 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from record.judge import check_limits
 
-from plate_bringup import RunOptions
+from plate_bringup import GraphError, RunOptions
 from plate_core import load_rig
 
 from .hops import Hops
@@ -96,6 +96,7 @@ def work_again(
     options: RunOptions,
     logs: Path,
     done: Callable[[Series], bool],
+    world: Mapping[str, float] | None = None,
     beside: bool = False,
     longest_s: float = TASK_S,
 ) -> Iterator[Series]:
@@ -108,6 +109,8 @@ def work_again(
     logs : path
         Folder for the nodes' logs.
     done : callable
+    world : mapping, optional
+        Parameters of the simulator.
     beside : bool
         Whether a graph that only forwards runs meanwhile.
     longest_s : float
@@ -117,6 +120,10 @@ def work_again(
         graph = stack.enter_context(session(options, logs, pictures=False))
         hops = stack.enter_context(Hops())
         graph.free()
+        for name, value in (world or {}).items():
+            taken, why = graph.observer.set_parameter("simulator", name, value)
+            if not taken:
+                raise GraphError(why)
         names, others = [*graph.processes.names], None
         if beside:
             one_task(graph, hops, None, 0.0, min(longest_s, 5.0))  # messages of their true size

@@ -195,6 +195,17 @@ def test_a_shadow_is_not():
     assert worst(find_patches(image, bare()), spots) < 0.6
 
 
+@pytest.mark.parametrize("high_px", [2, 4, 6])
+def test_dark_side_faces_of_high_parts_leave_no_shadows(high_px):
+    """A camera beside the parts sees them all on the same side."""
+    spots = [(60.3, 60.4), (150.6, 70.2), (100.1, 140.5), (200.4, 130.3)]
+    parts = []
+    for x, y in spots:
+        parts += [(disc(x + k, y, 12), (45, 45, 45)) for k in range(high_px + 1)]
+        parts.append((disc(x, y, 12), (130, 130, 130)))
+    assert worst(find_patches(picture(parts), bare()), spots) < high_px
+
+
 def test_parts_in_two_colours_are_one():
     halves = [
         (disc(80.4, 90.3, 14), RED),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from .. import _kernels
 
@@ -41,6 +42,10 @@ ALONE = 3.0
 
 WIDE_PX = 25.0
 """Width from which on the edge of a patch is that of a shadow, whatever else is seen [px]."""
+
+THICK = 0.6
+"""Thickness of a part, relative to that of its shadow, at least: a thin dark side is a face of a
+high part, seen from beside it, and the light one its top."""
 
 LEAST_AREA_PX2 = 30
 """Least patch of which the edges are looked at."""
@@ -91,8 +96,10 @@ def take_out_shadows(
         _kernels.find_fade(away, around, lit, slope, labels, bound, light, fade, way)
         softness = np.where(fade > 0, light / np.maximum(sharp * fade, 1e-3), 0)
         bound = _of_shadows(bound, light, dark, softness, way, len(large))
-        shadow = (lit & (away < bound[labels])).astype(np.uint8)
-        away[cv2.morphologyEx(shadow, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0] = 0
+        light_side = (lit & (away < bound[labels])).astype(np.uint8)
+        shadow = cv2.morphologyEx(light_side, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+        if np.any(shadow) and _parts_are_thick(shadow, (away > 0) & ~shadow, labels):
+            away[shadow] = 0
     alone = (width > min(ALONE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
     if np.any(alone[large]):
         away[alone[labels]] = 0
@@ -112,6 +119,18 @@ def _clear_bright(
     reached = np.zeros(count, bool)
     reached[places[plate > 0]] = True
     away[(shadow > 0) & reached[places]] = 0
+
+
+def _parts_are_thick(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
+    """Whether what casts shadows is as thick as they are, in most patches that have one."""
+    numbers = np.unique(labels[shadow])
+    cast, casts = (
+        ndimage.maximum(
+            cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3), labels, numbers
+        )
+        for side in (shadow, parts)
+    )
+    return bool(np.median(casts / cast) > THICK)
 
 
 def _of_shadows(
