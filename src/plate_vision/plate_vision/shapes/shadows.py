@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from .. import _kernels
 
@@ -123,13 +122,11 @@ def _clear_bright(
 
 def _parts_are_thick(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
     """Whether what casts shadows is as thick as they are, in most patches that have one."""
-    numbers = np.unique(labels[shadow])
-    cast, casts = (
-        ndimage.maximum(
-            cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3), labels, numbers
-        )
-        for side in (shadow, parts)
-    )
+    thickness = np.zeros((2, labels.max() + 1), np.float32)
+    for most, side in zip(thickness, (shadow, parts), strict=True):
+        depth = cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3)
+        np.maximum.at(most, labels[side], depth[side])
+    cast, casts = thickness[:, thickness[0] > 0]
     return bool(np.median(casts / cast) > THICK)
 
 
