@@ -34,7 +34,7 @@ from plate_core.ros import (  # noqa: E402
     nanoseconds,
     to_time,
 )
-from plate_driver.safety.node import LIFE_PERIOD_S  # noqa: E402
+from plate_driver.safety.node import LATE, LIFE_PERIOD_S  # noqa: E402
 from plate_driver.status import LOOK, OFF, UNANSWERED  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
@@ -219,7 +219,12 @@ class Bench:
         assert self.until(lambda: self.status.reason != DriverStatus.STOP_UNANSWERED)
 
     def enable(self, value: bool = True):
-        return self.call(self.enabler, SetBool.Request(data=value))
+        """A driver that a busy computer held up meanwhile asks to be called again."""
+        for _ in range(5):
+            answer = self.call(self.enabler, SetBool.Request(data=value))
+            if answer.message != LATE:
+                break
+        return answer
 
     def change(self, name: str) -> None:
         request = type(self.changer.srv_type.Request())()
