@@ -219,7 +219,7 @@ class Judge:
         as parts that are behind ask for."""
         if isinstance(memory, Feeding):
             memory.look(world, time, running)
-        if not isinstance(self._rules, Follower) or not isinstance(memory, Followed):
+        if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
             return memory
         parts = _parts(world.state)
         follow = self._rules.measure(memory.memory, _situation(parts, time, running.period))
@@ -240,7 +240,7 @@ class Judge:
         `AHEAD_S` later [m, plate_home]; of feeding `Feeding.wanted`; else (M, 0)."""
         if isinstance(memory, Feeding):
             return memory.wanted
-        if not isinstance(self._rules, Follower) or not isinstance(memory, Followed):
+        if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
             return np.zeros((len(ids), 0))
         follow = memory.memory
         times = follow.anchor, follow.anchor + AHEAD_S

@@ -308,9 +308,9 @@ def test_what_counts(gym):
 def test_a_part_that_the_robot_takes_counts(gym):
     """It asks at 0 s and, as three lie ready, grips one 0.4 of its 2 s later, and one each 2 s:
     that which is nearest to the middle of the window. 0.3 s after a grip it has left, and 1.2 s
-    after it asks again: meanwhile another is to be got ready."""
+    after it asks again: meanwhile another is to be got ready, and actions count."""
     env = gym.PlateEnv("Feed-v1", render_mode="rgb_array")
-    seen, _ = env.reset(seed=0)
+    seen, info = env.reset(seed=0)
     assert seen[:, 6].tolist() == [1.0] * 10 + [0.0] * 5
     simulation = env.plates.plates[0].simulation
     simulation.remove("black_10")
@@ -321,7 +321,7 @@ def test_a_part_that_the_robot_takes_counts(gym):
         simulation.place(f"black_{k}", "", np.array(place))
     taken, rests = [], []
     for step in range(1, 32):
-        seen, reward, *_, info = env.step(np.zeros(env.action_space.shape))
+        seen, reward, *_, info = env.step(np.full(env.action_space.shape, float(info["rests"])))
         rests.append(bool(info["rests"]))
         if reward:
             taken.append((step, reward, int(info["there"]), [*np.flatnonzero(info["ids"] == "")]))
@@ -329,8 +329,11 @@ def test_a_part_that_the_robot_takes_counts(gym):
             before = env.render().astype(float)
         if step == 8:
             assert np.max(np.abs(env.render() - before)) > 50
+            true = dict(zip(simulation.state.ids, simulation.state.position.tolist(), strict=True))
+            assert true["black_5"] == [0.1, -0.06]  # it rests, whatever the action
             assert seen[1].tolist() == [0, 0, 0, 0, 0, 1000, 0]
-            assert seen[info["ids"].tolist().index("grey_1"), 6] == -1
+            assert info["ids"][10] == "grey_1"  # row 9 had just become empty
+            assert seen[10, 6] == -1
     assert taken == [(8, 1 / 30, 1, [1]), (28, 1 / 30, 2, [1, 4])]
     assert rests == [True] * 10 + [False] * 9 + [True] * 11 + [False]
     assert info["waiting"] == 0
