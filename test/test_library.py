@@ -13,6 +13,7 @@ USE = """
 import sys
 sys.modules["rclpy"] = None  # importing it fails
 import plate_core, plate_driver.setpoints, plate_planner, plate_sim, plate_solver, plate_vision
+import plate_bringup.loop, plate_bringup.production
 from plate_core.tasks import load_scenario, scenario_names
 from plate_driver.transports import check_transport
 check_transport("serial", "/dev/some")

@@ -50,7 +50,8 @@ class CmaEs:
         at, turned = self._now.position.copy(), self._now.angle.copy()
         at[seen], turned[seen] = observation[seen, :2], observation[seen, 4]
         self._now = replace(self._now, position=at, angle=turned)
-        self._memory = self._memory or self._judge.begin(self._now, IDLE_S)
+        self._worlds[0].state = self._now
+        self._memory = self._memory or self._judge.begin(self._worlds[0], self._running)
         self._goal = observation[:, 8:10]
         self._now = self._after([self._running])[0]
         chance = {"randn": lambda *shape: self._rng.standard_normal(shape), "seed": np.nan}
@@ -81,5 +82,5 @@ class CmaEs:
         if self._judge.follows:
             left = np.linalg.norm(place - self._goal, axis=2).sum(axis=1)
         else:
-            left = self._judge.score([self._memory] * len(states), states).to_go_m
+            left = self._judge.score([self._memory] * len(states), states).to_go
         return list(left + EDGE_COST * beyond)

@@ -1,7 +1,7 @@
 """The closed loop as a whole: which nodes it has, their parameters for one run, how it is launched;
 and without ROS, in one process: `loop`.
 
-This package puts the stages together. No other one imports it; `bench/`, `tools/` and tests may.
+This package puts the stages together. Of the others `plate_gym` alone imports it.
 """
 
 from .graph import GraphError, GraphNode, RunOptions, Value, load_graph

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium import Space
 
-from plate_core import Parts, PlateCycle, Rig, Wanted
+from plate_core import Parts, PlateCycle, Rig, Wanted, part_class
 from plate_core.tasks import Scenario
 from plate_planner import Planner
 from plate_planner.tasks import FollowMemory
@@ -25,7 +25,10 @@ from .plates import IDLE_S
 
 __all__ = ["AGENTS", "KNOWN", "Agent", "Brief"]
 
-KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace")
+KNOWN = (
+    "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",
+    "order",
+)  # fmt: skip
 """What an agent gets of `info`: what a real plate would tell, and where references are."""
 
 
@@ -62,7 +65,7 @@ class Brief:
         return deepcopy(
             cls(
                 env.action_space, env.observation_space, plates.rig, plates.scenario,
-                plates.plates[0].simulation.state.ids, plates.friction_limit, plates.motions,
+                plates.plates[0].ids, plates.friction_limit, plates.motions,
             )
         )  # fmt: skip
 
@@ -113,11 +116,14 @@ class Ours:
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
         """Return the cycle that the planner's wishes lead to."""
         time, running = float(info["time_s"]), info["running"]
+        self._ids = tuple(info.get("ids", self._ids))
         self._state = self._planner.started(self._state, running, time, True)
         parts = self._parts(observation, time)
         if not len(parts):  # no image has come
             return running if running.closes else PlateCycle.rest(IDLE_S)
         self._state = self._planner.see(self._state, parts, time)
+        if "order" in info and self._state.memory is not None:  # of the feeder
+            self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
         if isinstance(follow, FollowMemory):  # references are where the judge has them
             pace, start = float(info["pace"][0]), time + running.period
@@ -180,13 +186,14 @@ class Averaged(Ours):
     def __init__(self, brief: Brief, seed: int) -> None:
         super().__init__(brief, seed)
         self._solver = SinusoidSolver(self._rig, seed=seed, at_rest=True)
-        self._limit = dict(zip(self._ids, brief.friction_limit, strict=True))
 
     def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
         parts = wanted.parts
         if not len(parts):
             return PlateCycle.rest(IDLE_S)
-        limit = np.array([[self._limit[name]] for name in parts.ids])
+        types = [self._rig.part_type(part_class(name)) for name in parts.ids]
+        mu_mass = np.array([[own.mu, own.mass_kg] for own in types], float)
+        limit = np.prod(mu_mass, axis=1, keepdims=True) * self._rig.friction.gravity
         place = parts.position if wanted.start is None else wanted.start[:, :2]
         force, tolerance = wanted.force / limit, wanted.tolerance / limit
         return self._solver.solve(place, force, tolerance=tolerance).cycle

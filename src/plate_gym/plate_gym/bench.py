@@ -36,7 +36,9 @@ __all__ = ["ROW", "agent_class", "check", "evaluate", "ranges", "read", "summary
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
 """Whose versions a result names, those of them that are installed."""
 
-PACKAGES = ("core", "driver", "gym", "native", "planner", "sim", "solver", "vision")
+PACKAGES = (
+    "bringup", "core", "driver", "feeder", "gym", "native", "planner", "sim", "solver", "vision",
+)  # fmt: skip
 """Whose sources a result names by a digest: `plate_*`."""
 
 TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")

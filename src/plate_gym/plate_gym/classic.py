@@ -43,7 +43,7 @@ class Classic:
             sides = [self._task.regions[part_class(name)] for name in self._ids]
             self._side = np.array([[side.x, side.y] for side in sides if isinstance(side, Side)])
         elif not isinstance(self._task, AssembleTask | FollowTask):
-            raise PlateError(f"{brief.scenario.name} asks for angles, allowed: tasks that do not")
+            raise PlateError(f"task is {brief.scenario.name}, allowed: sort, assemble, follow")
         self._half, self._limits = rig.plate.half, Limits.of(rig, 1.0)
         self._library = Library.about(grid(self._half), self._half)
         self._push = rig.friction.accel * PERIOD_S

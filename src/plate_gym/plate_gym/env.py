@@ -313,7 +313,7 @@ class Film:
 
     def picture(self, row: int) -> np.ndarray:
         """Return the picture (height, width, 3) of a plate's true parts now, and show it."""
-        self._scene.state = self._plates.plates[row].simulation.state
+        self._scene.show(self._plates.plates[row].simulation.state)
         image = self._scene.capture()
         assert image is not None
         colours = image[..., ::-1] if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)

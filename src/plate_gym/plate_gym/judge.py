@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from plate_core import Parts, PlateError, Rig, part_class
-from plate_core.tasks import AssembleTask, FollowTask, PoseTask, SortTask, Task
+from plate_bringup.production import ASKS, FeederCell, Production
+from plate_core import Parts, PlateCycle, PlateError, Rig, part_class
+from plate_core.tasks import AssembleTask, FeedTask, FollowTask, PoseTask, SortTask, Task
 from plate_planner.tasks import (
     SIGHT_M,
     SIGHT_RAD,
     Assembler,
+    Feeder,
+    FeedMemory,
     Follower,
     FollowMemory,
     PoseMemory,
@@ -20,7 +23,9 @@ from plate_planner.tasks import (
     Situation,
     Sorter,
 )
-from plate_sim.world import WorldState
+from plate_sim.world import Simulation, WorldState
+
+from .tasks import FEED_S
 
 __all__ = ["Judge", "Memory"]
 
@@ -29,6 +34,18 @@ START_S = 0.2
 
 AHEAD_S = 0.1
 """How far ahead agents are told where a reference will be [s]."""
+
+ROUNDING_S = 1e-6
+"""Sums of periods that differ by less are the same [s]."""
+
+ROBOT_S = 2.0
+"""Cycle of the robot that is fed [s]."""
+
+MOST_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
+"""Parts that this robot can take meanwhile: it asks for the first one when feeding begins."""
+
+ENOUGH = 0.9
+"""Share of these from which on feeding is done well."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +67,70 @@ class Followed:
     square_m2: np.ndarray
 
 
-Memory = PoseMemory | Followed | None
-"""What is remembered of a task: which part has which pose, or follows which path."""
+class Feeding:
+    """What is around a plate that feeds a robot: hopper, robot, and the feeder's rules. It goes on
+    with the plate: `look` changes it.
+
+    Attributes
+    ----------
+    ids : (M,) of str
+        Which part each row of observations and actions is of; empty: none. A part that comes takes
+        the first row that was empty before; one that has just become so only where there is none.
+    rests : bool
+        Whether the plate rests in the next cycle: a robot comes, or enough parts are ready.
+    made : Production
+        What came of it so far.
+    time : float
+        How long it goes on [s].
+    """
+
+    def __init__(self, task: FeedTask, rig: Rig) -> None:
+        self._cell = FeederCell(task, rig, ROBOT_S)
+        self._rules, self._memory = Feeder(task, rig), FeedMemory()
+        self.ids = np.full(rows_of(task), "", object)
+
+    def look(self, world: Simulation, time: float, running: PlateCycle) -> None:
+        """Take in where parts are at a time [s], while a cycle begins, and have the robot do what
+        is due: as `plate_bringup.loop` does, but that the truth is seen."""
+        self.time = time
+        self._cell.act(world, time)
+        if time > 0:
+            order = self._cell.order(self._memory.report, time)
+            self._rules = replace(self._rules, task=replace(self._rules.task, order=order))
+        parts = _parts(world.state.take(world.state.on_plate))
+        tail = 0.0 if running.tail is None else running.tail.period
+        now = _situation(parts, time, running.period, tail)
+        self._memory, found = self._rules.assess(self._memory, now)
+        self.rests = found.request is None
+        self.made = Production.of(self._cell.tally, self._cell.robot, world, self._rules.task)
+        came = [name for name in parts.ids if name not in self.ids]
+        stays = np.isin(self.ids, parts.ids)
+        first = np.argsort(np.where(stays, 2, self.ids != ""), kind="stable")
+        self.ids = np.where(stays, self.ids, "")
+        self.ids[first[: len(came)]] = came
+
+    def told(self) -> dict[str, Any]:
+        """Return what an agent learns: `ids`, `rests`, `order`, `waiting`."""
+        order, waiting = self._rules.task.order, self.made.waiting
+        return {"ids": self.ids, "rests": self.rests, "order": order, "waiting": waiting}
+
+    @property
+    def wanted(self) -> np.ndarray:
+        """Whether parts (M, 1) are wanted, 1, or to leave by the chute, -1; 0: there is none."""
+        labels = [pick.label for pick in self._rules.task.picks]
+        kinds = [(part_class(name) in labels) - 0.5 if name else 0.0 for name in self.ids]
+        return np.sign(kinds)[:, None]
+
+
+def rows_of(task: FeedTask) -> int:
+    """Return how many parts there are at most."""
+    if task.hopper is None:
+        raise PlateError("feeding without a hopper, allowed: with one")
+    return task.hopper.fill
+
+
+Memory = PoseMemory | Followed | Feeding | None
+"""What is remembered of a task: which part has which pose, or follows which path; a robot."""
 
 
 class Score(NamedTuple):
@@ -65,10 +144,10 @@ class Score(NamedTuple):
     turn_error : (N, M)
         What is missing to its angle [rad]; 0 where none is asked.
     there : (N, M)
-        Which parts are as the task asks.
-    to_go_m : (N,)
+        Which parts are as the task asks; of feeding (N, 1), how many were picked.
+    to_go : (N,)
         The way still to go, summed over parts [m]; turns count as ways of the rim. On paths: of the
-        reference that has the longest.
+        reference that has the longest. Of feeding: how many parts less than it could were picked.
     met : (N,) bool
         Whether all is as the task asks.
     failed : (N,) bool
@@ -78,7 +157,7 @@ class Score(NamedTuple):
     error_m: np.ndarray
     turn_error: np.ndarray
     there: np.ndarray
-    to_go_m: np.ndarray
+    to_go: np.ndarray
     met: np.ndarray
     failed: np.ndarray
 
@@ -92,18 +171,18 @@ class Judge:
     ----------
     hold_s : float
         The task is done when all parts have been there for this time [s].
-    follows : bool
-        Whether parts are to follow paths.
+    follows, feeds : bool
+        Whether parts are to follow paths; whether they are for a robot.
 
     Raises
     ------
     PlateError
-        If the task is of another kind than sort, assemble, pose or follow.
+        If the task is of another kind than sort, assemble, pose, follow or feed.
     """
 
     def __init__(self, task: Task, rig: Rig) -> None:
         self._rig = rig
-        self._rules: Sorter | Assembler | Poser | Follower
+        self._rules: Sorter | Assembler | Poser | Follower | Feeder
         if isinstance(task, SortTask):
             self._rules = Sorter(task, rig)
         elif isinstance(task, AssembleTask):
@@ -112,43 +191,45 @@ class Judge:
             self._rules = Poser(task, rig)
         elif isinstance(task, FollowTask):
             self._rules = Follower(task, rig)
+        elif isinstance(task, FeedTask):
+            self._rules = Feeder(task, rig)
         else:
             kind = type(task).__name__
             raise PlateError(
-                f"task is a {kind}, allowed: SortTask, AssembleTask, PoseTask, FollowTask"
+                f"task is a {kind}, allowed: SortTask, AssembleTask, PoseTask, FollowTask, FeedTask"
             )
-        self.hold_s = self._rules.hold_s
-        self.follows = isinstance(task, FollowTask)
+        self.follows, self.feeds = isinstance(task, FollowTask), isinstance(task, FeedTask)
+        self.hold_s = 0.0 if self.feeds else self._rules.hold_s
 
-    def begin(self, state: WorldState, period: float) -> Memory:
-        """Return what is to be remembered of a task that begins, while a cycle of a period [s]
-        runs."""
-        parts = _parts(state)
+    def begin(self, world: Simulation, running: PlateCycle) -> Memory:
+        """Return what is to be remembered of a task that begins, while a cycle runs."""
+        parts = _parts(world.state)
         if isinstance(self._rules, Poser):
             return self._rules.begin(parts)
         if isinstance(self._rules, Follower):
             none = np.zeros(len(parts))
             memory = Followed(self._rules.begin(parts, START_S), 0.0, none)
-            return self.look(memory, state, 0.0, period)
+            return self.look(memory, world, 0.0, running)
+        if isinstance(self._rules, Feeder):
+            return self.look(Feeding(self._rules.task, self._rig), world, 0.0, running)
         return None
 
-    def look(self, memory: Memory, state: WorldState, time: float, period: float) -> Memory:
-        """Take in where parts are at a time [s], while a cycle of a period [s] begins: references
-        go on, as slowly as parts that are behind ask for."""
-        if not isinstance(self._rules, Follower) or not isinstance(memory, Followed):
+    def look(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
+        """Take in where parts are at a time [s], while a cycle begins: references go on, as slowly
+        as parts that are behind ask for."""
+        if isinstance(memory, Feeding):
+            memory.look(world, time, running)
+        if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
             return memory
-        parts = _parts(state)
-        now = Situation(
-            parts=parts, stamp=time, start=time + period, rests=time + period, period=period,
-            motion_known=True, latency_known=True, predicted=parts.position,
-            shortfall=np.zeros(len(parts)), active=True, seen=parts, taken=time,
-        )  # fmt: skip
-        follow = self._rules.measure(memory.memory, now)
+        parts = _parts(world.state)
+        follow = self._rules.measure(memory.memory, _situation(parts, time, running.period))
         error = self._rules.errors(follow, parts, time)
         return Followed(follow, time, memory.square_m2 + error**2)
 
-    def told(self, memory: Memory) -> dict[str, np.ndarray]:
-        """Return what an agent learns of the references on paths: `path_s`, `pace`."""
+    def told(self, memory: Memory) -> dict[str, Any]:
+        """Return what an agent learns of references on paths, `path_s`, `pace`; of feeding."""
+        if isinstance(memory, Feeding):
+            return memory.told()
         if not isinstance(memory, Followed):
             return {}
         follow = memory.memory
@@ -156,8 +237,10 @@ class Judge:
 
     def references(self, memory: Memory, ids: tuple[str, ...]) -> np.ndarray:
         """Return where each part (M, 4) is to be, x and y, when the next cycle begins, and
-        `AHEAD_S` later [m, plate_home]; (M, 0) where no path is to be followed."""
-        if not isinstance(self._rules, Follower) or not isinstance(memory, Followed):
+        `AHEAD_S` later [m, plate_home]; of feeding `Feeding.wanted`; else (M, 0)."""
+        if isinstance(memory, Feeding):
+            return memory.wanted
+        if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
             return np.zeros((len(ids), 0))
         follow = memory.memory
         times = follow.anchor, follow.anchor + AHEAD_S
@@ -169,6 +252,8 @@ class Judge:
         rules, names = self._rules, states[0].ids
         if isinstance(rules, Follower):
             return _followed(rules, memories, states)
+        if isinstance(rules, Feeder):
+            return _fed(rules, memories)
         shape = len(states), len(names)
         error, turn = np.zeros(shape), np.zeros(shape)
         near_m, near_rad = SIGHT_M, np.inf
@@ -208,6 +293,27 @@ def _followed(rules: Follower, memories: list[Memory], states: list[WorldState])
     there = now <= rules.task.max_error_m + SIGHT_M
     kept = np.all(there, axis=1)
     return Score(rms, np.zeros(shape), there, to_go, at_end & kept, ~kept)
+
+
+def _fed(rules: Feeder, memories: list[Memory]) -> Score:
+    """Judge what was fed from N plates."""
+    none = np.zeros((len(memories), rows_of(rules.task)))
+    never = np.zeros(len(memories), bool)
+    fed = [memory for memory in memories if isinstance(memory, Feeding)]
+    picks = np.array([each.made.picks for each in fed])
+    over = np.array([each.time >= FEED_S - ROUNDING_S for each in fed])
+    enough = picks >= ENOUGH * MOST_PICKS
+    return Score(none, none, picks[:, None], MOST_PICKS - picks, over & enough, never)
+
+
+def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
+    """Return what the planner's rules are told of parts at a time [s], when a cycle begins that
+    lasts for a period and until it rests for a tail [s]."""
+    return Situation(
+        parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
+        motion_known=True, latency_known=True, predicted=parts.position,
+        shortfall=np.zeros(len(parts)), active=True, seen=parts, taken=time,
+    )  # fmt: skip
 
 
 def _parts(state: WorldState) -> Parts:

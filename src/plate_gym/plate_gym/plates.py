@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted
+from plate_core.tasks import FeedTask
 from plate_driver.setpoints import prepare
 from plate_sim.plate import Playback, next_playback
 from plate_sim.world import Simulation
 from plate_solver import Controller
 
-from .judge import Judge, Memory, Score
+from .judge import ROUNDING_S, Feeding, Judge, Memory, Score, rows_of
 from .motions import Motions
 from .tasks import WORLDS, chosen, scenario_of
 
@@ -41,14 +42,14 @@ OUT_M, FASTEST_MPS, NEVER_S = 0.05, 2.0, 1000.0
 """Bounds of `parts`: how far beyond the plate's edges [m], how fast [m/s], and how long ago a part
 was seen that never was [s]."""
 
+UNSEEN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -np.inf])
+"""Row of a part that was not seen so far."""
+
 LEAST_WAY_M = 0.01
 """A task with less of a way counts as one with so much, in rewards [m]."""
 
 SEEDS = 2**31
 """Of worlds where none is given, and of solvers: below this."""
-
-ROUNDING_S = 1e-6
-"""Sums of periods that differ by less are the same [s]."""
 
 
 def clocks() -> np.ndarray:
@@ -62,8 +63,8 @@ class Step(NamedTuple):
     Attributes
     ----------
     reward : (N,)
-        The way made good, as a share of the way at the start; 1 more if the task is done, 1 less
-        for each part that has left the plate.
+        The way made good, as a share of the way at the start, or parts picked, as a share of all
+        that could be; 1 more if the task is done, 1 less for each part that was lost.
     ended, over : (N,) bool
         Whether the task is done or a part is lost; whether time is up.
     info : dict of arrays (N, ...)
@@ -88,18 +89,17 @@ class Plate:
         self.noise = np.random.default_rng((seed, 1))
         self._seed = seed
         self.time = 0.0
-        self.memory: Memory = shared.judge.begin(self.simulation.state, IDLE_S)
         self.met_since: float | None = None
         self.done = False
-        self.dropped, self.to_go_m, self.first_m = 0, 0.0, 0.0
+        self.dropped, self.to_go, self.first = 0, 0.0, 0.0
         self.limit_share, self.scaled = 0.0, False
         self.solving_s = np.zeros(2)  # our solver, in all: see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
         self._playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
+        self.memory: Memory = shared.judge.begin(self.simulation, self.running)
         # x, y, drift along x and y, angle, time: as the parts were seen last
-        self.seen = np.zeros((len(self.simulation.state.ids), 6))
-        self.seen[:, 5] = -np.inf
+        self.seen = np.tile(UNSEEN, (len(self.ids), 1))
         if shared.observation == "image" and shared.rig.types:
             bare = [self.simulation.capture_bare() for _ in range(BARE_IMAGES)]
             self.bare = np.stack(bare)
@@ -109,6 +109,18 @@ class Plate:
         """The cycle that runs now: it began when the parts were as they are seen."""
         return self._playback.cycle
 
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Names of the parts by rows; empty: there is none."""
+        memory = self.memory
+        return tuple(memory.ids) if isinstance(memory, Feeding) else self.simulation.state.ids
+
+    @property
+    def lost(self) -> int:
+        """How many parts have left the plate as they were not to."""
+        memory = self.memory
+        return memory.made.lost if isinstance(memory, Feeding) else self.simulation.state.dropped
+
     @cached_property
     def controller(self) -> Controller:
         """Our solver, for levels of action that need one."""
@@ -117,17 +129,38 @@ class Plate:
     def begin(self, cycle: PlateCycle) -> None:
         """Take in that the cycle that ran has ended, and begin the next."""
         self.time += self._playback.cycle.period
+        if isinstance(self.memory, Feeding) and self.memory.rests:
+            cycle = PlateCycle.rest(IDLE_S)
         if self._shared.action == "motion":  # from rest to rest
             self._playback = Playback(cycle)
         else:
             self._playback = next_playback(self._playback, cycle, HOLD_CYCLES, IDLE_S)
-        state, period = self.simulation.state, self.running.period
-        self.memory = self._shared.judge.look(self.memory, state, self.time, period)
+        ids, judge = self.ids, self._shared.judge
+        self.memory = judge.look(self.memory, self.simulation, self.time, self.running)
+        if judge.feeds:
+            other = np.array([now != before for now, before in zip(self.ids, ids, strict=True)])
+            self.seen = np.where(other[:, None], UNSEEN, self.seen)
 
     def capture(self) -> None:
         """Take in the image of the start of the cycle that runs."""
         image = self.simulation.capture()
         self.image = self.image if image is None else image  # a missed one changes nothing
+
+    def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return where an image shows the parts (M, 2) [m], their angles (M,) [rad], and which of
+        them (M,), by rows; None: it is missed."""
+        sight, state = self.simulation.sight(), self.simulation.state
+        if sight is None:
+            return None
+        there = sight.seen & state.on_plate
+        if not self._shared.judge.feeds:
+            return sight.position, sight.angle, there
+        rows = np.array([state.ids.index(name) if name else -1 for name in self.ids])
+        return (  # of an empty row: the last
+            np.append(sight.position, [[0.0, 0.0]], axis=0)[rows],
+            np.append(sight.angle, 0.0)[rows],
+            np.append(there, False)[rows],
+        )
 
     def answer(self, action: Any) -> PlateCycle:
         """Return the cycle of an action, within the limits; not of `motion`."""
@@ -135,30 +168,38 @@ class Plate:
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
             began = clocks()
-            action = self.controller.answer(make(np.asarray(action, float)), self.running).cycle
+            wanted = make(np.asarray(action, float)[self._rows])
+            action = self.controller.answer(wanted, self.running).cycle
             self.solving_s += clocks() - began
         stamp = round(self.time * 1e9)
         table, fitted = prepare(self._shared.rig, action, stamp, before=self.running)
         self.limit_share, self.scaled = fitted.usage.overall, fitted.factor < 1
         return table.cycle
 
+    @property
+    def _rows(self) -> np.ndarray:
+        """Which rows (n,) actions are about: all; those of parts that were seen where these come
+        and go."""
+        return np.flatnonzero(np.isfinite(self.seen[:, 5]) | (not self._shared.judge.feeds))
+
     def _parts(self) -> Parts:
         """The parts as they were seen last."""
-        seen = self.seen
-        return Parts.make(self.simulation.state.ids, seen[:, :2], seen[:, 2:4], seen[:, 4])
+        ids, seen = tuple(self.ids[row] for row in self._rows), self.seen[self._rows]
+        return Parts.make(ids, seen[:, :2], seen[:, 2:4], seen[:, 4])
 
     def _forces(self, action: np.ndarray) -> Wanted:
-        """Return what (M, 2), in mu m g, asks for."""
-        return Wanted.make(self._parts(), action * self._shared.friction_limit[:, None])
+        """Return what (n, 2), in mu m g, asks for."""
+        return Wanted.make(self._parts(), action * self._shared.friction_limit[self._rows, None])
 
     def _progress(self, action: np.ndarray) -> Wanted:
-        """Return what places, weights, and angles with their weights, (M, 3) or (M, 5), ask for."""
-        rig, angle = self._shared.rig, self.seen[:, 4]
+        """Return what places, weights, and angles with their weights, (n, 3) or (n, 5), ask for."""
+        rig, angle = self._shared.rig, self.seen[self._rows, 4]
         place, weight = action[:, :2] * rig.plate.half, np.repeat(np.abs(action[:, 2:3]), 2, axis=1)
         angles = None
         if action.shape[1] == 5:
             goal = angle + (np.pi * action[:, 3] - angle + np.pi) % (2 * np.pi) - np.pi
-            angles = AngleTargets(goal, goal, np.abs(action[:, 4]) * self._shared.reach_m)
+            reach = self._shared.reach_m[self._rows]
+            angles = AngleTargets(goal, goal, np.abs(action[:, 4]) * reach)
         gap = GAP * rig.parts.radius_m
         return Wanted.make(self._parts(), targets=Targets(place, place, weight, gap, angles))
 
@@ -193,13 +234,13 @@ class Plates:
         self.scenario, self.rig = scenario_of(task)
         self.action, self.observation = action, observation
         self.judge, self.motions = Judge(self.scenario.task, self.rig), Motions(self.rig)
-        types = [self.rig.part_type(label) for label in self.scenario.labels]
+        types = [self.rig.part_type(label) for label in self._labels()]
         mu, mass = (np.array([getattr(t, k) for t in types], float) for k in ("mu", "mass_kg"))
         self.friction_limit = mu * mass * self.rig.friction.gravity
         self.reach_m = np.array([t.reach_m for t in types])
         self.turned = any(t.symmetry for t in types)
         high = np.array([*(self.rig.plate.half + OUT_M), FASTEST_MPS, FASTEST_MPS, np.pi, NEVER_S])
-        goals = np.tile(high[:2], 2 * self.judge.follows)
+        goals = np.ones(1) if self.judge.feeds else np.tile(high[:2], 2 * self.judge.follows)
         self.bounds = np.concatenate([-high[:5], [0.0], -goals]), np.append(high, goals)
         camera = self.rig.camera
         self.image_shape = (camera.height_px, camera.width_px) + (3,) * camera.colour
@@ -212,9 +253,9 @@ class Plates:
             self.plates[row] = Plate(self, seed)
         self._look([self.plates[row] for row in rows])
         score = self._score(rows)
-        for row, to_go in zip(rows, score.to_go_m, strict=True):
+        for row, to_go in zip(rows, score.to_go, strict=True):
             plate = self.plates[row]
-            plate.to_go_m, plate.first_m = to_go, max(to_go, LEAST_WAY_M)
+            plate.to_go, plate.first = to_go, max(to_go, LEAST_WAY_M)
         info = self._info(rows, score)
         bare = [plate.bare for row in rows if len((plate := self.plates[row]).bare)]
         return info | {"bare_images": np.stack(bare)} if bare else info
@@ -232,12 +273,12 @@ class Plates:
         count = len(plates)
         reward, ended, over = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
         for k, plate in enumerate(plates):
-            lost = plate.simulation.state.dropped - plate.dropped
-            gained = (plate.to_go_m - score.to_go_m[k]) / plate.first_m
-            plate.dropped, plate.to_go_m = plate.dropped + lost, score.to_go_m[k]
+            lost = plate.lost - plate.dropped
+            gained = (plate.to_go - score.to_go[k]) / plate.first
+            plate.dropped, plate.to_go = plate.dropped + lost, score.to_go[k]
             before = plate.done
             self._mark(plate, bool(score.met[k]))
-            failed = plate.dropped > 0 or score.failed[k]
+            failed = self._spoilt(plate) or score.failed[k]
             reward[k], ended[k] = gained - lost + (plate.done - before), plate.done or failed
             over[k] = not ended[k] and plate.time >= self.scenario.time_limit_s - ROUNDING_S
         return Step(reward, ended, over, self._info(rows, score))
@@ -249,7 +290,7 @@ class Plates:
         result = np.array([plate.seen for plate in self.plates])
         time = np.array([plate.time for plate in self.plates])
         result[..., 5] = np.minimum(time[:, None] - result[..., 5], NEVER_S)
-        goals = [self.judge.references(p.memory, p.simulation.state.ids) for p in self.plates]
+        goals = [self.judge.references(p.memory, p.ids) for p in self.plates]
         return np.clip(np.concatenate([result, np.stack(goals)], axis=2), *self.bounds)
 
     def _answers(self, plates: Sequence[Plate], actions: Sequence[Any]) -> list[PlateCycle]:
@@ -266,22 +307,22 @@ class Plates:
         if self.observation == "image":
             self._each(Plate.capture, plates)
             return
-        shown = [(plate, plate.simulation.sight()) for plate in plates]
+        shown = [(plate, plate.sighted()) for plate in plates]
         looked = [(plate, sight) for plate, sight in shown if sight is not None]
         if not looked:
             return
-        there = [sight.seen & plate.simulation.state.on_plate for plate, sight in looked]
+        sights = zip(*(sight for _, sight in looked), strict=True)
+        position, angle, there = map(np.array, sights)
         noise = np.array([p.noise.standard_normal((len(p.seen), 3)) for p, _ in looked])
         time = np.array([plate.time for plate, _ in looked])[:, None, None]
         before = np.array([plate.seen for plate, _ in looked])
         now = np.empty_like(before)
-        now[..., :2] = np.array([sight.position for _, sight in looked])
-        now[..., :2] += CENTRE_NOISE_M * noise[..., :2]
+        now[..., :2] = position + CENTRE_NOISE_M * noise[..., :2]
         now[..., 2:4] = (now[..., :2] - before[..., :2]) / (time - before[..., 5:])
-        angle = np.array([sight.angle for _, sight in looked]) + ANGLE_NOISE * noise[..., 2]
+        angle = angle + ANGLE_NOISE * noise[..., 2]
         now[..., 4] = (angle + np.pi) % (2 * np.pi) - np.pi
         now[..., 5:] = time
-        now = np.where(np.array(there)[..., None], now, before)
+        now = np.where(there[..., None], now, before)
         for (plate, _), seen in zip(looked, now, strict=True):
             plate.seen = seen
 
@@ -294,11 +335,22 @@ class Plates:
 
     def _mark(self, plate: Plate, met: bool) -> None:
         """Take in whether all is as asked: the task is done when it has been so long enough."""
-        if not met or plate.dropped:
+        if not met or self._spoilt(plate):
             plate.met_since = None
             return
         plate.met_since = plate.time if plate.met_since is None else plate.met_since
         plate.done = plate.time - plate.met_since >= self.judge.hold_s - ROUNDING_S
+
+    def _spoilt(self, plate: Plate) -> bool:
+        """Whether a part is lost for good: a feeder's hopper brings others."""
+        return plate.dropped > 0 and not self.judge.feeds
+
+    def _labels(self) -> tuple[str, ...]:
+        """Return the classes of the parts (M,) by rows. Where parts come and go they are alike."""
+        task = self.scenario.task
+        if isinstance(task, FeedTask):
+            return (task.picks[0].label,) * rows_of(task)
+        return self.scenario.labels
 
     def _score(self, rows: Sequence[int]) -> Score:
         plates = [self.plates[row] for row in rows]
@@ -310,13 +362,14 @@ class Plates:
             "error_m": score.error_m,
             "turn_error": score.turn_error,
             "there": score.there.sum(axis=1),
-            "to_go_m": score.to_go_m,
             "time_s": np.array([p.time for p in plates]),
             "dropped": np.array([p.dropped for p in plates]),
             "success": np.array([p.done for p in plates]),
             "limit_share": np.array([p.limit_share for p in plates]),
             "scaled": np.array([p.scaled for p in plates]),
         }
+        if not self.judge.feeds:
+            info["to_go_m"] = score.to_go
         told = [self.judge.told(p.memory) for p in plates]
         info |= {name: np.array([each[name] for each in told]) for name in told[0]}
         if self.action == "cycle":

@@ -51,7 +51,7 @@ def action_space(plates: Plates) -> spaces.Space:
     near to an edge or to another part; (M, 5) where parts have angles: then the angle over pi, and
     what the way of its rim counts. `cycle`: a `CycleSpace`.
     """
-    count = plates.scenario.count
+    count = len(plates.friction_limit)
     if plates.action == "cycle":
         return CycleSpace(plates.motions)
     if plates.action == "motion":
@@ -68,11 +68,12 @@ def observation_space(plates: Plates) -> spaces.Space:
     `parts` (M, 6), a row for each part, always the same: x, y [m, plate_home], drift along x and y
     [m/s], angle [rad], and how long ago the part was seen [s]; a part that was never seen is at 0.
     (M, 10) where paths are followed: then where it is to be when the next cycle begins, x and y
-    [m, plate_home], and 0.1 s later.
+    [m, plate_home], and 0.1 s later. (M, 7) where parts come and go: then 1 for one that is wanted,
+    -1 for one that is not, 0 for an empty row, which is as of a part that was never seen.
     `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
     """
     if plates.observation == "image":
         return spaces.Box(0, 255, plates.image_shape, np.uint8)
-    shape = (plates.scenario.count, 1)
+    shape = (len(plates.friction_limit), 1)
     low, high = (np.tile(bound, shape) for bound in plates.bounds)
     return spaces.Box(low, high, dtype=np.float64)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import yaml
 
 from plate_core import PlateError, Rig, config_path, did_you_mean, load_rig
-from plate_core.tasks import Scenario, load_scenario
+from plate_core.tasks import FeedTask, Scenario, load_scenario
 from plate_sim.world import NONE, Disturbances
 
 Value = TypeVar("Value")
@@ -58,8 +58,13 @@ TASKS = {
     "Follow1-v1": ("follow_1", "7ff500bbf5727d5f"),
     "Follow2-v1": ("follow_2", "a308ffcb1e295d1c"),
     "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
+    "Feed-v1": ("feed", "5b99341f03a50dbc"),
 }
 """Name -> scenario, and the digest of all that its file and its rig's say."""
+
+
+FEED_S = 60.0
+"""How long feeding goes on, which has no end of its own [s]."""
 
 
 def scenario_of(task: str) -> tuple[Scenario, Rig]:
@@ -71,6 +76,8 @@ def scenario_of(task: str) -> tuple[Scenario, Rig]:
         If there is no such task.
     """
     scenario = load_scenario(chosen("task", task, TASKS)[0])
+    if isinstance(scenario.task, FeedTask):
+        scenario = replace(scenario, time_limit_s=FEED_S)
     return scenario, load_rig(scenario.rig)
 
 

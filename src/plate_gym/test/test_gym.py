@@ -55,7 +55,7 @@ def equal(one, many):
     [
         ("Sort10-v1", "motion", "parts"), ("Sort4-v1", "forces", "parts"),
         ("Letters-v1", "progress", "parts"), ("Assemble8-v1", "cycle", "image"),
-        ("Follow5-v1", "motion", "parts"),
+        ("Follow5-v1", "motion", "parts"), ("Feed-v1", "progress", "parts"),
     ],
 )  # fmt: skip
 def test_gymnasium_finds_nothing_wrong(gym, task, action, observation, recwarn):
@@ -93,6 +93,8 @@ def test_tasks_say_what_they_said(gym):
         ("Sort4-v1", {"world": "misses", "observation": "image"}, 2),
         ("Sort4-v1", {"action": "forces"}, 2),
         ("Follow2-v1", {}, 6),
+        ("Feed-v1", {"world": "held_out"}, 12),
+        ("Feed-v1", {"action": "forces"}, 3),
     ],
 )
 def test_many_plates_do_as_one(gym, task, settings, steps):
@@ -121,14 +123,21 @@ def test_a_plate_that_has_ended_begins_anew(gym):
     assert not np.any([reward[1:], ended[1:], over[1:]])
 
 
-@pytest.mark.parametrize("action", ["motion", "cycle", "forces"])
+@pytest.mark.parametrize(
+    ("task", "action"),
+    [("Corners12-v1", level) for level in ("motion", "cycle", "forces")] + [("Feed-v1", "motion")],
+)
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_alike(gym, action, copied):
-    many = gym.PlateVectorEnv("Corners12-v1", 2, action=action, threads=2)
+def test_a_copy_goes_on_alike(gym, task, action, copied):
+    many = gym.PlateVectorEnv(task, 2, action=action, threads=2)
     many.reset(seed=3)
     many.step(many.action_space.sample())
     twin, actions = copied(many), many.action_space.sample()
-    assert np.array_equal(many.step(actions)[0], twin.step(actions)[0])
+    for _ in range(8 if task == "Feed-v1" else 1):  # the robot takes a part meanwhile
+        (seen, *_, info), (again, *_, same) = many.step(actions), twin.step(actions)
+        assert np.array_equal(seen, again)
+    assert np.array_equal(info["there"], same["there"])
+    assert task != "Feed-v1" or info["there"].any()
 
 
 def test_a_forked_process_goes_on(gym):
@@ -296,6 +305,66 @@ def test_what_counts(gym):
     assert not info["success"]
 
 
+def test_a_part_that_the_robot_takes_counts(gym):
+    """It asks at 0 s and, as three lie ready, grips one 0.4 of its 2 s later, and one each 2 s:
+    that which is nearest to the middle of the window. 0.3 s after a grip it has left, and 1.2 s
+    after it asks again: meanwhile another is to be got ready, and actions count."""
+    env = gym.PlateEnv("Feed-v1", render_mode="rgb_array")
+    seen, info = env.reset(seed=0)
+    assert seen[:, 6].tolist() == [1.0] * 10 + [0.0] * 5
+    simulation = env.plates.plates[0].simulation
+    simulation.remove("black_10")
+    simulation.place("", "grey", np.array([-0.25, 0.1]))
+    ready = {"black_2": (0.1, 0.01), "black_5": (0.1, -0.06), "black_7": (0.2, 0.05)}
+    for k in range(1, 10):
+        place = ready.get(f"black_{k}", (0.03 * k - 0.28, -0.13))
+        simulation.place(f"black_{k}", "", np.array(place))
+    taken, rests = [], []
+    for step in range(1, 32):
+        seen, reward, *_, info = env.step(np.full(env.action_space.shape, float(info["rests"])))
+        rests.append(bool(info["rests"]))
+        if reward:
+            taken.append((step, reward, int(info["there"]), [*np.flatnonzero(info["ids"] == "")]))
+        if step == 7:
+            before = env.render().astype(float)
+        if step == 8:
+            assert np.max(np.abs(env.render() - before)) > 50
+            true = dict(zip(simulation.state.ids, simulation.state.position.tolist(), strict=True))
+            assert true["black_5"] == [0.1, -0.06]  # it rests, whatever the action
+            assert seen[1].tolist() == [0, 0, 0, 0, 0, 1000, 0]
+            assert info["ids"][10] == "grey_1"  # row 9 had just become empty
+            assert seen[10, 6] == -1
+    assert taken == [(8, 1 / 30, 1, [1]), (28, 1 / 30, 2, [1, 4])]
+    assert rests == [True] * 10 + [False] * 9 + [True] * 11 + [False]
+    assert info["waiting"] == 0
+
+
+def test_parts_that_leave_count_unless_they_are_meant_to(gym):
+    """The chute is to the right; what is lost costs, and ends nothing."""
+    env = gym.PlateEnv("Feed-v1")
+    for label, x, lost in (("grey", 0.299, 0), ("grey", -0.299, 1), ("black", 0.299, 1)):
+        env.reset(seed=0)
+        plate = env.plates.plates[0].simulation
+        name = plate.place("", label, np.array([np.sign(x) * 0.28, 0.0]))
+        row = plate.state.ids.index(name)
+        plate.state.position[row], plate.state.velocity[row] = [x, 0.0], [np.sign(x) * 2, 0.0]
+        _, reward, ended, over, info = env.step(np.zeros(env.action_space.shape))
+        assert (reward, ended, over, info["dropped"]) == (-lost, False, False, lost)
+        assert name not in info["ids"]
+
+
+def test_who_has_fed_27_parts_in_a_minute_has_done_it(gym):
+    env = gym.PlateEnv("Feed-v1")
+    for picks, done in ((26, False), (27, True)):
+        env.reset(seed=0)
+        plate = env.plates.plates[0]
+        plate.memory._cell.tally.picks, plate.time = picks, 59.85
+        for last in (False, True):
+            _, reward, ended, over, info = env.step(np.zeros(env.action_space.shape))
+            assert (ended, over, info["success"]) == (last and done, last and not done, ended)
+        assert (info["there"], reward) == (picks, done)
+
+
 def test_who_is_where_the_path_leads_has_followed_it(gym):
     """Two laps on a circle of 120 mm: 8.02 s at the greatest speed whose v^2/r is 0.12 mu g."""
     env = gym.PlateEnv("Follow1-v1")
@@ -341,6 +410,20 @@ def test_ours_follows_the_references_that_it_is_told(gym):
         seen, *_, info = env.step(agent.act(seen, info))
     assert np.max(info["error_m"]) < 2e-4
     assert np.min(np.hypot(*(seen[:, :2] - seen[:, 6:8]).T)) > 3e-3  # at 40 mm/s
+
+
+def test_ours_feeds_as_fast_as_the_robot_takes(gym):
+    """Who does nothing feeds what happens to lie ready."""
+    from plate_gym.agents import AGENTS, Brief
+
+    for works in (True, False):
+        env = gym.PlateEnv("Feed-v1", action="cycle")
+        seen, info = env.reset(seed=0)
+        agent = AGENTS["B"](Brief.of(env), 0)
+        while info["time_s"] < 19:
+            seen, *_, info = env.step(agent.act(seen, info) if works else PlateCycle.rest(0.1))
+        assert info["dropped"] == 0
+        assert (info["there"] == 10) == (info["waiting"] == 0) == works
 
 
 def test_what_is_seen(gym):

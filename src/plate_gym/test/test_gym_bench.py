@@ -374,7 +374,7 @@ def test_the_papers_method_has_the_forces_it_asks_for(bench, monkeypatch):
     force = average_force(cycle, place, np.zeros_like(place))
     asked = 0.03 / (0.25 * 9.81 * 0.2) * np.array([-1, -1, 1, 1])
     assert force == pytest.approx(np.column_stack([asked, 0 * asked]), abs=2e-3)
-    with pytest.raises(PlateError, match="assemble_letters asks for angles, allowed: tasks that"):
+    with pytest.raises(PlateError, match="task is assemble_letters, allowed: sort, assemble, "):
         bench.episode("1998", "nominal", "Letters-v1", 0)
 
 
