@@ -30,11 +30,12 @@ The rules:
   until it lies elsewhere. Meanwhile one more is got ready in its place, for the planner counts it.
 - Of several parts the one with the fewest failed picks is offered; of these the one nearest to the
   middle of its pick window.
-- The hopper is opened for what is missing to `fill` when there are fewer parts than `least`, unless
-  a part is reserved or the plate is purged, and not again within `FALLEN_S` of its closing. Until
-  then no part is offered that lies within two spreads of the place where they fall, and no plate
-  counts as purged. It is shut when a purge begins, and when the task ends. After
-  `MOST_OPENINGS` that brought nothing it counts as empty; each new command has it tried once more.
+- The hopper is opened for what is missing to `fill` when there are fewer parts than `least`, or
+  none of the class that is waited for, unless a part is reserved or the plate is purged, and not
+  again within `FALLEN_S` of its closing. Until then no part is offered that lies within two spreads
+  of the place where they fall, and no plate counts as purged. It is shut when a purge begins, and
+  when the task ends. After `MOST_OPENINGS` that brought nothing it counts as empty; each new
+  command has it tried once more.
 """
 
 from __future__ import annotations
@@ -636,11 +637,12 @@ class Feeder:
                 "openings of the hopper brought nothing",
             )
         elif now >= waiting.until:
-            quantity = self.quantity()
+            quantity, label = self.quantity(), waiting.wanted.label
             self._answer_waiting(
                 Code.NO_PART,
-                f"no {waiting.wanted.label or 'part'} was ready within {waiting.timeout_s:g} s: "
-                f"{sum(quantity.seen.values())} on the plate, {quantity.ready} of any class ready"
+                f"no {label or 'part'} was ready within {waiting.timeout_s:g} s: "
+                f"{sum(quantity.seen.values())} on the plate, {self._on_plate(label)} of them "
+                f"{label or 'wanted'}, {quantity.ready} of any class ready"
                 + (", the hopper is empty" if self.hopper_empty else ""),
             )
 
@@ -786,7 +788,9 @@ class Feeder:
             self._opened = None
         if self._reserved is not None or purging or self.silence(now):
             return None
-        if self._opened is not None or self.hopper_empty or total >= hopper.least:
+        absent = self._waiting is not None and not self._on_plate(self._waiting.wanted.label)
+        enough = hopper.fill if absent else hopper.least
+        if self._opened is not None or self.hopper_empty or total >= enough:
             return None
         open_s = min((hopper.fill - total) / hopper.rate, LONGEST_OPEN_S)
         self._opened, self._look_at = came, now + open_s + FALLEN_S

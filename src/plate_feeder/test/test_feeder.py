@@ -574,6 +574,17 @@ def test_the_hopper_opens_for_what_is_missing_and_not_before_that_can_be_seen():
     assert len(cell.opened) == 2
 
 
+def test_a_hopper_opens_for_a_class_that_is_waited_for_and_not_there():
+    cell = Cell(replace(TASK, picks=(BLACK, GREY), hopper=HOPPER), ready=(), seen={"black": 9})
+    cell.get("black", timeout_s=1.0)
+    cell.answer()
+    assert not cell.opened
+    cell.get("grey", timeout_s=2.0)
+    reply = cell.answer()
+    assert [duration for _, duration in cell.opened] == [pytest.approx(1 / HOPPER.rate)] * 2
+    assert reply.text.endswith("9 on the plate, 0 of them grey, 0 of any class ready")
+
+
 def test_a_hopper_that_brings_nothing_is_empty_and_tried_again_by_a_command():
     cell = Cell(replace(TASK, hopper=HOPPER, timeout_s=60.0), ready=(), seen={"black": 0})
     cell.get()
