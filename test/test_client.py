@@ -32,7 +32,8 @@ def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch
         assert result["unanswered"] == 0, result
         assert result["wrong ones that began"] == 0, result
         assert result["plate rests"], result
-        assert {"INVALID_GOAL", "CANCELED", "BUSY"} <= result["reasons"].keys(), result
+        # How many of the others were canceled, preempted or refused is a matter of the moment.
+        assert result["reasons"]["INVALID_GOAL"] >= result["wrong"] > 0, result
         check_a_planner_that_dies(graph, monkeypatch)
 
 

@@ -338,7 +338,8 @@ class Observer:
             if waited_s > allowed_s:
                 raise GraphError(
                     f"images are not answered within {allowed_s:.0f} s: {self.blame()} "
-                    f"({self.record.images.count} images seen)"
+                    f"({self.node.count_publishers('plate_cycle')} publishers of plate_cycle seen, "
+                    f"{len(self.record.tables)} motor tables)"
                 )
 
     def blame(self) -> str:
