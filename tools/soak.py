@@ -125,7 +125,10 @@ def main() -> int:
     result = None
     with signals_raise(), suppress(Interrupted), tempfile.TemporaryDirectory() as logs:
         friction = dict.fromkeys(("friction_spread", "friction_patches"), args.uneven)
-        for now in work_again(options, Path(logs), lambda _: time.monotonic() > until, friction):
+        tasks = work_again(
+            options, Path(logs), lambda _: time.monotonic() > until, world=friction
+        )  # fmt: skip
+        for now in tasks:
             print(line(now.tasks[-1]), flush=True)
             result = {**summed_up(now), "load": [load, os.getloadavg()[2]]}
             if args.json:  # after each task: a run that is cut short has its table too

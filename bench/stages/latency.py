@@ -41,7 +41,7 @@ def measure(quick: bool) -> Result:
 
 def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Run the graph and the forwarders; return the rows of the stages, and the shares of a core."""
-    from graph.series import stages_ms, work_again
+    from graph.series import TASK_S, stages_ms, work_again
 
     from plate_bringup import RunOptions
 
@@ -53,7 +53,7 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
             Path(logs),
             lambda series: len(series.tasks) >= most,
             beside=True,
-            **({"longest_s": QUICK_S} if quick else {}),
+            longest_s=QUICK_S if quick else TASK_S,
         )
         *_, series = run
     real, beside = stages_ms(series.hops()), stages_ms(series.hops("beside"))

@@ -96,9 +96,9 @@ def work_again(
     options: RunOptions,
     logs: Path,
     done: Callable[[Series], bool],
-    world: Mapping[str, float] | None = None,
     beside: bool = False,
     longest_s: float = TASK_S,
+    world: Mapping[str, float] | None = None,
 ) -> Iterator[Series]:
     """Run tasks in real time until `done`; yield after each what was seen so far.
 
@@ -109,12 +109,12 @@ def work_again(
     logs : path
         Folder for the nodes' logs.
     done : callable
-    world : mapping, optional
-        Parameters of the simulator.
     beside : bool
         Whether a graph that only forwards runs meanwhile.
     longest_s : float
         A task is broken off after that long [s].
+    world : mapping, optional
+        Parameters of the simulator.
     """
     with ExitStack() as stack:
         graph = stack.enter_context(session(options, logs, pictures=False))
