@@ -233,9 +233,9 @@ def test_an_interrupt_leaves_nothing_running(tmp_path):
         process.send_signal(signal.SIGINT)
         time.sleep(0.1)
         process.send_signal(signal.SIGINT)  # impatience
-        output, _ = process.communicate(timeout=30)
+        output, errors = process.communicate(timeout=30)
         assert time.monotonic() - began < 10
-    assert process.returncode == 130
+    assert process.returncode == 130, output + errors
     assert output.endswith("demo: SIGINT, all nodes are stopped\n")
     assert marked(mark) == []
     result = json.loads((tmp_path / "result.json").read_text())  # what was done so far is kept
