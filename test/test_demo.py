@@ -186,7 +186,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     assert result["exit_codes"] == dict.fromkeys([*result["nodes"], "page"], 0)
     assert result["setpoints_within_limits"] is True
     # Topics keep five messages for who is slow to read: on a busy computer the demo misses some.
-    assert min(result["motor_setpoints"], result["cycles"]) > 5
+    assert min(result["motor_setpoints"], result["cycles"]) > 10
     assert result["rms_error_m"] < 0.002
     assert result["time_s"] == pytest.approx(0.03 / 0.01, abs=1)
     with Image.open(tmp_path / "strip.png") as strip:

@@ -25,6 +25,7 @@ from graph.series import Series, Task, work_again
 from scipy import stats
 
 from plate_bringup import RunOptions
+from plate_core import PlateError
 
 SETTLED_S = 600.0
 """Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""
@@ -141,4 +142,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except PlateError as error:
+        sys.exit(f"soak: {error}")
