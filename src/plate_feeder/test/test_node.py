@@ -118,6 +118,8 @@ class Graph:
             raise
         self.planner = Planner(clock)
         self.node = self.planner.node
+        for node in (self.feeder, self.node):
+            clock.lead(node.get_clock())
         self.executor.add_node(self.node)
         self.actions = {
             "get_part": ActionClient(self.node, GetPart, "get_part"),
