@@ -1,5 +1,6 @@
 """The feeder in the real graph: a robot takes parts over TCP; stops, and what comes after them."""
 
+import json
 import re
 
 import pytest
@@ -7,7 +8,8 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from graph.robot import Robot, feed_result
+from graph.observer import Record
+from graph.robot import Grip, Robot, feed_result
 from graph.session import session
 from light_graph import LightOptions
 from std_srvs.srv import Trigger
@@ -106,6 +108,14 @@ def test_a_plate_with_a_reserved_part_rests_and_a_stop_is_told_at_once(graph, ro
     code, text = robot.ask("get_part")
     assert code == 200, text
     assert robot.ask("part_taken failed")[0] == 200
+
+
+@pytest.mark.parametrize(("error_m", "success"), [(1e-4, True), (2e-3, False)])
+def test_a_part_that_lay_elsewhere_is_no_success_and_the_result_can_be_written(error_m, success):
+    grip = Grip("black_1", 0.0, True, error_m, 0.0, "black_1 is taken", 2.0)
+    result = feed_result([grip], Record(states=["running"]), 1, ["black"])
+    assert json.loads(json.dumps(result)) == result
+    assert result["success"] is success
 
 
 def test_a_second_client_does_not_end_the_reservation_of_another(graph, robot):

@@ -198,7 +198,7 @@ def feed_result(
         for name in ("parts dropped", "parts over the chute", *astray)
     }
     lost = gone["parts dropped"] + sum(gone[name] for name in astray)
-    near = bool(taken) and away.max() <= NEAR_MM and turned.max() <= NEAR_DEG
+    near = bool(taken) and bool(away.max() <= NEAR_MM and turned.max() <= NEAR_DEG)
     return {
         "success": len(taken) >= picks and near and lost == 0,
         "message": record.states[-1] if len(taken) < picks else "",

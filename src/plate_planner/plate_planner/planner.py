@@ -409,6 +409,7 @@ class Planner:
             taken=estimator.taken,
             kept=state.kept,
             late=estimator.log.delay,
+            resting_since=estimator.resting_since,
         )
 
     def _ask(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import Parts, PlateError, load_rig
+from plate_core import Parts, PlateCycle, PlateError, load_rig
 from plate_core.tasks import FeedMode, FeedOrder, Pick, Side, load_scenario
 from plate_planner import Phase, Planner
 from plate_planner.tasks import Feeder
@@ -109,6 +109,34 @@ def test_it_is_not_at_rest_before_the_last_motion_has_ended():
         told.append(memory.report.at_rest)
     # Image 1 is answered by the first rest, which begins at image 2, when parts still drift.
     assert told == [False, False, True]
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["told", "untold"])
+def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(told):
+    """The answer to image 0 begins at image 4, long after the order to rest; `told`: whether that
+    is heard at once, or only with the image after."""
+    feed = Planner(RIG, replace(SCENARIO, task=TASK))
+    state, still = feed.start(feed.initial()), []
+    push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])
+    rest, push = PlateCycle.rest(T), PlateCycle.from_samples(T, push)
+    crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
+    for k in range(10):
+        played = push if k == 4 else rest
+        if told or k != 4:
+            state = feed.started(state, played, k * T, triggered=True)
+        state, wanted, _ = feed.plan(state, crowd, k * T)
+        assert bool(wanted.parts.ids) is (k == 0)
+        still.append(state.memory.report.at_rest)
+        if k == 0:
+            feed = feed.order(state, FeedOrder(FeedMode.REST))
+        elif k == 3:
+            for asked, answer in enumerate([push, rest, rest, rest]):
+                state = feed.hear(state, answer, k * T + 0.09, asked * T)
+        elif k == 4:
+            state = feed.started(state, played, k * T, triggered=True)
+        else:
+            state = feed.hear(state, rest, k * T, k * T) if k > 3 else state
+    assert still == [k > 5 for k in range(10)]
 
 
 def test_a_part_that_moves_on_a_plate_at_rest_is_not_ready():

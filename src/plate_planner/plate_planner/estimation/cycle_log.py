@@ -83,6 +83,8 @@ class CycleLog:
     delays : tuple of int
         By how many cycles the last answers began later than at the end of the cycle that they
         answer.
+    answered : float
+        When the cycle began that the last cycle sent answers [s]; minus infinity: none was sent.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -90,6 +92,7 @@ class CycleLog:
     reported: bool = False
     delays: tuple[int, ...] = ()
     told: float = -math.inf
+    answered: float = -math.inf
 
     @property
     def known(self) -> bool:
@@ -170,7 +173,7 @@ class CycleLog:
         if asked is None:
             asked = self.begin if self.runs else arrival
         before = self.sent[-LATEST:] if math.isfinite(self.told) else ()
-        return replace(self, sent=(*before, Sent(arrival, cycle, asked)))
+        return replace(self, sent=(*before, Sent(arrival, cycle, asked)), answered=asked)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Take in the report that the plate began a cycle at `begin` [s]; `triggered` tells that
@@ -178,7 +181,8 @@ class CycleLog:
         if not _playable(cycle):
             return self
         if self.runs and begin < self.begin - MEMORY_S:
-            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)  # time is anew
+            # Time is anew.
+            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)
         if begin <= self.told and any(
             begin == start and _same(cycle, run) for start, run in self.runs
         ):
@@ -196,7 +200,7 @@ class CycleLog:
                     )
                     delays = (*delays, late)[-DELAYS_KEPT:]
                 break
-        return CycleLog((*kept, (begin, cycle)), sent, not triggered, delays, begin)
+        return CycleLog((*kept, (begin, cycle)), sent, not triggered, delays, begin, self.answered)
 
     def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
@@ -213,7 +217,8 @@ class CycleLog:
         if self.runs and t < (self.runs[0][0] if self.begin == self.told else self.begin):
             log = CycleLog()  # time began anew
         elif self.runs and t > self.end + MEMORY_S:
-            log = CycleLog(sent=self.sent)  # nothing has been seen for long
+            # Nothing has been seen for long.
+            log = CycleLog(sent=self.sent, answered=self.answered)
         if not log.runs:
             return log._begin(t)
         while log.end <= t - SNAP * (log.end - log.begin):

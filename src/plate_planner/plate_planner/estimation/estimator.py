@@ -283,8 +283,9 @@ class Estimator:
     def update(self, parts: Parts, t: float, coast: int = COAST) -> Estimator:
         """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
         for `coast` images."""
-        log, hypotheses = self.log.advance(t), self.latency
+        log, hypotheses, request = self.log.advance(t), self.latency, self.request
         if self.clock.went_back(t):
+            request = LastRequest()
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
             hypotheses = replace(hypotheses, estimate=forgotten)
         if not log.reported and abs(t - log.told) < STARTS_S:
@@ -310,7 +311,7 @@ class Estimator:
             turning = turning.update(log, parts, taken - latency.latency)
         return replace(
             self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd,
-            turning=turning,
+            turning=turning, request=request,
         )  # fmt: skip
 
     @property
@@ -361,11 +362,20 @@ class Estimator:
     @property
     def at_rest(self) -> bool:
         """Whether parts and plate lay still when the last image was taken."""
-        since = self.log.resting_since
-        if not self.log.known:  # what was asked last is done in the cycle after the image
-            asked = self.request.stamp
-            since = asked + 2 * self.period if asked <= self.stamp else -np.inf
-        return self.taken >= since + SETTLE_S
+        return self.taken >= self.resting_since + SETTLE_S
+
+    @property
+    def resting_since(self) -> float:
+        """Since when the plate has been at rest, to stay so until motion is asked for again [s];
+        infinite while it moves, and where it may: an answer that is late may still begin, and of a
+        cycle that was not reported it is not known what it is."""
+        log, asked = self.log, self.request.stamp
+        if not log.known:  # what was asked last is done in the cycle after the image
+            return asked + 2 * self.period if asked <= self.stamp else -np.inf
+        shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
+        unreported = np.isfinite(log.told) and log.told < shown
+        unanswered = np.isfinite(asked) and log.answered <= asked
+        return np.inf if unreported or unanswered else log.resting_since
 
     @property
     def period(self) -> float:

@@ -221,7 +221,7 @@ class Feeder(TaskRules):
         ready = np.zeros(len(every), dtype=bool)
         for pick in self._picks:
             ready |= ready_parts(every, pick, self.task.clearance_m, self.rig, gap)
-        at_rest = now.taken >= rest_from + SETTLE_S
+        at_rest = now.taken >= max(rest_from, now.resting_since) + SETTLE_S
         if at_rest and not now.kept:
             last = [memory.place.get(name, (np.inf, np.inf)) for name in every.ids]
             moved = np.hypot(*(every.position - np.reshape(last, (-1, 2))).T)

@@ -124,6 +124,8 @@ class Situation:
         Whether that image did not count: see `TaskRules.keeps_last`.
     late : int
         By how many cycles answers begin late: as uncertain is what runs until `start`.
+    resting_since : float
+        Since when the plate has been at rest, as far as is known [s]; infinite if it has not.
     """
 
     parts: Parts
@@ -140,6 +142,7 @@ class Situation:
     taken: float
     kept: bool = False
     late: int = 0
+    resting_since: float = -np.inf
 
 
 @dataclass(frozen=True)
