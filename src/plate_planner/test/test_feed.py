@@ -111,32 +111,35 @@ def test_it_is_not_at_rest_before_the_last_motion_has_ended():
     assert told == [False, False, True]
 
 
-@pytest.mark.parametrize("told", [True, False], ids=["told", "untold"])
-def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(told):
-    """The answer to image 0 begins at image 4, long after the order to rest; `told`: whether that
-    is heard at once, or only with the image after."""
+@pytest.mark.parametrize(
+    ("begins", "told", "came"),
+    [(4, 4, 3.9), (4, 5, 3.9), (6, 6, 5.5)],
+    ids=["told at once", "told with the image after", "the planner is behind"],
+)
+def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begins, told, came):
+    """The answer to image 0 begins with an image, long after the order to rest, is told of with one,
+    and with it rest that was asked for since; all are heard after image 3, when it was `came` by
+    the clock."""
     feed = Planner(RIG, replace(SCENARIO, task=TASK))
     state, still = feed.start(feed.initial()), []
     push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])
     rest, push = PlateCycle.rest(T), PlateCycle.from_samples(T, push)
     crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
-    for k in range(10):
-        played = push if k == 4 else rest
-        if told or k != 4:
-            state = feed.started(state, played, k * T, triggered=True)
+    for k in range(12):
+        if k == told > begins:
+            state = feed.started(state, push, begins * T, triggered=True)
+        if k != begins or told == begins:
+            state = feed.started(state, push if k == begins else rest, k * T, triggered=True)
         state, wanted, _ = feed.plan(state, crowd, k * T)
         assert bool(wanted.parts.ids) is (k == 0)
         still.append(state.memory.report.at_rest)
         if k == 0:
             feed = feed.order(state, FeedOrder(FeedMode.REST))
-        elif k == 3:
-            for asked, answer in enumerate([push, rest, rest, rest]):
-                state = feed.hear(state, answer, k * T + 0.09, asked * T)
-        elif k == 4:
-            state = feed.started(state, played, k * T, triggered=True)
-        else:
-            state = feed.hear(state, rest, k * T, k * T) if k > 3 else state
-    assert still == [k > 5 for k in range(10)]
+        elif k >= 3:
+            for asked in range(4) if k == 3 else [k]:
+                answer = rest if asked else push
+                state = feed.hear(state, answer, max(came, k) * T, asked * T)
+    assert still == [k > begins + 1 for k in range(12)]
 
 
 def test_a_part_that_moves_on_a_plate_at_rest_is_not_ready():

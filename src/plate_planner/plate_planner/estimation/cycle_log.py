@@ -85,6 +85,9 @@ class CycleLog:
         answer.
     answered : float
         When the cycle began that the last cycle sent answers [s]; minus infinity: none was sent.
+    quiet : float
+        When the first came of the last cycles sent that all are at rest [s]; infinite: the last one
+        moves, or none was sent.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -93,6 +96,7 @@ class CycleLog:
     delays: tuple[int, ...] = ()
     told: float = -math.inf
     answered: float = -math.inf
+    quiet: float = math.inf
 
     @property
     def known(self) -> bool:
@@ -173,7 +177,9 @@ class CycleLog:
         if asked is None:
             asked = self.begin if self.runs else arrival
         before = self.sent[-LATEST:] if math.isfinite(self.told) else ()
-        return replace(self, sent=(*before, Sent(arrival, cycle, asked)), answered=asked)
+        sent = (*before, Sent(arrival, cycle, asked))
+        quiet = math.inf if cycle.moves else min(self.quiet, arrival)
+        return replace(self, sent=sent, answered=asked, quiet=quiet)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Take in the report that the plate began a cycle at `begin` [s]; `triggered` tells that
@@ -181,8 +187,7 @@ class CycleLog:
         if not _playable(cycle):
             return self
         if self.runs and begin < self.begin - MEMORY_S:
-            # Time is anew.
-            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)
+            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)  # time is anew
         if begin <= self.told and any(
             begin == start and _same(cycle, run) for start, run in self.runs
         ):
@@ -200,7 +205,10 @@ class CycleLog:
                     )
                     delays = (*delays, late)[-DELAYS_KEPT:]
                 break
-        return CycleLog((*kept, (begin, cycle)), sent, not triggered, delays, begin, self.answered)
+        runs = (*kept, (begin, cycle))
+        return replace(
+            self, runs=runs, sent=sent, reported=not triggered, delays=delays, told=begin
+        )
 
     def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
@@ -218,7 +226,7 @@ class CycleLog:
             log = CycleLog()  # time began anew
         elif self.runs and t > self.end + MEMORY_S:
             # Nothing has been seen for long.
-            log = CycleLog(sent=self.sent, answered=self.answered)
+            log = CycleLog(sent=self.sent, answered=self.answered, quiet=self.quiet)
         if not log.runs:
             return log._begin(t)
         while log.end <= t - SNAP * (log.end - log.begin):

@@ -367,15 +367,16 @@ class Estimator:
     @property
     def resting_since(self) -> float:
         """Since when the plate has been at rest, to stay so until motion is asked for again [s];
-        infinite while it moves, and where it may: an answer that is late may still begin, and of a
-        cycle that was not reported it is not known what it is."""
+        infinite while it moves, and where it may: as long as the cycle of the last image is not
+        reported, and none that began after an answer to rest had come."""
         log, asked = self.log, self.request.stamp
         if not log.known:  # what was asked last is done in the cycle after the image
             return asked + 2 * self.period if asked <= self.stamp else -np.inf
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
-        unreported = np.isfinite(log.told) and log.told < shown
-        unanswered = np.isfinite(asked) and log.answered <= asked
-        return np.inf if unreported or unanswered else log.resting_since
+        may_come = np.isfinite(asked) and log.answered <= asked
+        if np.isfinite(log.told):
+            may_come |= log.told < shown or (np.isfinite(asked) and log.told < log.quiet)
+        return np.inf if may_come else log.resting_since
 
     @property
     def period(self) -> float:
