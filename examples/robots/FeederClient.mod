@@ -43,7 +43,7 @@ MODULE FeederClient
     VAR string line;
     VAR robtarget at;
     WHILE TRUE DO
-      line := Ask("get_part", 60);
+      line := Ask("get_part 30", 35);
       IF StrPart(line, 1, 4) = "200 " THEN
         at := pAbovePlate;
         at.trans := [Number(line, " x="), Number(line, " y="), zPick];

@@ -32,10 +32,11 @@ The rules:
   middle of its pick window.
 - The hopper is opened for what is missing to `fill` when there are fewer parts than `least`, or
   none of the class that is waited for, unless a part is reserved or the plate is purged, and not
-  again within `FALLEN_S` of its closing. Until then no part is offered that lies within two spreads
-  of the place where they fall, and no plate counts as purged. It is shut when a purge begins, and
-  when the task ends. After `MOST_OPENINGS` that brought nothing it counts as empty; each new
-  command has it tried once more.
+  again within `FALLEN_S` of its closing, nor before an image that was taken while no part was
+  reserved: the planner counts nothing new while a robot hides parts. Until then no part is offered
+  that lies within two spreads of the place where they fall, and no plate counts as purged. It is
+  shut when a purge begins, and when the task ends. After `MOST_OPENINGS` that brought nothing it
+  counts as empty; each new command has it tried once more.
 """
 
 from __future__ import annotations
@@ -52,9 +53,12 @@ from plate_core.tasks import FeedMode, FeedOrder, FeedTask, Pick, as_picked, pic
 
 from .codes import Code
 
+LATE_S = 0.3
+"""An image so much younger than the newest known one was taken after now [s]: images are late."""
+
 SEEN_ANEW_S = 1.0
-"""An image so much younger than the newest known one was taken after now [s]: images are late by
-up to 0.3 s, and the tracker keeps a part that is gone for some images."""
+"""One so much younger does not show a part that is gone by now either [s]: the tracker keeps it for
+some images."""
 
 SILENT_S = 1.0
 """Longest time between two statuses of a task that runs [s]: ten usual cycles."""
@@ -643,7 +647,8 @@ class Feeder:
                 f"no {label or 'part'} was ready within {waiting.timeout_s:g} s: "
                 f"{sum(quantity.seen.values())} on the plate, {self._on_plate(label)} of them "
                 f"{label or 'wanted'}, {quantity.ready} of any class ready"
-                + (", the hopper is empty" if self.hopper_empty else ""),
+                + (", the hopper is empty" if self.hopper_empty else "")
+                + (", the recipe has no hopper" if self.task.hopper is None else ""),
             )
 
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
@@ -684,6 +689,13 @@ class Feeder:
         return tuple(
             replace(pick, ready=min(pick.ready + labels.count(pick.label), MOST_PARTS))
             for pick in picks
+        )
+
+    def _sees_all(self) -> bool:
+        """Whether the newest image shows all parts: while one was reserved, a robot hid some."""
+        newest = -math.inf if self._status is None else self._status.stamp
+        return self._reserved is None and all(
+            newest >= since + LATE_S for since in self._held.values()
         )
 
     def _ready(self) -> tuple[ReadyPart, ...]:
@@ -783,7 +795,7 @@ class Feeder:
             return None
         total, quantity = status.total, self.quantity()
         came = total + quantity.taken + self._untold + quantity.discharged + quantity.lost
-        if self._opened is not None and now >= self._look_at:
+        if self._opened is not None and now >= self._look_at and self._sees_all():
             self._barren = 0 if came > self._opened else self._barren + 1
             self._opened = None
         if self._reserved is not None or purging or self.silence(now):

@@ -376,6 +376,7 @@ def test_no_part_in_time():
     reply = cell.answer()
     assert reply.code is Code.NO_PART
     assert "2 s" in reply.text
+    assert reply.text.endswith("ready, the recipe has no hopper")
     assert cell.t - before == pytest.approx(2.0, abs=0.15)
 
 
@@ -636,6 +637,29 @@ def test_no_hopper_opens_over_a_robot_and_no_part_is_told_on_which_others_fall()
     assert len(cell.opened) == 1
     cell.do("part_taken")
     assert len(cell.opened) == 2
+
+
+def test_what_falls_while_a_robot_hides_it_is_counted_before_the_hopper_opens_again():
+    """Until the robot has left the planner goes on with the image of before: else what has fallen
+    meanwhile falls once more, and parts below it are offered."""
+    place = replace(BLACK, low=(-0.2, -0.1))
+    cell = Cell(replace(TASK, picks=(place,), hopper=HOPPER), ready=(), seen={"black": 2})
+    cell.ready = {"black_1": part("black_1"), "black_2": part("black_2", -0.19)}
+    cell.get()
+    assert cell.answer().part.id == "black_1"
+    assert len(cell.opened) == 1
+    cell.run(28)
+    assert cell.t > cell.opened[0][0] + cell.opened[0][1] + FALLEN_S
+    assert cell.do("part_taken").code is Code.DONE
+    cell.get()
+    cell.run(2)
+    assert len(cell.opened) == 1
+    assert not cell.replies
+    filled(cell, 9)
+    assert cell.answer().part.id == "black_2"
+    cell.run(20)
+    assert len(cell.opened) == 1
+    assert not cell.feeder.hopper_empty
 
 
 def test_a_plate_on_which_parts_still_fall_is_not_purged():

@@ -25,7 +25,7 @@ PROGRAMS = {
 }
 TASK = FeedTask(
     picks=(Pick("a_class_of_parts_with_a_long_name", 1, low=(-0.2, -0.2), high=(0.2, 0.2)),),
-    clearance_m=0.006, timeout_s=5.0, valid_s=10.0,
+    clearance_m=0.006, timeout_s=100.0, valid_s=10.0,
 )  # fmt: skip
 PART = ReadyPart("a_class_of_parts_with_a_long_name_7", 0.0123, -0.0456, math.radians(-100))
 HAND_EYE = HandEye("robot_base", angle=math.radians(30), x=0.4, y=-0.2)
@@ -67,7 +67,7 @@ class Cell:
             return
         if command.name == "get_part":
             self.waiting[client] = answer
-            reply = self.feeder.get_part(client, now=self.t)
+            reply = self.feeder.get_part(client, timeout_s=command.timeout_s, now=self.t)
         else:
             reply = self.feeder.part_taken(client, command.part, command.taken)
         if reply is not None:
@@ -191,7 +191,7 @@ def test_a_part_that_is_taken_and_one_that_is_not(program, cell, has_part):
     program.has_part = has_part
     program.run()
     report = "part_taken ok" if has_part else "part_taken failed"
-    assert program.told("send")[:3] == [("get_part",), (report,), ("get_part",)]
+    assert program.told("send")[:3] == [("get_part 30",), (report,), ("get_part 30",)]
     assert len(program.told("place")) == cell.feeder.quantity().taken == has_part
     assert set(cell.codes) == {200}
 
@@ -207,7 +207,7 @@ def test_no_part_in_time_is_told_and_asked_again(program, cell):
     program.run()
     assert cell.codes[:3] == [504, 200, 200]
     (line,) = program.told("message")[0]
-    assert line.removeprefix("feeder: ").startswith("504 no part was ready within 5 s: ")
+    assert line.removeprefix("feeder: ").startswith("504 no part was ready within 30 s: ")
     assert len(program.told("message")) == len(program.told("connect")) == 1
 
 
@@ -239,7 +239,7 @@ def test_without_an_answer_in_time_it_asks_again_on_a_new_connection(program, ce
 
     program.sleeping = speak
     program.run()
-    assert program.robot.t == 60 + 1
+    assert program.robot.t == 35 + 1
     assert program.told("message")[0][0].endswith("no answer")
     assert len(program.told("connect")) == 2
     assert program.told("place")

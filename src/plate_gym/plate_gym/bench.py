@@ -389,7 +389,8 @@ def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
         value = found[key]
         number = type(value) in (int, float) and abs(value) < HUGE  # not of NaN
         if not (number if kind is float else type(value) is kind):
-            raise PlateError(f"{where}: {key} is {value!r}, allowed: {kind.__name__}")
+            allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
+            raise PlateError(f"{where}: {key} is {value!r}, allowed: {allowed}")
 
 
 def ranges(seeds: list[int]) -> str:

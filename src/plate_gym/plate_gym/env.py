@@ -266,7 +266,8 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
         said = f"{given.dtype} of shape {given.shape}" if given.ndim else type(action).__name__
         if given.ndim and given.size and np.can_cast(given.dtype, float):
             said += f", from {np.min(given):g} to {np.max(given):g}"
-        raise PlateError(f"action is {said}, allowed: {space}")
+        rows = f"{space.shape}, rows from {low[0].tolist()} to {high[0].tolist()}"
+        raise PlateError(f"action is {said}, allowed: {rows if low.ndim > 1 else space}")
     return result
 
 

@@ -32,6 +32,9 @@ noise (sort_10 and align_6, 30 images each)."""
 HOLD_CYCLES, IDLE_S = 2, 0.1
 """As the simulator node's."""
 
+REST = PlateCycle.rest(IDLE_S)
+"""One for all: cycles of their own are not equal, and the same seed is to give the same `info`."""
+
 BARE_IMAGES = 5
 """Of the bare plate, for who has to know it: rigs with types of parts."""
 
@@ -96,7 +99,7 @@ class Plate:
         self.solving_s = np.zeros(2)  # our solver, in all: see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
-        self._playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
+        self._playback = Playback(REST, resting=True)
         self.memory: Memory = shared.judge.begin(self.simulation, self.running)
         # x, y, drift along x and y, angle, time: as the parts were seen last
         self.seen = np.tile(UNSEEN, (len(self.ids), 1))
@@ -130,7 +133,7 @@ class Plate:
         """Take in that the cycle that ran has ended, and begin the next."""
         self.time += self._playback.cycle.period
         if isinstance(self.memory, Feeding) and self.memory.rests:
-            cycle = PlateCycle.rest(IDLE_S)
+            cycle = REST
         if self._shared.action == "motion":  # from rest to rest
             self._playback = Playback(cycle)
         else:

@@ -56,6 +56,7 @@ def equal(one, many):
         ("Sort10-v1", "motion", "parts"), ("Sort4-v1", "forces", "parts"),
         ("Letters-v1", "progress", "parts"), ("Assemble8-v1", "cycle", "image"),
         ("Follow5-v1", "motion", "parts"), ("Feed-v1", "progress", "parts"),
+        ("Feed-v1", "cycle", "parts"),
     ],
 )  # fmt: skip
 def test_gymnasium_finds_nothing_wrong(gym, task, action, observation, recwarn):
@@ -566,6 +567,17 @@ def test_wrong_actions_are_refused(gym, wrong, words):
     with pytest.raises(PlateError) as problem:
         env.step(wrong)
     assert str(problem.value) == f"action is {words}, allowed: Box(-1.0, 1.0, (18,), float64)"
+
+
+def test_a_wrong_action_of_many_rows_is_refused_in_a_line(gym):
+    env = gym.PlateEnv("Feed-v1", action="progress")
+    env.reset(seed=0)
+    with pytest.raises(PlateError) as problem:
+        env.step(np.zeros((15, 2)))
+    assert str(problem.value) == (
+        "action is float64 of shape (15, 2), from 0 to 0, allowed: (15, 3), rows from "
+        "[-1.0, -1.0, 0.0] to [1.0, 1.0, 1.0]"
+    )
 
 
 def test_motions_beyond_the_limits_are_scaled_down(gym):
