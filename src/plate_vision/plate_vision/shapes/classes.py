@@ -12,14 +12,16 @@ no angle, and names what is of no type.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import cv2
 import numpy as np
 
+from plate_core.rig import PartType
+
 from ..camera.lens import Calibration
 from .catalogue import Catalogue, Template, lay_on
-from .outlines import MARGIN_PX, POINTS, Outline, make_outline, patch_rings, turn_scatter
+from .outlines import POINTS, Outline, make_outline, patch_rings, turn_scatter
+from .patch import Patch
 
 UNKNOWN = "unknown"
 """The label of a patch that is like no type."""
@@ -96,22 +98,9 @@ the angle [rad]; whether all of it is in the image; how far its outline is from 
 that is swollen as much as it is, and by how much that is [px]; distance of the colours."""
 
 
-class PatchLike(Protocol):
-    """What is used of a patch of pixels that is not the plate."""
-
-    @property
-    def mask(self) -> np.ndarray: ...
-    @property
-    def corner(self) -> tuple[int, int]: ...
-    @property
-    def whole(self) -> bool: ...
-    @property
-    def group(self) -> bool: ...
-
-
 def recognise(
     image: np.ndarray,
-    patches: Sequence[PatchLike],
+    patches: Sequence[Patch],
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> np.ndarray:
@@ -137,23 +126,18 @@ def recognise(
 
 def measure_patches(
     image: np.ndarray,
-    patches: Sequence[PatchLike],
+    patches: Sequence[Patch],
     calibration: Calibration,
     count: int = POINTS,
 ) -> tuple[list[Outline], np.ndarray]:
     """Return the outlines of patches [m, plate_home], with `count` points around each, and their
     colours CIE L, a, b (n, 3)."""
     rings, colours = [], []
-    height, width = image.shape[:2]
     for patch in patches:
-        x0, y0 = patch.corner
-        h, w = patch.mask.shape
-        left, top = max(x0 - MARGIN_PX, 0), max(y0 - MARGIN_PX, 0)
-        right, bottom = min(x0 + w + MARGIN_PX, width), min(y0 + h + MARGIN_PX, height)
-        mask = np.zeros((bottom - top + 2, right - left + 2), np.uint8)
-        mask[y0 - top + 1 : y0 - top + 1 + h, x0 - left + 1 : x0 - left + 1 + w] = patch.mask
-        found, colour = patch_rings(mask, image[top:bottom, left:right], count)
-        rings.append([ring + (left, top) for ring in found])
+        here, mask = patch.windowed(image.shape)
+        framed = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+        found, colour = patch_rings(framed, image[here], count)
+        rings.append([ring + (here[1].start, here[0].start) for ring in found])
         colours.append(colour)
     if not rings:
         return [], np.empty((0, 3))
@@ -182,7 +166,7 @@ def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
 def judge(
     outlines: Sequence[Outline],
     colours: np.ndarray,
-    patches: Sequence[PatchLike],
+    patches: Sequence[Patch],
     catalogue: Catalogue,
     calibration: Calibration,
     coloured: bool,
@@ -212,16 +196,14 @@ def judge(
         least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
         least[other] = np.inf
         for i, outline in enumerate(outlines):
-            _judge_one(
-                found[i : i + 1], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i]
-            )
+            _judge_one(found[i], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i])
     fitted = np.column_stack([found["x"], found["y"]])
     found["x_px"], found["y_px"] = calibration.to_image(fitted).T
     return found
 
 
 def _judge_one(
-    row: np.ndarray,
+    row: np.void,
     outline: Outline,
     catalogue: Catalogue,
     scale: float,
@@ -230,7 +212,7 @@ def _judge_one(
     size_square: np.ndarray,
     tint: np.ndarray,
 ) -> None:
-    """Fill in a sighting (1,) SIGHTING. Of each type (T,): its least score; variances of outline
+    """Fill in a sighting () SIGHTING. Of each type (T,): its least score; variances of outline
     and size [px2]; how far its colour is."""
     best, second, chosen, kept = np.inf, np.inf, 0, np.empty(0)
     laid, points = catalogue.templates[0], outline.points
@@ -261,15 +243,25 @@ def _judge_one(
         gain = kept[4] ** 2 - lay_on(over, outline, scale)[4] ** 2
         if scale**2 * gain > OTHER_FACE * fit_square[chosen]:
             return
-    part = catalogue.templates[chosen].part
-    row["label"] = part.name
-    row["x"], row["y"] = kept[:2]
-    row["angle"] = wrapped(kept[2], part.symmetry)
-    row["angle_sd"] = angle_sd(laid, points, kept, scale)
-    row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
+    note_type(
+        row,
+        catalogue.templates[chosen].part,
+        kept,
+        angle_sd(laid, points, kept, scale),
+        scale,
+    )
     row["fit_px"], row["swell_px"] = scale * kept[4], scale * kept[3]
     row["colour"] = tint[chosen]
     row["confidence"] = (1 - best / LIMIT**2) * (1 - np.exp(-0.5 * (second - best)))
+
+
+def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, scale: float) -> None:
+    """Write into a sighting () SIGHTING which type it is, where that was laid: `fit` (3,) x, y [m],
+    angle [rad], with a standard deviation `scatter` [rad]."""
+    row["label"] = part.name
+    row["x"], row["y"] = fit[:2]
+    row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), scatter
+    row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
 
 
 def angle_sd(

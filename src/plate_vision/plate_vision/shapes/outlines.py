@@ -28,9 +28,6 @@ LEAST_HOLE = 0.02
 FEWEST_POINTS = 12
 """Of a hole's rim."""
 
-MARGIN_PX = 4
-"""Pixels around a patch that belong to its window."""
-
 THREE, FIVE = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
 """By which masks shrink and grow."""
 

@@ -170,8 +170,7 @@ def _patches(
 
 def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
     """Whether a patch is what was left of a shadow that was taken out around it."""
-    (x0, y0), (height, width) = patch.corner, patch.mask.shape
-    here = np.s_[max(y0 - 2, 0) : y0 + height + 2, max(x0 - 2, 0) : x0 + width + 2]
+    here = patch.around(2, seen.shape)
     taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
     return bool(taken > LEFT * patch.area_px2)
 
