@@ -54,7 +54,7 @@ from .camera import (
 )
 from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections, outlines_px
-from .errors import CalibrationError, ImageError, TeachError
+from .errors import CalibrationError, ImageError, TeachError, check_size
 from .live_teaching import Teaching, learn_shown
 from .plate import PlateLocation, light_problem
 from .recognition import camera_limits
@@ -554,10 +554,7 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
     PlateError
         If the camera is not that of the rig, or its lens is not understood.
     """
-    if (msg.width, msg.height) != size_px:
-        raise ImageError(
-            f"size is {msg.width} x {msg.height} px, allowed: {size_px[0]} x {size_px[1]} px"
-        )
+    check_size("size is", (msg.width, msg.height), size_px)
     if msg.k[0] == 0:
         return None
     models = sorted(set(LENS_MODELS.values()))

@@ -16,7 +16,7 @@ import numpy as np
 from plate_core import PlateError, load_rig
 
 from ..drawing import draw_errors
-from ..errors import CalibrationError
+from ..errors import CalibrationError, check_size
 from ..plate.home import find_home
 from .boards import Board, Corners, LensFit, draw_board, find_corners, fit_lens
 from .files import load_lens, read_pictures, save_lens, write_picture
@@ -159,12 +159,8 @@ def _home(args: argparse.Namespace) -> None:
     lens = rig_lens(rig) if args.camera is None else load_lens(args.camera, size_px)
     corners = []
     for name, picture in read_pictures(args.pictures):
-        here = (picture.shape[1], picture.shape[0])
-        if here != size_px:
-            raise CalibrationError(
-                f"{name}: {here[0]} x {here[1]} px, allowed: {size_px[0]} x {size_px[1]} px, "
-                "width_px and height_px of the rig file"
-            )
+        why = ", width_px and height_px of the rig file"
+        check_size(f"{name}:", picture.shape[1::-1], size_px, CalibrationError, why)
         calibration, error = find_home(picture, rig.fiducials, lens)
         corners.append(calibration.to_image(rig.plate.corners))
         print(f"{name}: corners of the markers {1e3 * error:.3f} mm rms from where they should be")

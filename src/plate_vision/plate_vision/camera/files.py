@@ -15,7 +15,7 @@ from plate_core import Rig
 from plate_core.files import check_file, draft, read_file
 from plate_core.yaml_fields import Fields, read_yaml
 
-from ..errors import CalibrationError, ImageError
+from ..errors import CalibrationError, ImageError, check_size
 from .lens import LENS_MODELS, Lens
 
 FAR = 1e6
@@ -39,11 +39,8 @@ def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> L
     """
     fields = read_yaml(path, CalibrationError)
     size_px = (fields.integer("image_width", 16, 16384), fields.integer("image_height", 16, 16384))
-    if expected_px is not None and size_px != expected_px:
-        raise CalibrationError(
-            f"{fields.where}: image size is {size_px[0]} x {size_px[1]} px, allowed: "
-            f"{expected_px[0]} x {expected_px[1]} px"
-        )
+    if expected_px is not None:
+        check_size(f"{fields.where}: image size is", size_px, expected_px, CalibrationError)
     model = fields.text("distortion_model", sorted(set(LENS_MODELS.values())))
     values = _matrix(fields.child("distortion_coefficients"), None)
     if LENS_MODELS.get(len(values)) != model:

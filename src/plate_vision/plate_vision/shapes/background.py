@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from .. import _kernels
-from ..errors import ImageError
+from ..errors import ImageError, check_image, check_size
 from ..plate.region import quadratic
 
 CHROMA = (0.5, 2.0)
@@ -268,10 +268,7 @@ def _local(
 def colours(image: np.ndarray) -> np.ndarray:
     """Return Lab (H, W, 3) uint8 of blue, green, red (H, W, 3) uint8; grey levels as (H, W, 1)."""
     image = np.asarray(image)
-    if image.dtype != np.uint8:
-        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
-    if image.size == 0 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
-        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
+    check_image(image)
     if image.ndim == 2:
         return np.ascontiguousarray(image)[:, :, None]
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2LAB))
@@ -284,9 +281,8 @@ def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
     if lab.shape[2] != background.lab.shape[2]:
         code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY
         lab = colours(cv2.cvtColor(np.ascontiguousarray(image), code))
-    if lab.shape != background.lab.shape:
-        seen, known = (f"{shape[1]} x {shape[0]} px" for shape in (lab.shape, background.lab.shape))
-        raise ImageError(f"image: {seen}, allowed: {known}, as the background has")
+    why = ", as the background has"
+    check_size("image:", lab.shape[1::-1], background.lab.shape[1::-1], why=why)
     return _cleaned(lab) if background.cleaned else lab
 
 
