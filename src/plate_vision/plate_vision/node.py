@@ -274,13 +274,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _open(self, values: DetectorParameters) -> None:
         """Take pictures for a camera."""
         self._pictures = read_pictures(Path(values.path))
-        self._picture = next(self._pictures, None)
-        if self._picture is None:
-            raise ImageError(f"{values.path}: no pictures in it")
-        height, width = self._picture[1].shape[:2]
-        self._rig, text = rig_of_picture(self._rig, (width, height))
+        name, image = first = next(self._pictures)
+        self._picture: tuple[str, np.ndarray] | None = first
+        self._rig, text = rig_of_picture(self._rig, image.shape[1::-1])
         if text:
-            self.get_logger().warning(f"{self._picture[0]}: {text}")
+            self.get_logger().warning(f"{name}: {text}")
 
     def _on_timer(self) -> None:
         if self._picture is None:

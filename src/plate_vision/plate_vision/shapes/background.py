@@ -179,10 +179,7 @@ def learn_plate(images: np.ndarray) -> Background:
     square = np.mean([deviation(lab, bare, chroma).astype(np.float32) ** 2 for lab in labs], axis=0)
     side = 2 * NEAR_PX + 1
     square = cv2.blur(square, (side, side))
-    slope = np.hypot(
-        cv2.Sobel(mean[:, :, 0], cv2.CV_32F, 1, 0), cv2.Sobel(mean[:, :, 0], cv2.CV_32F, 0, 1)
-    )
-    noise = np.sqrt(square + (SHIFT_PX / 8 * slope) ** 2)
+    noise = np.sqrt(square + (SHIFT_PX / 8 * steepness(mean[:, :, 0])) ** 2)
     return Background(mean, _limit(noise), chroma)
 
 
@@ -289,6 +286,18 @@ def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
 def _cleaned(lab: np.ndarray) -> np.ndarray:
     """Return colours (H, W, C) without single pixels that differ from those around them."""
     return np.asarray(cv2.medianBlur(lab, 3)).reshape(lab.shape)
+
+
+def steepness(
+    image: np.ndarray, weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> np.ndarray:
+    """Return how steeply an image (H, W) or (H, W, C) changes: (H, W), as Sobel's filter gives it,
+    of that channel, times its weight, which changes most."""
+    slopes = [
+        weight * np.hypot(cv2.Sobel(one, cv2.CV_32F, 1, 0), cv2.Sobel(one, cv2.CV_32F, 0, 1))
+        for one, weight in zip(cv2.split(image), weights, strict=False)
+    ]
+    return np.asarray(np.max(slopes, axis=0))
 
 
 def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:

@@ -18,9 +18,10 @@ import numpy as np
 
 from plate_core.rig import PartType
 
+from .. import _kernels
 from ..camera.lens import Calibration
 from .catalogue import Catalogue, Template, lay_on
-from .outlines import POINTS, Outline, make_outline, patch_rings, turn_scatter
+from .outlines import POINTS, Outline, make_outline, patch_rings
 from .patch import Patch
 
 UNKNOWN = "unknown"
@@ -268,12 +269,16 @@ def angle_sd(
     template: Template, points: np.ndarray, fit: np.ndarray, scale: float, gate: float = np.inf
 ) -> float:
     """Return the standard deviation [rad] of the angle of a type that was laid onto points (n, 2):
-    at most that of an angle of which nothing is known."""
+    at most that of an angle of which nothing is known.
+
+    It follows from how much worse the type lies on them when it is turned by a pixel. If they show
+    less of a turn than its own rim does, corners are blurred or hidden, and noise looks like them.
+    """
     period = 2 * np.pi / max(template.part.symmetry, 1)
     most = period / np.sqrt(12)
     if template.part.symmetry == 0:
         return float(most)
-    scatter = turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
+    scatter = _kernels.turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
     return float(min(scatter, most))
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from .background import steepness
 from .splitting import split
 
 Traits = tuple[float, float, float]
@@ -274,14 +275,7 @@ def _along_edges(
 ) -> list[Piece]:
     """Return the pieces into which edges inside part a piece, as of parts of different colours that
     touch, and what is left of it; itself if they part nothing compact."""
-    channels = [colours[:, :, c] for c in range(colours.shape[2])]
-    steep = np.max(
-        [
-            np.hypot(cv2.Sobel(c, cv2.CV_32F, 1, 0), cv2.Sobel(c, cv2.CV_32F, 0, 1))
-            for c in channels
-        ],
-        axis=0,
-    )
+    steep = steepness(colours)
     inner = cv2.erode(piece.inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if np.count_nonzero(inner) < LEAST_INNER:
         return [piece]
@@ -341,21 +335,23 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
 def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
     """Return the good pieces of a piece, what is left of it given to the nearest of them; what is
     as large as they are is a group."""
-    owner = np.zeros(piece.inside.shape, np.int32)
-    for k, one in enumerate(good, 1):
-        owner[one.inside] = k
-    rest = piece.inside & (owner == 0)
+    nearest = _nearest([one.inside for one in good])
+    rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
     area = np.bincount(left.ravel(), minlength=count)
     large = area > LEAST_SHARE * min(one.area for one in good)
     large[0] = False
-    gap = [cv2.distanceTransform((owner != k + 1).astype(np.uint8), cv2.DIST_L2, 3)
-           for k in range(len(good))]  # fmt: skip
-    owner = np.where(rest & ~large[left], np.argmin(gap, axis=0) + 1, owner)
+    shared = piece.inside & ~large[left]
     return [
-        *(Piece(owner == k + 1, piece.rank, False) for k in range(len(good))),
+        *(Piece(shared & (nearest == k), piece.rank, False) for k in range(len(good))),
         *(Piece(left == k, piece.rank, False, True) for k in np.flatnonzero(large)),
     ]
+
+
+def _nearest(places: list[np.ndarray]) -> np.ndarray:
+    """Return which (h, w) of places (h, w) bool is nearest to each pixel, the first if several."""
+    gaps = [cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, 3) for one in places]
+    return np.argmin(gaps, axis=0)
 
 
 def _halves(piece: Piece, kinds: list[Traits]) -> list[Piece] | None:
@@ -386,15 +382,9 @@ def _halves(piece: Piece, kinds: list[Traits]) -> list[Piece] | None:
             sizes = np.bincount(labels.ravel(), minlength=3)[1:]
             if count < 3 or np.partition(sizes, -2)[-2] < 0.1 * piece.area:
                 continue
-            two = 1 + np.argsort(-sizes)[:2]
             # The pixels of the cut belong to the nearer side.
-            gap = [
-                cv2.distanceTransform((labels != k).astype(np.uint8), cv2.DIST_L2, 3) for k in two
-            ]
-            halves = [
-                Piece(piece.inside & near, piece.rank, False)
-                for near in (gap[0] < gap[1], gap[0] >= gap[1])
-            ]
+            nearest = _nearest([labels == k for k in 1 + np.argsort(-sizes)[1::-1]])
+            halves = [Piece(piece.inside & (nearest == k), piece.rank, False) for k in (1, 0)]
             if all(sum(alike(half.traits, kind) for kind in kinds) >= MEMBERS for half in halves):
                 length = float(np.hypot(*(end - start)))
                 if best is None or length < best[0]:

@@ -17,8 +17,11 @@ import cv2
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from plate_core.rig import to_home
+
 from .. import _kernels
 from ..camera.lens import Calibration
+from .background import steepness
 from .catalogue import Catalogue, Template
 from .classes import (
     COLOUR_LAB,
@@ -131,14 +134,16 @@ class View:
     scale: float
     outline: Outline
 
+    def seen(self, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return where points (n, 2) [m] of a part at a pose (3,) are seen [px, window]."""
+        return to_home(pose, points) @ self.to_px[:, :2].T + self.to_px[:, 2]
+
     def drawn(self, part: Found) -> np.ndarray:
         """Return the pixels (h, w) uint8 of a part."""
-        c, s = np.cos(part.pose[2]), np.sin(part.pose[2])
-        turn = np.array([[c, s], [-s, c]])
         image = np.zeros(self.mask.shape, np.uint8)
         kind = part.template.part
         for level, ring in [(1, kind.polygon), *((0, np.array(hole)) for hole in kind.holes)]:
-            points = (ring @ turn + part.pose[:2]) @ self.to_px[:, :2].T + self.to_px[:, 2]
+            points = self.seen(part.pose, ring)
             cv2.fillPoly(image, [np.rint(16 * points).astype(np.int32)], level, shift=4)
         return image
 
@@ -215,10 +220,10 @@ def _clusters(
     touching = np.eye(len(patches), dtype=bool)
     free = np.flatnonzero(~settled)
     element = np.ones((2 * TOUCH_PX + 1,) * 2, np.uint8)
-    for i in free:
-        window = owner[patches[i].around(TOUCH_PX, shape)]
-        near = window[cv2.dilate((window == i).astype(np.uint8), element) > 0]
-        touching[i, near[near >= 0]] = True
+    for one in free.tolist():
+        window = owner[patches[one].around(TOUCH_PX, shape)]
+        near = window[cv2.dilate((window == one).astype(np.uint8), element) > 0]
+        touching[one, near[near >= 0]] = True
     _, cluster = connected_components(touching[np.ix_(free, free)])
     return [
         np.flatnonzero(np.any(touching[free[cluster == number]], axis=0))
@@ -362,11 +367,7 @@ def _to_rims(view: View) -> np.ndarray:
     """Return the signed distance (h, w) from the group's rim and, inside, from edges of colour
     [px]."""
     smooth = cv2.GaussianBlur(view.pixels, (0, 0), 0.8)
-    step = np.zeros(view.mask.shape, np.float32)
-    for k in range(1 if smooth.ndim == 2 else 3):
-        one = smooth if smooth.ndim == 2 else np.ascontiguousarray(smooth[:, :, k])
-        across, down = (cv2.Sobel(one, cv2.CV_32F, *way) / 8 for way in ((1, 0), (0, 1)))
-        step = np.maximum(step, np.hypot(across, down))
+    step = steepness(smooth) / 8
     border = _signed_distance(view.mask)
     edge = (step > EDGE_STEP) & (border > EDGE_DEPTH_PX)
     if not edge.any():
@@ -425,13 +426,9 @@ def _tint(view: View, template: Template, pose: np.ndarray) -> float:
     """Return how far the colour at a part is from its type's."""
     if template.part.colour_lab is None:
         return 0.0
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    points = template.inner @ np.array([[c, s], [-s, c]]) + pose[:2]
-    column, row = np.rint(points @ view.to_px[:, :2].T + view.to_px[:, 2]).astype(int).T
-    height, width = view.mask.shape
-    colour = np.median(
-        view.pixels[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], axis=0
-    )
+    last = np.array(view.mask.shape[::-1]) - 1
+    column, row = np.clip(np.rint(view.seen(pose, template.inner)).astype(int), 0, last).T
+    colour = np.median(view.pixels[row, column], axis=0)
     lab = to_lab(np.broadcast_to(colour, 3))
     coloured = view.pixels.ndim == 3
     return float(colour_distance(lab[0], np.array(template.part.colour_lab), coloured))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from .background import Background, colours_like, model_background
+from .background import Background, colours_like, model_background, steepness
 from .segmentation import find_patches
 
 MOST_PIXELS = 1_000_000
@@ -82,11 +82,7 @@ def _slope(image: np.ndarray, background: Background) -> np.ndarray:
     lab = colours_like(image, background)
     smooth = cv2.GaussianBlur(lab, (0, 0), 1.0).reshape(lab.shape)
     weights = (1.0, background.chroma, background.chroma)
-    slopes = [
-        weight / 8 * np.hypot(cv2.Sobel(c, cv2.CV_32F, 1, 0), cv2.Sobel(c, cv2.CV_32F, 0, 1))
-        for c, weight in zip(cv2.split(smooth), weights, strict=False)
-    ]
-    steepest = cv2.dilate(np.max(slopes, axis=0), np.ones((3, 3), np.uint8))
+    steepest = cv2.dilate(steepness(smooth, weights) / 8, np.ones((3, 3), np.uint8))
     return np.asarray(steepest / np.maximum(background.limit, 1))
 
 

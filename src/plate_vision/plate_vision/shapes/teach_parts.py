@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 def _managing_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="teach", description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    abouts = (
+    abouts: tuple[tuple[Callable[..., None], str, dict[str, str]], ...] = (
         (_list, "say what types there are", {}),
         (_merge, "make one type of two", {"name": "that stays", "other": "that goes into it"}),
         (_rename, "give a type another name", {"name": "as it is", "new": "as it shall be"}),
