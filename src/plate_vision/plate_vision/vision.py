@@ -15,9 +15,10 @@ from .detection import DetectorOptions, detect, round_patches
 from .errors import check_size
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
-from .recognition import find_types, is_named, model_plate
+from .recognition import find_types, model_plate
 from .shapes import Background
 from .shapes.catalogue import Catalogue, make_catalogue
+from .shapes.classes import is_named
 from .tracking import Prediction, Tracker, update
 
 HOME = np.zeros(3)
@@ -197,7 +198,8 @@ def _observe_types(
     on_plate = np.all(np.abs(centre) <= vision.inner, axis=1)
     kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > least))
     seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
-    symmetry = np.array([catalogue.symmetry.get(label, 0) for label in seen["label"].tolist()], int)
+    turns = {one.part.name: one.part.symmetry for one in catalogue.templates}
+    symmetry = np.array([turns.get(label, 0) for label in seen["label"].tolist()], int)
     place = np.where(named, SHAPE_PX, UNKNOWN_PX) / scale
     place[~seen["whole"]] = np.nan
     angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)

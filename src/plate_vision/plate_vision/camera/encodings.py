@@ -151,18 +151,21 @@ def decode_file(
         raise ImageError(
             f"image: {len(content)} bytes break off before the file's end, allowed: whole files"
         )
-    try:
-        pixels = cv2.imdecode(
-            np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
-        )
-    except cv2.error:
-        pixels = None
+    pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     if pixels is None:
         raise ImageError(f"image: {len(content)} bytes are damaged, allowed: a JPEG or PNG file")
     if pixels.dtype != np.uint8:
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
     return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
+
+
+def unpack(content: bytes, flags: int) -> np.ndarray | None:
+    """Return the pixels of a picture's file by OpenCV's flags; None if it is none, or damaged."""
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except cv2.error:  # also if it is empty
+        return None
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:

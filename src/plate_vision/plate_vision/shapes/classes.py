@@ -99,6 +99,11 @@ the angle [rad]; whether all of it is in the image; how far its outline is from 
 that is swollen as much as it is, and by how much that is [px]; distance of the colours."""
 
 
+def is_named(seen: np.ndarray) -> np.ndarray:
+    """Which (n,) of sightings (n,) `SIGHTING` are of a type."""
+    return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
+
+
 def recognise(
     image: np.ndarray,
     patches: Sequence[Patch],
@@ -122,7 +127,34 @@ def recognise(
     (n,) SIGHTING
     """
     outlines, colours = measure_patches(image, patches, calibration)
-    return judge(outlines, colours, patches, catalogue, calibration, image.ndim == 3)
+    found = np.zeros(len(outlines), SIGHTING)
+    if not len(outlines):
+        return found
+    centre = np.array([outline.centre for outline in outlines])
+    scale = calibration.scale(centre)
+    area = np.array([outline.area for outline in outlines])
+    found["x"], found["y"] = centre.T
+    found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
+    found["whole"] = [patch.whole for patch in patches]
+    found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
+    if catalogue.templates:
+        reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
+        fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
+        size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
+        filled = np.array([outline.filled.area for outline in outlines])[:, None]
+        swell_px = scale[:, None] * np.abs(filled - catalogue.filled_area) / catalogue.rim
+        ratio = np.log(np.maximum(filled, 1e-12) / catalogue.filled_area) / 2
+        other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
+        form = np.array([outline.form for outline in outlines])[:, None] - catalogue.form
+        other |= np.sum(form**2, axis=2) > UNLIKE**2
+        tint = np.nan_to_num(colour_distance(colours[:, None], catalogue.colour, image.ndim == 3))
+        least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
+        least[other] = np.inf
+        for i, outline in enumerate(outlines):
+            _judge_one(found[i], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i])
+    fitted = np.column_stack([found["x"], found["y"]])
+    found["x_px"], found["y_px"] = calibration.to_image(fitted).T
+    return found
 
 
 def measure_patches(
@@ -162,45 +194,6 @@ def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
     counts if the image has no colours."""
     gap = (np.asarray(a) - np.asarray(b)) * (LIGHTNESS, 1.0 if coloured else 0, coloured)
     return np.asarray(np.sqrt(np.sum(gap**2, axis=-1)))
-
-
-def judge(
-    outlines: Sequence[Outline],
-    colours: np.ndarray,
-    patches: Sequence[Patch],
-    catalogue: Catalogue,
-    calibration: Calibration,
-    coloured: bool,
-) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of measured patches; see `recognise`."""
-    found = np.zeros(len(outlines), SIGHTING)
-    if not len(outlines):
-        return found
-    centre = np.array([outline.centre for outline in outlines])
-    scale = calibration.scale(centre)
-    area = np.array([outline.area for outline in outlines])
-    found["x"], found["y"] = centre.T
-    found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
-    found["whole"] = [patch.whole for patch in patches]
-    found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
-    if catalogue.templates:
-        reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
-        fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
-        size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
-        filled = np.array([outline.filled.area for outline in outlines])[:, None]
-        swell_px = scale[:, None] * np.abs(filled - catalogue.filled_area) / catalogue.rim
-        ratio = np.log(np.maximum(filled, 1e-12) / catalogue.filled_area) / 2
-        other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
-        form = np.array([outline.form for outline in outlines])[:, None] - catalogue.form
-        other |= np.sum(form**2, axis=2) > UNLIKE**2
-        tint = np.nan_to_num(colour_distance(colours[:, None], catalogue.colour, coloured))
-        least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
-        least[other] = np.inf
-        for i, outline in enumerate(outlines):
-            _judge_one(found[i], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i])
-    fitted = np.column_stack([found["x"], found["y"]])
-    found["x_px"], found["y_px"] = calibration.to_image(fitted).T
-    return found
 
 
 def _judge_one(

@@ -6,7 +6,8 @@ part or several, as of brackets that touch with a whole side, its like elsewhere
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -103,10 +104,11 @@ class Piece:
     rank: int
     alone: bool
     group: bool = False
-    traits: Traits = field(init=False)
 
-    def __post_init__(self) -> None:
-        self.traits = traits(self.inside)
+    @cached_property
+    def traits(self) -> Traits:
+        """Of its pixels."""
+        return traits(self.inside)
 
     @property
     def area(self) -> float:
@@ -134,11 +136,7 @@ def traits(inside: np.ndarray) -> Traits:
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
 
 
-def alike(
-    one: Traits,
-    other: Traits,
-    spread: Traits = ALIKE,
-) -> bool:
+def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
     """Whether two pieces have like traits."""
     return (
         abs(one[0] - other[0]) <= spread[0] * max(one[0], other[0])

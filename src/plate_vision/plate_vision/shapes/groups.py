@@ -31,6 +31,7 @@ from .classes import (
     UNKNOWN,
     angle_sd,
     colour_distance,
+    is_named,
     measure_patches,
     note_type,
     recognise,
@@ -180,8 +181,8 @@ def explain_groups(
     catalogue, calibration
         As for `recognise`.
     """
-    settled = (seen["label"] != UNKNOWN) & (seen["label"] != GROUP)
-    settled |= ~seen["whole"]  # of what is cut off too little is seen; it may be the plate's edge
+    # Of what is cut off too little is seen; it may be the plate's edge.
+    settled = is_named(seen) | ~seen["whole"]
     if settled.all() or not catalogue.templates:
         return seen
     kept, added = np.ones(len(seen), bool), []

@@ -107,7 +107,7 @@ class Patch:
     def _rims(self) -> tuple[np.ndarray, list[np.ndarray]]:
         framed = np.pad(self.mask.astype(np.uint8), 2)
         cover = cv2.GaussianBlur(np.pad(self.cover, 2), (0, 0), SMOOTH_PX)
-        rims, family = cv2.findContours(framed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[-2:]
+        rims, family = cv2.findContours(framed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         if not rims:
             return np.empty((0, 2)), []
         outer = [i for i in range(len(rims)) if family[0][i][3] < 0]
