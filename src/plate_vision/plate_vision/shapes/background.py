@@ -133,8 +133,7 @@ class Background:
             first = learned or self
             few = np.s_[::SPARSE, ::SPARSE]
             jump = np.median(lab[few].astype(np.float32) - first.lab[few], axis=(0, 1))
-            moved = np.clip(np.rint(first.lab + jump), 0, 255).astype(np.uint8)
-            lit = replace(first, lab=moved)._lit_as(lab)
+            lit = replace(first, lab=_as_colours(first.lab + jump))._lit_as(lab)
         return lit or self
 
     def _lit_as(self, lab: np.ndarray) -> Background | None:
@@ -157,7 +156,8 @@ class Background:
         if np.max(np.abs(design @ fit)) < 0.5:
             return self
         y, x = np.mgrid[:height, :width].astype(np.float32)
-        return replace(self, lab=_add_surface(self.lab, _surface_terms(x, y, (width, height)), fit))
+        surface = _surface_terms(x, y, (width, height)) @ fit
+        return replace(self, lab=_as_colours(self.lab + surface))
 
 
 def learn_plate(images: np.ndarray) -> Background:
@@ -234,7 +234,7 @@ def model_background(image: np.ndarray) -> Background:
         return nothing
     surface, kept = _local(values, best[1], best[2], size)
     grown = cv2.resize(surface.reshape(size[1], size[0], channels), (width, height))
-    bare = np.clip(np.rint(grown), 0, 255).astype(np.uint8).reshape(lab.shape)
+    bare = _as_colours(grown).reshape(lab.shape)
     inner = cv2.erode(kept.reshape(size[1], size[0]).astype(np.uint8), np.ones((3, 3), np.uint8))
     shown = cv2.resize(inner, (width, height), interpolation=cv2.INTER_NEAREST) > 0
     away = deviation(lab, bare, CHROMA[1])[shown]
@@ -334,9 +334,9 @@ def _surface_terms(x: np.ndarray, y: np.ndarray, size_px: tuple[int, int]) -> np
     return quadratic(u.astype(np.float32), v.astype(np.float32))
 
 
-def _add_surface(lab: np.ndarray, terms: np.ndarray, fit: np.ndarray) -> np.ndarray:
-    """Return colours (H, W, C) uint8, changed by a surface: terms (H, W, 6), factors (6, C)."""
-    return np.asarray(np.clip(np.rint(lab + terms @ fit), 0, 255).astype(np.uint8))
+def _as_colours(lab: np.ndarray) -> np.ndarray:
+    """Return the nearest colours (..., C) uint8."""
+    return np.clip(np.rint(lab), 0, 255).astype(np.uint8)
 
 
 def _modes(values: np.ndarray) -> np.ndarray:

@@ -18,6 +18,10 @@ from .splitting import split
 Traits = tuple[float, float, float]
 """Area [px2], spread (second moment by squared area) and solidity of a piece."""
 
+Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A patch: its pixels (h, w) bool, how much of each is part (h, w) float32, and their colours
+(h, w, C) uint8."""
+
 CONVEX = 0.93
 """Patches that fill so much of their convex hull are not split by their necks."""
 
@@ -145,15 +149,13 @@ def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
     )
 
 
-def pieces_of(
-    solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]], least_area: float, limit: float
-) -> list[Piece]:
+def pieces_of(solids: list[Solid], least_area: float, limit: float) -> list[Piece]:
     """Return the parts, and groups of parts, that patches consist of.
 
     Parameters
     ----------
-    solids : list of ((h, w) bool, (h, w) float32, (h, w, C) uint8)
-        The pixels of each patch, how much of each is part, and their colours.
+    solids : list of Solid
+        The patches.
     least_area : float
         Smallest part [px2].
     limit : float
@@ -182,9 +184,7 @@ def pieces_of(
     return _cut_by_kind(_without_shreds(sure, solids), solids, limit)
 
 
-def _without_shreds(
-    pieces: list[Piece], solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
-) -> list[Piece]:
+def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
     """Return pieces, those of one patch put together again if too little of it is compact or like
     others: a jagged part; of more than two, a group."""
     kept: list[Piece] = []
@@ -235,7 +235,7 @@ def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Trait
 
 def _cut_by_kind(
     pieces: list[Piece],
-    solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    solids: list[Solid],
     limit: float,
 ) -> list[Piece]:
     """Return pieces, those cut that fall in pieces like others, or along edges inside; what is far

@@ -191,10 +191,9 @@ def learn_type(
         If there is no example, none with whole parts that lie apart, examples differ too much, or
         the outline has more corners than are allowed.
     """
-    if not examples:
-        raise TeachError(f"type {name}: no examples, allowed: 1 to {MOST_PICTURES}")
-    if len(examples) > MOST_PICTURES:
-        raise TeachError(f"type {name}: {len(examples)} examples, allowed: 1 to {MOST_PICTURES}")
+    if not 1 <= len(examples) <= MOST_PICTURES:
+        count = len(examples) or "no"
+        raise TeachError(f"type {name}: {count} examples, allowed: 1 to {MOST_PICTURES}")
     shown: list[_Shown] = []
     unused: list[str] = []
     for example in examples:
