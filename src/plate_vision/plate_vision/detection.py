@@ -24,7 +24,7 @@ from .discs import (
     measure_alone,
     paint_over,
 )
-from .errors import ImageError, OptionError, check_ranges
+from .errors import OptionError, check_ranges, check_size
 from .plate import SEAM_PX, Region, fit_light, make_region
 from .shapes import find_outlines
 
@@ -147,11 +147,8 @@ def detect(
     size_px = (grey.shape[1], grey.shape[0])
     if not isinstance(region, Region):
         region = make_region(size_px, region)
-    elif region.size_px != size_px:
-        raise ImageError(
-            f"image: size is {size_px[0]} x {size_px[1]} px, allowed: {region.size_px[0]} x "
-            f"{region.size_px[1]} px, for which the region was made"
-        )
+    why = ", for which the region was made"
+    check_size("image: size is", size_px, region.size_px, why=why)
     if options is None:
         return _detect_any(image, region)
     return _discs(grey, region, options, size)

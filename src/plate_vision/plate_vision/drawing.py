@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from plate_core import part_class
-from plate_core.rig import PartType
+from plate_core.rig import PartType, to_home
 
 from .camera.boards import LensFit
 from .camera.lens import Calibration
@@ -35,7 +35,7 @@ def draw_detections(
     radius_px: np.ndarray,
     ahead_px: np.ndarray,
     outline_px: np.ndarray,
-    part_px: Sequence[np.ndarray] | None = None,
+    part_px: Sequence[np.ndarray],
 ) -> np.ndarray:
     """Return a copy in colour (H, W, 3) with parts outlined, named, and arrows of their velocity.
 
@@ -53,16 +53,15 @@ def draw_detections(
         Where they will be after `ARROW_S` [px].
     outline_px : (n, 2)
         Around the plate [px].
-    part_px : sequence of (k, 2), optional
+    part_px : sequence of (k, 2)
         Outlines of the parts [px]; of those that have none, (0, 2), circles are drawn.
     """
     picture = np.array(image) if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     outline = _fixed(outline_px)
     cv2.polylines(picture, [outline], True, PLATE_COLOUR, 1, cv2.LINE_AA, SHIFT)
     classes = sorted({name.rsplit("_", 1)[0] for name in ids})
-    rims = [np.empty((0, 2))] * len(ids) if part_px is None else part_px
     for name, point, radius, ahead, rim in zip(
-        ids, point_px, radius_px, ahead_px, rims, strict=True
+        ids, point_px, radius_px, ahead_px, part_px, strict=True
     ):
         colour = COLOURS[classes.index(name.rsplit("_", 1)[0]) % len(COLOURS)]
         middle, end = _fixed(point), _fixed(ahead)
@@ -97,8 +96,7 @@ def outlines_px(
         if part is None:
             outlines.append(np.empty((0, 2)))
             continue
-        c, s = np.cos(turn), np.sin(turn)
-        outlines.append(calibration.to_image(part.polygon @ np.array([[c, s], [-s, c]]) + place))
+        outlines.append(calibration.to_image(to_home(np.array([*place, turn]), part.polygon)))
     return outlines
 
 

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from plate_core import PlateError
 
 
@@ -23,6 +25,28 @@ class TrackError(PlateError):
 
 class TeachError(PlateError):
     """A type of part cannot be learned from these examples."""
+
+
+def check_image(image: np.ndarray) -> None:
+    """Refuse what is no image (H, W) or (H, W, 3) uint8."""
+    if image.dtype != np.uint8:
+        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
+    if image.size == 0 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
+
+
+def check_size(
+    what: str,
+    size_px: tuple[int, ...],
+    allowed_px: tuple[int, ...],
+    error: type[PlateError] = ImageError,
+    why: str = "",
+) -> None:
+    """Refuse an image of another width and height [px]; `what` begins the message,
+    `why` ends it."""
+    if size_px != allowed_px:
+        seen, allowed = (" x ".join(map(str, size)) for size in (size_px, allowed_px))
+        raise error(f"{what} {seen} px, allowed: {allowed} px{why}")
 
 
 def check_ranges(options: object, ranges: Mapping[str, tuple[float, float]]) -> None:

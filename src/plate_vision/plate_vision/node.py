@@ -54,7 +54,7 @@ from .camera import (
 )
 from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections, outlines_px
-from .errors import CalibrationError, ImageError, TeachError
+from .errors import CalibrationError, ImageError, TeachError, check_size
 from .live_teaching import Teaching, learn_shown
 from .plate import PlateLocation, light_problem
 from .recognition import camera_limits
@@ -274,13 +274,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _open(self, values: DetectorParameters) -> None:
         """Take pictures for a camera."""
         self._pictures = read_pictures(Path(values.path))
-        self._picture = next(self._pictures, None)
-        if self._picture is None:
-            raise ImageError(f"{values.path}: no pictures in it")
-        height, width = self._picture[1].shape[:2]
-        self._rig, text = rig_of_picture(self._rig, (width, height))
+        name, image = first = next(self._pictures)
+        self._picture: tuple[str, np.ndarray] | None = first
+        self._rig, text = rig_of_picture(self._rig, image.shape[1::-1])
         if text:
-            self.get_logger().warning(f"{self._picture[0]}: {text}")
+            self.get_logger().warning(f"{name}: {text}")
 
     def _on_timer(self) -> None:
         if self._picture is None:
@@ -554,10 +552,7 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
     PlateError
         If the camera is not that of the rig, or its lens is not understood.
     """
-    if (msg.width, msg.height) != size_px:
-        raise ImageError(
-            f"size is {msg.width} x {msg.height} px, allowed: {size_px[0]} x {size_px[1]} px"
-        )
+    check_size("size is", (msg.width, msg.height), size_px)
     if msg.k[0] == 0:
         return None
     models = sorted(set(LENS_MODELS.values()))

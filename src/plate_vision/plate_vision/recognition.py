@@ -16,7 +16,7 @@ from .plate import Region
 from .shapes import Background, find_patches, model_background
 from .shapes.background import colours
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import GROUP, UNKNOWN, recognise
+from .shapes.classes import is_named, recognise
 from .shapes.groups import explain_groups
 from .shapes.teaching import ALIKE, gap_between
 
@@ -90,11 +90,6 @@ def find_types(
     patches = find_patches(image, background, region)
     seen = recognise(image, patches, catalogue, calibration)
     return explain_groups(image, patches, seen, catalogue, calibration)
-
-
-def is_named(seen: np.ndarray) -> np.ndarray:
-    """Which (n,) of sightings (n,) `SIGHTING` are of a type."""
-    return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
 
 
 def model_plate(image: np.ndarray, region: Region) -> Background:

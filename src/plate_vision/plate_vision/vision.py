@@ -12,12 +12,13 @@ from plate_core.rig import to_home
 
 from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, detect, round_patches
-from .errors import ImageError
+from .errors import check_size
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
-from .recognition import find_types, is_named, model_plate
+from .recognition import find_types, model_plate
 from .shapes import Background
 from .shapes.catalogue import Catalogue, make_catalogue
+from .shapes.classes import is_named
 from .tracking import Prediction, Tracker, update
 
 HOME = np.zeros(3)
@@ -44,6 +45,9 @@ UNKNOWN_PX = 0.3
 
 SPECK = 0.3
 """What is of no type, and smaller than this fraction of the smallest type, is no part [-]."""
+
+RIG_SIZE = ", that of the rig's camera, for which corners_px hold, or of the first picture"
+"""Where the size of images comes from."""
 
 ANY_ANGLE = math.pi / math.sqrt(3)
 """Standard deviation of an angle of which nothing is known [rad]: all are as likely."""
@@ -163,7 +167,7 @@ def observe(
     ImageError
         If the image is not uint8, has another shape, or not the rig's size.
     """
-    check_image(image, vision)
+    check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
     size = None if vision.calibration.lens is None else vision.size
@@ -194,7 +198,8 @@ def _observe_types(
     on_plate = np.all(np.abs(centre) <= vision.inner, axis=1)
     kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > least))
     seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
-    symmetry = np.array([catalogue.symmetry.get(label, 0) for label in seen["label"].tolist()], int)
+    turns = {one.part.name: one.part.symmetry for one in catalogue.templates}
+    symmetry = np.array([turns.get(label, 0) for label in seen["label"].tolist()], int)
     place = np.where(named, SHAPE_PX, UNKNOWN_PX) / scale
     place[~seen["whole"]] = np.nan
     angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)
@@ -244,7 +249,7 @@ def follow_plate(
     PlateError
         As `locate_plate`, and if the image has another size.
     """
-    check_image(image, vision)
+    check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     now, image = locate_plate(location, image)
     if now.region_pose is not location.region_pose:
         rig = replace(now.rig, types={})  # they are known
@@ -277,14 +282,3 @@ def _quality(
     place = np.where(whole, CENTRE_PX / vision.calibration.scale(centre), np.nan)
     angle = np.where(found["angle_rad"] != 0, MARK_PX / found["radius_px"], ANY_ANGLE)
     return np.column_stack([place, angle, found["confidence"]])
-
-
-def check_image(image: np.ndarray, vision: Vision) -> None:
-    """Refuse images that are not of the rig's size."""
-    width, height = vision.region.size_px
-    if image.shape[:2] != (height, width):
-        size = " x ".join(str(n) for n in reversed(image.shape[:2]))
-        raise ImageError(
-            f"image: size is {size} px, allowed: {width} x {height} px, that of the rig's camera, "
-            "for which corners_px hold, or of the first picture"
-        )

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from plate_vision import make_region
+from plate_vision._kernels import bare
 from plate_vision.plate import fit_light
-from plate_vision.plate.light import bare
 
 X_PX, Y_PX = np.meshgrid(np.arange(40, 600, 20), np.arange(110, 380, 20))
 

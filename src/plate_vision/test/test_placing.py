@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_vision.shapes.placing import MOST_OUTSIDE, search, support
+from plate_vision._kernels import MOST_OUTSIDE, search, support
 
 
 def blob(rng, size):
@@ -58,7 +58,7 @@ def test_a_part_beside_the_window_is_outside():
     to_px = np.array([[1000.0, 0, 10], [0, -1000, 10]])
     inner = np.array([[0.003, 0.0], [-0.003, 0.0], [0.0, 0.003], [0.0, -0.003]])
     rim = outline(inner)
-    assert support(free, free, to_px, rim, inner, np.zeros(3)) == (0.0, 0.0)
-    assert support(free, free, to_px, rim, inner, np.array([0.009, 0, 0])) == (-0.25, 0.25)
-    assert support(free, free, to_px, rim, inner, np.array([0.1, 0, 0])) == (-1.0, 1.0)
+    assert support(free, free, to_px, rim, inner, np.zeros(3)) == [0, 0]
+    assert support(free, free, to_px, rim, inner, np.array([0.009, 0, 0])) == [-0.25, 0.25]
+    assert support(free, free, to_px, rim, inner, np.array([0.1, 0, 0])) == [-1, 1]
     assert len(search(free, free, to_px, rim, inner, np.zeros(2), 9.0, np.zeros(1), 1)) == 0

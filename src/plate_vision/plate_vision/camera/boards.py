@@ -179,18 +179,13 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     points = np.asarray(corner_px, dtype=np.float32).reshape(-1, 2)
     gap = np.linalg.norm(points[:, None] - points, axis=2)
     side = float(np.median(np.sort(gap, axis=1)[:, 1]))
-    reach = side * (REFINE_FRACTION if board.marker_m == 0 else _clear_width(board))
+    # No marker may be seen in the window.
+    reach = side * min(REFINE_FRACTION, 0.5 * (1 - board.marker_m / board.square_m))
     window = round(float(np.clip(reach, LEAST_WINDOW_PX, MOST_WINDOW_PX)))
     refined = cv2.cornerSubPix(
         grey, points.reshape(-1, 1, 2), (window, window), (-1, -1), REFINE_STEPS
     )
     return np.asarray(refined, dtype=float).reshape(-1, 2)
-
-
-def _clear_width(board: Board) -> float:
-    """Width of the white between corners and markers, over a square's side: no marker may be seen
-    in the window."""
-    return min(REFINE_FRACTION, 0.5 * (1 - board.marker_m / board.square_m))
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,6 +272,6 @@ def fit_lens(board: Board, seen: Sequence[Corners], size_px: tuple[int, int]) ->
         )
     width, height = np.ptp(np.concatenate([place for _, place in seen]), axis=0) / size_px
     return LensFit(
-        Lens(np.asarray(matrix, dtype=float), bend.astype(float)), size_px, error_px, errors,
+        Lens(matrix, bend), size_px, error_px, errors,
         tuple(seen), deviation, (float(width), float(height)),
     )  # fmt: skip

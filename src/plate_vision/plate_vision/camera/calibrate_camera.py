@@ -16,7 +16,7 @@ import numpy as np
 from plate_core import PlateError, load_rig
 
 from ..drawing import draw_errors
-from ..errors import CalibrationError
+from ..errors import CalibrationError, check_size
 from ..plate.home import find_home
 from .boards import Board, Corners, LensFit, draw_board, find_corners, fit_lens
 from .files import load_lens, read_pictures, save_lens, write_picture
@@ -91,10 +91,10 @@ def _make_board(args: argparse.Namespace) -> Board:
 def _lens(args: argparse.Namespace) -> None:
     board = _make_board(args)
     seen: list[Corners] = []
-    size_px = None
+    size_px = (0, 0)
     for name, picture in read_pictures(args.pictures):
         here = (picture.shape[1], picture.shape[0])
-        if size_px not in (None, here):
+        if size_px not in ((0, 0), here):
             raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as the one before")
         size_px = here
         corners = find_corners(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), board)
@@ -103,8 +103,6 @@ def _lens(args: argparse.Namespace) -> None:
         )
         if corners is not None:
             seen.append(corners)
-    if size_px is None:
-        raise CalibrationError(f"{args.pictures}: no pictures in it, allowed: JPEG, PNG or a video")
     fit = fit_lens(board, seen, size_px)
     print(_summary(fit))
     save_lens(args.out, args.name, size_px, fit.lens)
@@ -159,17 +157,11 @@ def _home(args: argparse.Namespace) -> None:
     lens = rig_lens(rig) if args.camera is None else load_lens(args.camera, size_px)
     corners = []
     for name, picture in read_pictures(args.pictures):
-        here = (picture.shape[1], picture.shape[0])
-        if here != size_px:
-            raise CalibrationError(
-                f"{name}: {here[0]} x {here[1]} px, allowed: {size_px[0]} x {size_px[1]} px, "
-                "width_px and height_px of the rig file"
-            )
+        why = ", width_px and height_px of the rig file"
+        check_size(f"{name}:", picture.shape[1::-1], size_px, CalibrationError, why)
         calibration, error = find_home(picture, rig.fiducials, lens)
         corners.append(calibration.to_image(rig.plate.corners))
         print(f"{name}: corners of the markers {1e3 * error:.3f} mm rms from where they should be")
-    if not corners:
-        raise CalibrationError(f"{args.pictures}: no pictures in it, allowed: JPEG, PNG or a video")
     mean = np.mean(corners, axis=0)
     print("for the rig file, section camera:")
     print(f"  corners_px: [{', '.join(f'[{x:.2f}, {y:.2f}]' for x, y in mean)}]")

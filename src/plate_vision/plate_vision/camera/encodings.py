@@ -7,7 +7,7 @@ import struct
 import cv2
 import numpy as np
 
-from ..errors import ImageError
+from ..errors import ImageError, check_image, check_size
 
 BAYER = {
     "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV's names are those of the second row and column
@@ -92,7 +92,7 @@ def decode(
         raise ImageError(f"image: encoding is {encoding!r}, allowed: {', '.join(ENCODINGS)}")
     kind, size = ENCODINGS[encoding]
     width, height = size_px
-    check_size(width, height)
+    check_pixels(width, height)
     channels = CHANNELS.get(kind, 1)
     row = width * channels * size
     if step < row:
@@ -143,28 +143,29 @@ def decode_file(
         raise ImageError(f"image: format is {form!r}, allowed: jpeg, png")
     content = bytes(data)
     seen = _file_size(content)
-    check_size(*seen)
-    if size_px is not None and seen != size_px:
-        raise ImageError(
-            f"image: size is {seen[0]} x {seen[1]} px, allowed: {size_px[0]} x {size_px[1]} px"
-        )
+    check_pixels(*seen)
+    if size_px is not None:
+        check_size("image: size is", seen, size_px)
     tail = content[-TAIL:]
     if not (b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail):
         raise ImageError(
             f"image: {len(content)} bytes break off before the file's end, allowed: whole files"
         )
-    try:
-        pixels = cv2.imdecode(
-            np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
-        )
-    except cv2.error:
-        pixels = None
+    pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     if pixels is None:
         raise ImageError(f"image: {len(content)} bytes are damaged, allowed: a JPEG or PNG file")
     if pixels.dtype != np.uint8:
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
     return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
+
+
+def unpack(content: bytes, flags: int) -> np.ndarray | None:
+    """Return the pixels of a picture's file by OpenCV's flags; None if it is none, or damaged."""
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except cv2.error:  # also if it is empty
+        return None
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
@@ -177,16 +178,12 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
         If the image is not uint8, or has another shape.
     """
     image = np.asarray(image)
-    if image.dtype != np.uint8:
-        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
-    if image.ndim == 3 and image.shape[2] == 3:
-        image = image[:, :, 1]
-    if image.ndim != 2 or image.size == 0:
-        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
-    return np.ascontiguousarray(image)  # once, or each kernel would
+    check_image(image)
+    grey = image if image.ndim == 2 else image[:, :, 1]
+    return np.ascontiguousarray(grey)  # once, or each kernel would
 
 
-def check_size(width: int, height: int) -> None:
+def check_pixels(width: int, height: int) -> None:
     """Refuse images without pixels, or with far too many."""
     if width < 1 or height < 1 or width * height > MOST_PIXELS:
         raise ImageError(

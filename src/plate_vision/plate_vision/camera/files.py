@@ -15,7 +15,8 @@ from plate_core import Rig
 from plate_core.files import check_file, draft, read_file
 from plate_core.yaml_fields import Fields, read_yaml
 
-from ..errors import CalibrationError, ImageError
+from ..errors import CalibrationError, ImageError, check_size
+from .encodings import unpack
 from .lens import LENS_MODELS, Lens
 
 FAR = 1e6
@@ -39,11 +40,8 @@ def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> L
     """
     fields = read_yaml(path, CalibrationError)
     size_px = (fields.integer("image_width", 16, 16384), fields.integer("image_height", 16, 16384))
-    if expected_px is not None and size_px != expected_px:
-        raise CalibrationError(
-            f"{fields.where}: image size is {size_px[0]} x {size_px[1]} px, allowed: "
-            f"{expected_px[0]} x {expected_px[1]} px"
-        )
+    if expected_px is not None:
+        check_size(f"{fields.where}: image size is", size_px, expected_px, CalibrationError)
     model = fields.text("distortion_model", sorted(set(LENS_MODELS.values())))
     values = _matrix(fields.child("distortion_coefficients"), None)
     if LENS_MODELS.get(len(values)) != model:
@@ -63,17 +61,15 @@ def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Len
     PlateError
         If it cannot be written: what was there stays.
     """
-    matrix = np.asarray(lens.matrix, dtype=float)
-    distortion = np.ravel(lens.distortion).astype(float)
     data = {
         "image_width": size_px[0],
         "image_height": size_px[1],
         "camera_name": camera,
-        "camera_matrix": _block(matrix),
-        "distortion_model": LENS_MODELS[len(distortion)],
-        "distortion_coefficients": _block(distortion[None]),
+        "camera_matrix": _block(lens.matrix),
+        "distortion_model": LENS_MODELS[len(lens.distortion)],
+        "distortion_coefficients": _block(lens.distortion[None]),
         "rectification_matrix": _block(np.eye(3)),
-        "projection_matrix": _block(np.column_stack([matrix, np.zeros(3)])),
+        "projection_matrix": _block(np.column_stack([lens.matrix, np.zeros(3)])),
     }
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None)
     with draft(path, "camera file") as file:
@@ -166,14 +162,10 @@ def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
 
 
 def _read(file: Path) -> np.ndarray:
-    content = np.frombuffer(read_file(file, PICTURE_BYTES, ImageError), dtype=np.uint8)
-    try:
-        pixels = cv2.imdecode(content, cv2.IMREAD_COLOR)
-    except cv2.error:  # also if it is empty
-        pixels = None
+    pixels = unpack(read_file(file, PICTURE_BYTES, ImageError), cv2.IMREAD_COLOR)
     if pixels is None:
         raise ImageError(f"{file}: cannot be read, allowed: a whole picture")
-    return np.asarray(pixels)
+    return pixels
 
 
 def _film(path: Path) -> Iterator[tuple[str, np.ndarray]]:

@@ -56,6 +56,7 @@ class Lens:
 
     def __post_init__(self) -> None:
         matrix = _finite(self.matrix, (3, 3), "lens matrix")
+        object.__setattr__(self, "matrix", matrix)
         if min(matrix[0, 0], matrix[1, 1]) <= 0:
             raise CalibrationError(
                 f"lens matrix: focal lengths are {matrix[0, 0]:g} and {matrix[1, 1]:g} px, "
@@ -70,7 +71,8 @@ class Lens:
             raise CalibrationError(
                 f"lens distortion: {count} values, allowed: {', '.join(map(str, LENS_MODELS))}"
             )
-        _finite(self.distortion, (count,), "lens distortion")
+        distortion = _finite(self.distortion, (count,), "lens distortion")
+        object.__setattr__(self, "distortion", distortion)
 
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
         """Return where points (M, 2) [px] would be without distortion (M, 2) [px]."""
@@ -84,20 +86,18 @@ class Lens:
 
     def _unbend(self, point_px: np.ndarray) -> np.ndarray:
         """OpenCV's five fixed-point steps: with a strong lens wrong by some tenths of a pixel."""
-        camera = np.asarray(self.matrix, dtype=float)
-        lens = np.asarray(self.distortion, dtype=float)
         bent = point_px.reshape(-1, 1, 2)
-        return np.asarray(cv2.undistortPoints(bent, camera, lens, P=camera)).reshape(-1, 2)
+        straight = cv2.undistortPoints(bent, self.matrix, self.distortion, P=self.matrix)
+        return np.asarray(straight).reshape(-1, 2)
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
         """Return where straight points (M, 2) [px] are seen (M, 2) [px]."""
         point_px = _points(point_px)
         if not len(point_px):
             return point_px
-        camera = np.asarray(self.matrix, dtype=float)
-        lens = np.asarray(self.distortion, dtype=float)
-        ray = np.column_stack([point_px, np.ones(len(point_px))]) @ np.linalg.inv(camera).T
-        seen = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), camera, lens)[0]
+        ray = np.column_stack([point_px, np.ones(len(point_px))]) @ np.linalg.inv(self.matrix).T
+        still = np.zeros(3)
+        seen = cv2.projectPoints(ray, still, still, self.matrix, self.distortion)[0]
         return np.asarray(seen).reshape(-1, 2)
 
 

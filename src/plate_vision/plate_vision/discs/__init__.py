@@ -5,11 +5,10 @@
 
 from .fit import fit_discs
 from .marks import mark_angles, paint_over
-from .measure import DISC, RIM_PX, crowded, measure_alone
+from .measure import RIM_PX, crowded, measure_alone
 from .seeds import find_seeds
 
 __all__ = [
-    "DISC",
     "RIM_PX",
     "crowded",
     "find_seeds",

@@ -18,15 +18,7 @@ RIM_DIRT_PX2 = 0.5
 """Dark area [px2] in that rim from which on there is something beside the part; twice as
 much would shift the moments of a part of 8 px radius by 0.05 px."""
 
-DISC = np.dtype(
-    [
-        ("x_px", "f8"),
-        ("y_px", "f8"),
-        ("radius_px", "f8"),
-        ("darkness", "f8"),
-        ("misfit", "f8"),
-    ]
-)
+DISC = np.dtype([(name, "f8") for name in ("x_px", "y_px", "radius_px", "darkness", "misfit")])
 """A measured disc: centre; radius, that of a disc of the same darkness and area; mean darkness of
 its inner part; how far it is from an evenly dark disc: 0 for a perfect one, about 1 for something
 else."""

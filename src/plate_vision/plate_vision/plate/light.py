@@ -29,7 +29,7 @@ class LitPlate(NamedTuple):
     grey : (H, W) uint8
         Grey levels.
     light : (9,) float32
-        The bare plate's brightness, as `bare` takes it: a to f [grey levels] of
+        The bare plate's brightness: a to f [grey levels] of
         a + b u + c v + d u2 + e u v + f v2; the image point [px] where u = v = 0; one over the
         length [px] of one unit of u and v.
     usable : (H, W) bool
@@ -39,11 +39,6 @@ class LitPlate(NamedTuple):
     grey: np.ndarray
     light: np.ndarray
     usable: np.ndarray
-
-
-def bare(light: np.ndarray, x_px: float, y_px: float) -> float:
-    """Brightness of the bare plate [grey levels] at a pixel; `light` is that of `LitPlate`."""
-    return float(_kernels.bare(light, x_px, y_px))
 
 
 def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | None:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from .. import _kernels
-from ..errors import ImageError
+from ..errors import ImageError, check_image, check_size
 from ..plate.region import quadratic
 
 CHROMA = (0.5, 2.0)
@@ -133,8 +133,7 @@ class Background:
             first = learned or self
             few = np.s_[::SPARSE, ::SPARSE]
             jump = np.median(lab[few].astype(np.float32) - first.lab[few], axis=(0, 1))
-            moved = np.clip(np.rint(first.lab + jump), 0, 255).astype(np.uint8)
-            lit = replace(first, lab=moved)._lit_as(lab)
+            lit = replace(first, lab=_as_colours(first.lab + jump))._lit_as(lab)
         return lit or self
 
     def _lit_as(self, lab: np.ndarray) -> Background | None:
@@ -157,7 +156,8 @@ class Background:
         if np.max(np.abs(design @ fit)) < 0.5:
             return self
         y, x = np.mgrid[:height, :width].astype(np.float32)
-        return replace(self, lab=_add_surface(self.lab, _surface_terms(x, y, (width, height)), fit))
+        surface = _surface_terms(x, y, (width, height)) @ fit
+        return replace(self, lab=_as_colours(self.lab + surface))
 
 
 def learn_plate(images: np.ndarray) -> Background:
@@ -179,10 +179,7 @@ def learn_plate(images: np.ndarray) -> Background:
     square = np.mean([deviation(lab, bare, chroma).astype(np.float32) ** 2 for lab in labs], axis=0)
     side = 2 * NEAR_PX + 1
     square = cv2.blur(square, (side, side))
-    slope = np.hypot(
-        cv2.Sobel(mean[:, :, 0], cv2.CV_32F, 1, 0), cv2.Sobel(mean[:, :, 0], cv2.CV_32F, 0, 1)
-    )
-    noise = np.sqrt(square + (SHIFT_PX / 8 * slope) ** 2)
+    noise = np.sqrt(square + (SHIFT_PX / 8 * steepness(mean[:, :, 0])) ** 2)
     return Background(mean, _limit(noise), chroma)
 
 
@@ -237,7 +234,7 @@ def model_background(image: np.ndarray) -> Background:
         return nothing
     surface, kept = _local(values, best[1], best[2], size)
     grown = cv2.resize(surface.reshape(size[1], size[0], channels), (width, height))
-    bare = np.clip(np.rint(grown), 0, 255).astype(np.uint8).reshape(lab.shape)
+    bare = _as_colours(grown).reshape(lab.shape)
     inner = cv2.erode(kept.reshape(size[1], size[0]).astype(np.uint8), np.ones((3, 3), np.uint8))
     shown = cv2.resize(inner, (width, height), interpolation=cv2.INTER_NEAREST) > 0
     away = deviation(lab, bare, CHROMA[1])[shown]
@@ -268,10 +265,7 @@ def _local(
 def colours(image: np.ndarray) -> np.ndarray:
     """Return Lab (H, W, 3) uint8 of blue, green, red (H, W, 3) uint8; grey levels as (H, W, 1)."""
     image = np.asarray(image)
-    if image.dtype != np.uint8:
-        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
-    if image.size == 0 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
-        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
+    check_image(image)
     if image.ndim == 2:
         return np.ascontiguousarray(image)[:, :, None]
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2LAB))
@@ -284,15 +278,26 @@ def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
     if lab.shape[2] != background.lab.shape[2]:
         code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY
         lab = colours(cv2.cvtColor(np.ascontiguousarray(image), code))
-    if lab.shape != background.lab.shape:
-        seen, known = (f"{shape[1]} x {shape[0]} px" for shape in (lab.shape, background.lab.shape))
-        raise ImageError(f"image: {seen}, allowed: {known}, as the background has")
+    why = ", as the background has"
+    check_size("image:", lab.shape[1::-1], background.lab.shape[1::-1], why=why)
     return _cleaned(lab) if background.cleaned else lab
 
 
 def _cleaned(lab: np.ndarray) -> np.ndarray:
     """Return colours (H, W, C) without single pixels that differ from those around them."""
     return np.asarray(cv2.medianBlur(lab, 3)).reshape(lab.shape)
+
+
+def steepness(
+    image: np.ndarray, weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> np.ndarray:
+    """Return how steeply an image (H, W) or (H, W, C) changes: (H, W), as Sobel's filter gives it,
+    of that channel, times its weight, which changes most."""
+    slopes = [
+        weight * np.hypot(cv2.Sobel(one, cv2.CV_32F, 1, 0), cv2.Sobel(one, cv2.CV_32F, 0, 1))
+        for one, weight in zip(cv2.split(image), weights, strict=False)
+    ]
+    return np.asarray(np.max(slopes, axis=0))
 
 
 def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:
@@ -329,9 +334,9 @@ def _surface_terms(x: np.ndarray, y: np.ndarray, size_px: tuple[int, int]) -> np
     return quadratic(u.astype(np.float32), v.astype(np.float32))
 
 
-def _add_surface(lab: np.ndarray, terms: np.ndarray, fit: np.ndarray) -> np.ndarray:
-    """Return colours (H, W, C) uint8, changed by a surface: terms (H, W, 6), factors (6, C)."""
-    return np.asarray(np.clip(np.rint(lab + terms @ fit), 0, 255).astype(np.uint8))
+def _as_colours(lab: np.ndarray) -> np.ndarray:
+    """Return the nearest colours (..., C) uint8."""
+    return np.clip(np.rint(lab), 0, 255).astype(np.uint8)
 
 
 def _modes(values: np.ndarray) -> np.ndarray:

@@ -149,11 +149,6 @@ class Catalogue:
     colour: np.ndarray
     form: np.ndarray
 
-    @cached_property
-    def symmetry(self) -> dict[str, int]:
-        """In how many directions parts of each type look the same, by its name; 0 for discs."""
-        return {template.part.name: template.part.symmetry for template in self.templates}
-
 
 def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
     """Prepare all types of a rig."""

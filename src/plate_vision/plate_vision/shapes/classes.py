@@ -12,14 +12,17 @@ no angle, and names what is of no type.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import cv2
 import numpy as np
 
+from plate_core.rig import PartType
+
+from .. import _kernels
 from ..camera.lens import Calibration
 from .catalogue import Catalogue, Template, lay_on
-from .outlines import MARGIN_PX, POINTS, Outline, make_outline, patch_rings, turn_scatter
+from .outlines import POINTS, Outline, make_outline, patch_rings
+from .patch import Patch
 
 UNKNOWN = "unknown"
 """The label of a patch that is like no type."""
@@ -96,22 +99,14 @@ the angle [rad]; whether all of it is in the image; how far its outline is from 
 that is swollen as much as it is, and by how much that is [px]; distance of the colours."""
 
 
-class PatchLike(Protocol):
-    """What is used of a patch of pixels that is not the plate."""
-
-    @property
-    def mask(self) -> np.ndarray: ...
-    @property
-    def corner(self) -> tuple[int, int]: ...
-    @property
-    def whole(self) -> bool: ...
-    @property
-    def group(self) -> bool: ...
+def is_named(seen: np.ndarray) -> np.ndarray:
+    """Which (n,) of sightings (n,) `SIGHTING` are of a type."""
+    return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
 
 
 def recognise(
     image: np.ndarray,
-    patches: Sequence[PatchLike],
+    patches: Sequence[Patch],
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> np.ndarray:
@@ -132,28 +127,50 @@ def recognise(
     (n,) SIGHTING
     """
     outlines, colours = measure_patches(image, patches, calibration)
-    return judge(outlines, colours, patches, catalogue, calibration, image.ndim == 3)
+    found = np.zeros(len(outlines), SIGHTING)
+    if not len(outlines):
+        return found
+    centre = np.array([outline.centre for outline in outlines])
+    scale = calibration.scale(centre)
+    area = np.array([outline.area for outline in outlines])
+    found["x"], found["y"] = centre.T
+    found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
+    found["whole"] = [patch.whole for patch in patches]
+    found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
+    if catalogue.templates:
+        reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
+        fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
+        size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
+        filled = np.array([outline.filled.area for outline in outlines])[:, None]
+        swell_px = scale[:, None] * np.abs(filled - catalogue.filled_area) / catalogue.rim
+        ratio = np.log(np.maximum(filled, 1e-12) / catalogue.filled_area) / 2
+        other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
+        form = np.array([outline.form for outline in outlines])[:, None] - catalogue.form
+        other |= np.sum(form**2, axis=2) > UNLIKE**2
+        tint = np.nan_to_num(colour_distance(colours[:, None], catalogue.colour, image.ndim == 3))
+        least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
+        least[other] = np.inf
+        for i, outline in enumerate(outlines):
+            _judge_one(found[i], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i])
+    fitted = np.column_stack([found["x"], found["y"]])
+    found["x_px"], found["y_px"] = calibration.to_image(fitted).T
+    return found
 
 
 def measure_patches(
     image: np.ndarray,
-    patches: Sequence[PatchLike],
+    patches: Sequence[Patch],
     calibration: Calibration,
     count: int = POINTS,
 ) -> tuple[list[Outline], np.ndarray]:
     """Return the outlines of patches [m, plate_home], with `count` points around each, and their
     colours CIE L, a, b (n, 3)."""
     rings, colours = [], []
-    height, width = image.shape[:2]
     for patch in patches:
-        x0, y0 = patch.corner
-        h, w = patch.mask.shape
-        left, top = max(x0 - MARGIN_PX, 0), max(y0 - MARGIN_PX, 0)
-        right, bottom = min(x0 + w + MARGIN_PX, width), min(y0 + h + MARGIN_PX, height)
-        mask = np.zeros((bottom - top + 2, right - left + 2), np.uint8)
-        mask[y0 - top + 1 : y0 - top + 1 + h, x0 - left + 1 : x0 - left + 1 + w] = patch.mask
-        found, colour = patch_rings(mask, image[top:bottom, left:right], count)
-        rings.append([ring + (left, top) for ring in found])
+        here, mask = patch.windowed(image.shape)
+        framed = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+        found, colour = patch_rings(framed, image[here], count)
+        rings.append([ring + (here[1].start, here[0].start) for ring in found])
         colours.append(colour)
     if not rings:
         return [], np.empty((0, 3))
@@ -179,49 +196,8 @@ def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
     return np.asarray(np.sqrt(np.sum(gap**2, axis=-1)))
 
 
-def judge(
-    outlines: Sequence[Outline],
-    colours: np.ndarray,
-    patches: Sequence[PatchLike],
-    catalogue: Catalogue,
-    calibration: Calibration,
-    coloured: bool,
-) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of measured patches; see `recognise`."""
-    found = np.zeros(len(outlines), SIGHTING)
-    if not len(outlines):
-        return found
-    centre = np.array([outline.centre for outline in outlines])
-    scale = calibration.scale(centre)
-    area = np.array([outline.area for outline in outlines])
-    found["x"], found["y"] = centre.T
-    found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
-    found["whole"] = [patch.whole for patch in patches]
-    found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
-    if catalogue.templates:
-        reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
-        fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
-        size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
-        filled = np.array([outline.filled.area for outline in outlines])[:, None]
-        swell_px = scale[:, None] * np.abs(filled - catalogue.filled_area) / catalogue.rim
-        ratio = np.log(np.maximum(filled, 1e-12) / catalogue.filled_area) / 2
-        other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
-        form = np.array([outline.form for outline in outlines])[:, None] - catalogue.form
-        other |= np.sum(form**2, axis=2) > UNLIKE**2
-        tint = np.nan_to_num(colour_distance(colours[:, None], catalogue.colour, coloured))
-        least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
-        least[other] = np.inf
-        for i, outline in enumerate(outlines):
-            _judge_one(
-                found[i : i + 1], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i]
-            )
-    fitted = np.column_stack([found["x"], found["y"]])
-    found["x_px"], found["y_px"] = calibration.to_image(fitted).T
-    return found
-
-
 def _judge_one(
-    row: np.ndarray,
+    row: np.void,
     outline: Outline,
     catalogue: Catalogue,
     scale: float,
@@ -230,7 +206,7 @@ def _judge_one(
     size_square: np.ndarray,
     tint: np.ndarray,
 ) -> None:
-    """Fill in a sighting (1,) SIGHTING. Of each type (T,): its least score; variances of outline
+    """Fill in a sighting () SIGHTING. Of each type (T,): its least score; variances of outline
     and size [px2]; how far its colour is."""
     best, second, chosen, kept = np.inf, np.inf, 0, np.empty(0)
     laid, points = catalogue.templates[0], outline.points
@@ -261,27 +237,41 @@ def _judge_one(
         gain = kept[4] ** 2 - lay_on(over, outline, scale)[4] ** 2
         if scale**2 * gain > OTHER_FACE * fit_square[chosen]:
             return
-    part = catalogue.templates[chosen].part
-    row["label"] = part.name
-    row["x"], row["y"] = kept[:2]
-    row["angle"] = wrapped(kept[2], part.symmetry)
-    row["angle_sd"] = angle_sd(laid, points, kept, scale)
-    row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
+    note_type(
+        row,
+        catalogue.templates[chosen].part,
+        kept,
+        angle_sd(laid, points, kept, scale),
+        scale,
+    )
     row["fit_px"], row["swell_px"] = scale * kept[4], scale * kept[3]
     row["colour"] = tint[chosen]
     row["confidence"] = (1 - best / LIMIT**2) * (1 - np.exp(-0.5 * (second - best)))
+
+
+def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, scale: float) -> None:
+    """Write into a sighting () SIGHTING which type it is, where that was laid: `fit` (3,) x, y [m],
+    angle [rad], with a standard deviation `scatter` [rad]."""
+    row["label"] = part.name
+    row["x"], row["y"] = fit[:2]
+    row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), scatter
+    row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
 
 
 def angle_sd(
     template: Template, points: np.ndarray, fit: np.ndarray, scale: float, gate: float = np.inf
 ) -> float:
     """Return the standard deviation [rad] of the angle of a type that was laid onto points (n, 2):
-    at most that of an angle of which nothing is known."""
+    at most that of an angle of which nothing is known.
+
+    It follows from how much worse the type lies on them when it is turned by a pixel. If they show
+    less of a turn than its own rim does, corners are blurred or hidden, and noise looks like them.
+    """
     period = 2 * np.pi / max(template.part.symmetry, 1)
     most = period / np.sqrt(12)
     if template.part.symmetry == 0:
         return float(most)
-    scatter = turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
+    scatter = _kernels.turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
     return float(min(scatter, most))
 
 

@@ -6,15 +6,21 @@ part or several, as of brackets that touch with a whole side, its like elsewhere
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
+from .background import steepness
 from .splitting import split
 
 Traits = tuple[float, float, float]
 """Area [px2], spread (second moment by squared area) and solidity of a piece."""
+
+Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A patch: its pixels (h, w) bool, how much of each is part (h, w) float32, and their colours
+(h, w, C) uint8."""
 
 CONVEX = 0.93
 """Patches that fill so much of their convex hull are not split by their necks."""
@@ -102,10 +108,11 @@ class Piece:
     rank: int
     alone: bool
     group: bool = False
-    traits: Traits = field(init=False)
 
-    def __post_init__(self) -> None:
-        self.traits = traits(self.inside)
+    @cached_property
+    def traits(self) -> Traits:
+        """Of its pixels."""
+        return traits(self.inside)
 
     @property
     def area(self) -> float:
@@ -133,11 +140,7 @@ def traits(inside: np.ndarray) -> Traits:
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
 
 
-def alike(
-    one: Traits,
-    other: Traits,
-    spread: Traits = ALIKE,
-) -> bool:
+def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
     """Whether two pieces have like traits."""
     return (
         abs(one[0] - other[0]) <= spread[0] * max(one[0], other[0])
@@ -146,15 +149,13 @@ def alike(
     )
 
 
-def pieces_of(
-    solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]], least_area: float, limit: float
-) -> list[Piece]:
+def pieces_of(solids: list[Solid], least_area: float, limit: float) -> list[Piece]:
     """Return the parts, and groups of parts, that patches consist of.
 
     Parameters
     ----------
-    solids : list of ((h, w) bool, (h, w) float32, (h, w, C) uint8)
-        The pixels of each patch, how much of each is part, and their colours.
+    solids : list of Solid
+        The patches.
     least_area : float
         Smallest part [px2].
     limit : float
@@ -183,9 +184,7 @@ def pieces_of(
     return _cut_by_kind(_without_shreds(sure, solids), solids, limit)
 
 
-def _without_shreds(
-    pieces: list[Piece], solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
-) -> list[Piece]:
+def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
     """Return pieces, those of one patch put together again if too little of it is compact or like
     others: a jagged part; of more than two, a group."""
     kept: list[Piece] = []
@@ -236,7 +235,7 @@ def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Trait
 
 def _cut_by_kind(
     pieces: list[Piece],
-    solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    solids: list[Solid],
     limit: float,
 ) -> list[Piece]:
     """Return pieces, those cut that fall in pieces like others, or along edges inside; what is far
@@ -274,14 +273,7 @@ def _along_edges(
 ) -> list[Piece]:
     """Return the pieces into which edges inside part a piece, as of parts of different colours that
     touch, and what is left of it; itself if they part nothing compact."""
-    channels = [colours[:, :, c] for c in range(colours.shape[2])]
-    steep = np.max(
-        [
-            np.hypot(cv2.Sobel(c, cv2.CV_32F, 1, 0), cv2.Sobel(c, cv2.CV_32F, 0, 1))
-            for c in channels
-        ],
-        axis=0,
-    )
+    steep = steepness(colours)
     inner = cv2.erode(piece.inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if np.count_nonzero(inner) < LEAST_INNER:
         return [piece]
@@ -341,21 +333,23 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
 def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
     """Return the good pieces of a piece, what is left of it given to the nearest of them; what is
     as large as they are is a group."""
-    owner = np.zeros(piece.inside.shape, np.int32)
-    for k, one in enumerate(good, 1):
-        owner[one.inside] = k
-    rest = piece.inside & (owner == 0)
+    nearest = _nearest([one.inside for one in good])
+    rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
     area = np.bincount(left.ravel(), minlength=count)
     large = area > LEAST_SHARE * min(one.area for one in good)
     large[0] = False
-    gap = [cv2.distanceTransform((owner != k + 1).astype(np.uint8), cv2.DIST_L2, 3)
-           for k in range(len(good))]  # fmt: skip
-    owner = np.where(rest & ~large[left], np.argmin(gap, axis=0) + 1, owner)
+    shared = piece.inside & ~large[left]
     return [
-        *(Piece(owner == k + 1, piece.rank, False) for k in range(len(good))),
+        *(Piece(shared & (nearest == k), piece.rank, False) for k in range(len(good))),
         *(Piece(left == k, piece.rank, False, True) for k in np.flatnonzero(large)),
     ]
+
+
+def _nearest(places: list[np.ndarray]) -> np.ndarray:
+    """Return which (h, w) of places (h, w) bool is nearest to each pixel, the first if several."""
+    gaps = [cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, 3) for one in places]
+    return np.argmin(gaps, axis=0)
 
 
 def _halves(piece: Piece, kinds: list[Traits]) -> list[Piece] | None:
@@ -386,15 +380,9 @@ def _halves(piece: Piece, kinds: list[Traits]) -> list[Piece] | None:
             sizes = np.bincount(labels.ravel(), minlength=3)[1:]
             if count < 3 or np.partition(sizes, -2)[-2] < 0.1 * piece.area:
                 continue
-            two = 1 + np.argsort(-sizes)[:2]
             # The pixels of the cut belong to the nearer side.
-            gap = [
-                cv2.distanceTransform((labels != k).astype(np.uint8), cv2.DIST_L2, 3) for k in two
-            ]
-            halves = [
-                Piece(piece.inside & near, piece.rank, False)
-                for near in (gap[0] < gap[1], gap[0] >= gap[1])
-            ]
+            nearest = _nearest([labels == k for k in 1 + np.argsort(-sizes)[1::-1]])
+            halves = [Piece(piece.inside & (nearest == k), piece.rank, False) for k in (1, 0)]
             if all(sum(alike(half.traits, kind) for kind in kinds) >= MEMBERS for half in halves):
                 length = float(np.hypot(*(end - start)))
                 if best is None or length < best[0]:

@@ -15,8 +15,13 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
+from plate_core.rig import to_home
+
+from .. import _kernels
 from ..camera.lens import Calibration
+from .background import steepness
 from .catalogue import Catalogue, Template
 from .classes import (
     COLOUR_LAB,
@@ -24,16 +29,25 @@ from .classes import (
     LIMIT,
     SIGHTING,
     UNKNOWN,
-    PatchLike,
     angle_sd,
     colour_distance,
+    is_named,
     measure_patches,
+    note_type,
     recognise,
     to_lab,
-    wrapped,
 )
-from .outlines import MARGIN_PX, Outline, fit_pose
-from .placing import MOST_OUTSIDE, NEAR_PX, OUTSIDE_PX, search, support
+from .outlines import Outline, fit_pose
+from .patch import Patch
+
+NEAR_PX: float = _kernels.NEAR_PX
+"""How near the group's rim is to a part's where it is the same [px]."""
+
+OUTSIDE_PX: float = _kernels.OUTSIDE_PX
+"""How far outside a part may seem to be [px]."""
+
+MOST_OUTSIDE: float = _kernels.MOST_OUTSIDE
+"""Largest fraction of a part outside the group."""
 
 RIM_POINTS = 200
 """Points on the rim of a group."""
@@ -89,10 +103,10 @@ STEPS = 8
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A part in a group: index of its template, x, y [m], angle [rad], how much of its rim is seen
-    (0 to 1), distance of its colour."""
+    """A part in a group: its template, x, y [m], angle [rad], how much of its rim is seen (0 to 1),
+    distance of its colour."""
 
-    index: int
+    template: Template
     pose: np.ndarray
     seen: float
     tint: float
@@ -121,31 +135,36 @@ class View:
     scale: float
     outline: Outline
 
-    def drawn(self, template: Template, pose: np.ndarray) -> np.ndarray:
+    def seen(self, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return where points (n, 2) [m] of a part at a pose (3,) are seen [px, window]."""
+        return to_home(pose, points) @ self.to_px[:, :2].T + self.to_px[:, 2]
+
+    def drawn(self, part: Found) -> np.ndarray:
         """Return the pixels (h, w) uint8 of a part."""
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        turn = np.array([[c, s], [-s, c]])
         image = np.zeros(self.mask.shape, np.uint8)
-        part = template.part
-        for level, ring in [(1, part.polygon), *((0, np.array(hole)) for hole in part.holes)]:
-            points = (ring @ turn + pose[:2]) @ self.to_px[:, :2].T + self.to_px[:, 2]
+        kind = part.template.part
+        for level, ring in [(1, kind.polygon), *((0, np.array(hole)) for hole in kind.holes)]:
+            points = self.seen(part.pose, ring)
             cv2.fillPoly(image, [np.rint(16 * points).astype(np.int32)], level, shift=4)
         return image
 
-
-@dataclass(frozen=True, eq=False)
-class Union:
-    """Patches that touch, as one patch: see `Patch`."""
-
-    mask: np.ndarray
-    corner: tuple[int, int]
-    whole: bool
-    group: bool
+    def fitted(self, template: Template, pose: np.ndarray) -> np.ndarray:
+        """Lay a part onto that of the group's rim which is near: pose (3,)."""
+        fit = fit_pose(
+            template.edges,
+            self.outline.points,
+            pose,
+            1 / self.scale,
+            template.part.symmetry != 0,
+            STEPS,
+            gate=2 * NEAR_PX / self.scale,
+        )
+        return fit[:3]
 
 
 def explain_groups(
     image: np.ndarray,
-    patches: Sequence[PatchLike],
+    patches: Sequence[Patch],
     seen: np.ndarray,
     catalogue: Catalogue,
     calibration: Calibration,
@@ -162,8 +181,8 @@ def explain_groups(
     catalogue, calibration
         As for `recognise`.
     """
-    settled = (seen["label"] != UNKNOWN) & (seen["label"] != GROUP)
-    settled |= ~seen["whole"]  # of what is cut off too little is seen; it may be the plate's edge
+    # Of what is cut off too little is seen; it may be the plate's edge.
+    settled = is_named(seen) | ~seen["whole"]
     if settled.all() or not catalogue.templates:
         return seen
     kept, added = np.ones(len(seen), bool), []
@@ -192,39 +211,28 @@ def _places(seen: np.ndarray) -> np.ndarray:
 
 
 def _clusters(
-    patches: Sequence[PatchLike], named: np.ndarray, shape: tuple[int, int]
+    patches: Sequence[Patch], settled: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
-    """Return the indices of patches that touch each other, if one is of no type; neighbours of a
-    type belong to them, but not those of these."""
+    """Return the indices of unsettled patches that touch each other, and of the settled ones next
+    to them, by cluster."""
     owner = np.full(shape, -1, np.int32)
     for i, patch in enumerate(patches):
-        (x, y), (h, w) = patch.corner, patch.mask.shape
-        owner[y : y + h, x : x + w][patch.mask] = i
-    clusters, done = [], named.copy()
-    for first in np.flatnonzero(~named):
-        if done[first]:
-            continue
-        members, at = [int(first)], 0
-        done[first] = True
-        while at < len(members):
-            i = members[at]
-            at += 1
-            if named[i]:
-                continue
-            (x, y), (h, w) = patches[i].corner, patches[i].mask.shape
-            x0, y0 = max(x - TOUCH_PX, 0), max(y - TOUCH_PX, 0)
-            window = owner[y0 : y + h + TOUCH_PX, x0 : x + w + TOUCH_PX]
-            side = 2 * TOUCH_PX + 1
-            near = cv2.dilate((window == i).astype(np.uint8), np.ones((side, side), np.uint8))
-            for other in np.unique(window[near > 0]).tolist():
-                if other >= 0 and other not in members and (named[other] or not done[other]):
-                    members.append(other)
-                    done[other] = True
-        clusters.append(np.array(members))
-    return clusters
+        owner[patch.place][patch.mask] = i
+    touching = np.eye(len(patches), dtype=bool)
+    free = np.flatnonzero(~settled)
+    element = np.ones((2 * TOUCH_PX + 1,) * 2, np.uint8)
+    for one in free.tolist():
+        window = owner[patches[one].around(TOUCH_PX, shape)]
+        near = window[cv2.dilate((window == one).astype(np.uint8), element) > 0]
+        touching[one, near[near >= 0]] = True
+    _, cluster = connected_components(touching[np.ix_(free, free)])
+    return [
+        np.flatnonzero(np.any(touching[free[cluster == number]], axis=0))
+        for number in dict.fromkeys(cluster.tolist())
+    ]
 
 
-def _union(patches: Sequence[PatchLike]) -> Union:
+def _union(patches: Sequence[Patch]) -> Patch:
     """Return patches as one; seams between them are closed."""
     low = np.min([patch.corner for patch in patches], axis=0)
     high = np.max([np.array(patch.corner) + patch.mask.shape[::-1] for patch in patches], axis=0)
@@ -237,55 +245,46 @@ def _union(patches: Sequence[PatchLike]) -> Union:
         mask = cv2.morphologyEx(framed, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))[3:-3, 3:-3]
     whole = all(patch.whole for patch in patches)
     group = len(patches) > 1 or patches[0].group
-    return Union(mask > 0, (int(low[0]), int(low[1])), whole, group)
+    return Patch(mask > 0, (int(low[0]), int(low[1])), mask.astype(np.float32), whole, group)
 
 
 def _parts(
-    image: np.ndarray, union: Union, one: np.ndarray, catalogue: Catalogue, calibration: Calibration
+    image: np.ndarray, union: Patch, one: np.ndarray, catalogue: Catalogue, calibration: Calibration
 ) -> np.ndarray:
     """Return the sightings (n,) SIGHTING of the parts of a group; none if it is not explained.
     `one` (1,) is the sighting of all of it."""
     outlines, _ = measure_patches(image, [union], calibration, RIM_POINTS)
-    height, width = image.shape[:2]
-    (x, y), (h, w) = union.corner, union.mask.shape
-    x0, y0 = max(x - MARGIN_PX, 0), max(y - MARGIN_PX, 0)
-    x1, y1 = min(x + w + MARGIN_PX, width), min(y + h + MARGIN_PX, height)
-    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    mask[y - y0 : y - y0 + h, x - x0 : x - x0 + w] = union.mask
+    here, mask = union.windowed(image.shape)
+    corner = here[1].start, here[0].start
     place = _places(one)
     scale = float(calibration.scale(place)[0])
     steps = np.array([[0.0, 0], [1, 0], [0, 1]]) / scale
     origin, right, up = calibration.to_image(place + steps)
     turn = np.column_stack([right - origin, up - origin]) * scale
-    to_px = np.column_stack([turn, origin - (x0, y0) - turn @ place[0]])
-    view = View(mask, image[y0:y1, x0:x1], to_px, scale, outlines[0])
+    to_px = np.column_stack([turn, origin - corner - turn @ place[0]])
+    view = View(mask, image[here], to_px, scale, outlines[0])
     most = LARGER * float(np.max(catalogue.filled_area))
     doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
     found = take_apart(_coarser(view, catalogue), catalogue, doubtful)
-    found = [_refined(view, catalogue, part) for part in found]
+    # Laid onto the group's rim once more, as finely as that is seen.
+    found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
     for part in found:
-        left = _without(view, catalogue, left, part)
-    rest = _pieces(left, (x0, y0), LEFT * float(np.min(catalogue.area)) * scale**2)
+        left = _without(view, left, part)
+    rest = _pieces(left, corner, LEFT * float(np.min(catalogue.area)) * scale**2)
     if len(found) + len(rest) < 2 or not found:
         return np.empty(0, SIGHTING)
     parts = np.zeros(len(found), SIGHTING)
     for row, part in zip(parts, found, strict=True):
-        kind = catalogue.templates[part.index].part
-        row["label"], row["confidence"] = kind.name, part.seen
-        row["x"], row["y"] = part.pose[:2]
-        row["angle"] = wrapped(part.pose[2], kind.symmetry)
-        row["angle_sd"] = angle_sd(
-            catalogue.templates[part.index], view.outline.points, np.append(part.pose, (0, 0)),
-            scale, 2 * NEAR_PX / scale,
-        )  # fmt: skip
-        row["radius_px"] = np.sqrt(kind.area_m2 / np.pi) * scale
-        row["whole"], row["colour"] = union.whole, part.tint
+        fit, gate = np.append(part.pose, (0, 0)), 2 * NEAR_PX / scale
+        scatter = angle_sd(part.template, view.outline.points, fit, scale, gate)
+        note_type(row, part.template.part, fit, scatter, scale)
+        row["confidence"], row["colour"], row["whole"] = part.seen, part.tint, union.whole
     parts["x_px"], parts["y_px"] = calibration.to_image(_places(parts)).T
     return np.concatenate([parts, recognise(image, rest, catalogue, calibration)])
 
 
-def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Union]:
+def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Patch]:
     """Return what is left (h, w) uint8 of a group in a window with a corner [px], in pieces of at
     least so many pixels."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(left, connectivity=4)
@@ -294,7 +293,8 @@ def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Uni
         x, y, w, h, area = stats[label].tolist()
         if area >= least:
             own = labels[y : y + h, x : x + w] == label
-            pieces.append(Union(own, (corner[0] + x, corner[1] + y), True, True))
+            place = corner[0] + x, corner[1] + y
+            pieces.append(Patch(own, place, own.astype(np.float32), group=True))
     return pieces
 
 
@@ -314,26 +314,6 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
     return View(mask.astype(np.uint8), pixels, to_px, scale, view.outline)
 
 
-def _refined(view: View, catalogue: Catalogue, part: Found) -> Found:
-    """Lay a part onto the group's rim once more, as finely as that is seen."""
-    return replace(part, pose=_fitted(view, catalogue.templates[part.index], part.pose))
-
-
-def _fitted(view: View, template: Template, pose: np.ndarray) -> np.ndarray:
-    """Lay a part onto that of the group's rim which is near: pose (3,)."""
-    fit = fit_pose(
-        template.edges,
-        view.outline.points,
-        pose,
-        1 / view.scale,
-        template.part.symmetry != 0,
-        STEPS,
-        np.inf,
-        2 * NEAR_PX / view.scale,
-    )
-    return np.asarray(fit[:3])
-
-
 def take_apart(view: View, catalogue: Catalogue, doubtful: bool = False) -> list[Found]:
     """Return the parts (x, y, angle in plate_home) of which a group consists; none if it cannot be
     told. What is doubtful, a part or a group, is one unless parts cover all of it."""
@@ -351,14 +331,14 @@ def take_apart(view: View, catalogue: Catalogue, doubtful: bool = False) -> list
             break
         passed, depth, _, parts, left, fitting = heapq.heappop(open_)
         if parts:
-            left = _without(view, catalogue, left, parts[-1])
+            left = _without(view, left, parts[-1])
         if np.count_nonzero(left) <= LEFT * least:
-            if _covers(view, catalogue, parts):
+            if _covers(view, parts):
                 return list(parts)
             continue
         if parts:
             free = _signed_distance(left)
-            fitting = [part for part in fitting if _fits(view, catalogue, part, free, border)]
+            fitting = [part for part in fitting if _fits(view, part, free, border)]
             fitting = fitting or _candidates(view, catalogue, free, border)
         if len(parts) < MOST_PARTS:
             for rank, part in enumerate(fitting[:FIRST]):
@@ -369,17 +349,17 @@ def take_apart(view: View, catalogue: Catalogue, doubtful: bool = False) -> list
     # What is sure is taken out all the same.
     sure, free = [], border
     for part in choices:
-        if part.seen > SURE and _fits(view, catalogue, part, free, border):
+        if part.seen > SURE and _fits(view, part, free, border):
             sure.append(part)
-            free = _signed_distance(_without(view, catalogue, (free > 0).astype(np.uint8), part))
+            free = _signed_distance(_without(view, (free > 0).astype(np.uint8), part))
     return sure
 
 
-def _covers(view: View, catalogue: Catalogue, parts: Sequence[Found]) -> bool:
+def _covers(view: View, parts: Sequence[Found]) -> bool:
     """Whether parts are all of a group."""
     union = np.zeros_like(view.mask)
     for part in parts:
-        union |= view.drawn(catalogue.templates[part.index], part.pose)
+        union |= view.drawn(part)
     both = np.count_nonzero(union & view.mask)
     return bool(both >= COVERED * np.count_nonzero(union | view.mask))
 
@@ -388,11 +368,7 @@ def _to_rims(view: View) -> np.ndarray:
     """Return the signed distance (h, w) from the group's rim and, inside, from edges of colour
     [px]."""
     smooth = cv2.GaussianBlur(view.pixels, (0, 0), 0.8)
-    step = np.zeros(view.mask.shape, np.float32)
-    for k in range(1 if smooth.ndim == 2 else 3):
-        one = smooth if smooth.ndim == 2 else np.ascontiguousarray(smooth[:, :, k])
-        across, down = (cv2.Sobel(one, cv2.CV_32F, *way) / 8 for way in ((1, 0), (0, 1)))
-        step = np.maximum(step, np.hypot(across, down))
+    step = steepness(smooth) / 8
     border = _signed_distance(view.mask)
     edge = (step > EDGE_STEP) & (border > EDGE_DEPTH_PX)
     if not edge.any():
@@ -408,9 +384,9 @@ def _signed_distance(mask: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(mask > 0, inside - 0.5, 0.5 - outside), np.float32)
 
 
-def _without(view: View, catalogue: Catalogue, left: np.ndarray, part: Found) -> np.ndarray:
+def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
     """Return what is left (h, w) uint8 when a part is taken out."""
-    own = view.drawn(catalogue.templates[part.index], part.pose)
+    own = view.drawn(part)
     rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
     small = np.ones((3, 3), np.uint8)
     # What was cut off along the part's rim comes back.
@@ -425,42 +401,35 @@ def _candidates(
     distance from the group's rim [px]."""
     room = np.count_nonzero(free > 0) / view.scale**2
     ranked = []
-    for index, template in enumerate(catalogue.templates):
-        if catalogue.area[index] > 1.2 * room:
+    for template, area, rim in zip(catalogue.templates, catalogue.area, catalogue.rim, strict=True):
+        if area > 1.2 * room:
             continue
         for pose in _placed(view, template, free, border):
-            fit = _fitted(view, template, pose)
+            fit = view.fitted(template, pose)
             seen, outside = _support(view, template, fit, free, border)
             if seen < SEEN or outside > MOST_OUTSIDE:
                 continue
             tint = _tint(view, template, fit)
             if tint > LIMIT * COLOUR_LAB:
                 continue
-            value = seen**2 * catalogue.rim[index] * np.exp(-0.5 * (tint / COLOUR_LAB) ** 2)
-            ranked.append((value, Found(index, fit, seen, tint)))
+            value = seen**2 * rim * np.exp(-0.5 * (tint / COLOUR_LAB) ** 2)
+            ranked.append((value, Found(template, fit, seen, tint)))
     ranked.sort(key=lambda pair: -pair[0])
     return [found for _, found in ranked]
 
 
-def _fits(
-    view: View, catalogue: Catalogue, part: Found, free: np.ndarray, border: np.ndarray
-) -> bool:
+def _fits(view: View, part: Found, free: np.ndarray, border: np.ndarray) -> bool:
     """Whether a part lies in what is free (h, w)."""
-    template = catalogue.templates[part.index]
-    return _support(view, template, part.pose, free, border)[1] <= MOST_OUTSIDE
+    return _support(view, part.template, part.pose, free, border)[1] <= MOST_OUTSIDE
 
 
 def _tint(view: View, template: Template, pose: np.ndarray) -> float:
     """Return how far the colour at a part is from its type's."""
     if template.part.colour_lab is None:
         return 0.0
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    points = template.inner @ np.array([[c, s], [-s, c]]) + pose[:2]
-    column, row = np.rint(points @ view.to_px[:, :2].T + view.to_px[:, 2]).astype(int).T
-    height, width = view.mask.shape
-    colour = np.median(
-        view.pixels[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], axis=0
-    )
+    last = np.array(view.mask.shape[::-1]) - 1
+    column, row = np.clip(np.rint(view.seen(pose, template.inner)).astype(int), 0, last).T
+    colour = np.median(view.pixels[row, column], axis=0)
     lab = to_lab(np.broadcast_to(colour, 3))
     coloured = view.pixels.ndim == 3
     return float(colour_distance(lab[0], np.array(template.part.colour_lab), coloured))
@@ -477,7 +446,7 @@ def _placed(
         count = int(np.ceil(2 * np.pi * part.reach_m * view.scale / RIM_STEP_PX / part.symmetry))
         turns = 2 * np.pi / part.symmetry * np.arange(count) / count
     stride = max(1, int(STRIDE * part.reach_m * view.scale))
-    found = search(
+    found = _kernels.search(
         free,
         border,
         view.to_px,
@@ -499,8 +468,9 @@ def _placed(
 def _support(
     view: View, template: Template, pose: np.ndarray, free: np.ndarray, border: np.ndarray
 ) -> tuple[float, float]:
-    """Return which fraction of a part's rim is on the group's, and which of it is outside."""
-    found: tuple[float, float] = support(
+    """Return which fraction of a part's rim is on the group's, less that which is outside, and
+    which of its inner points is not where it is free."""
+    found: tuple[float, float] = _kernels.support(
         free, border, view.to_px, template.samples, template.inner, pose
     )
     return found

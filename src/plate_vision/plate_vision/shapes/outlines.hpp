@@ -410,7 +410,7 @@ inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> point
     return {x, y, angle, swell, std::sqrt(rest / number)};
 }
 
-// How sure a fitted angle is, as a standard deviation [rad]: see `turn_scatter` of outlines.py.
+// How sure a fitted angle is, as a standard deviation [rad]: see `angle_sd` of classes.py.
 inline double turn_scatter(View<const double, 2> edges, View<const double, 2> points,
                            const double* fit, double full, double unit, double gate) {
     const int count = points.size(0);

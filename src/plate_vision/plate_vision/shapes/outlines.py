@@ -28,9 +28,6 @@ LEAST_HOLE = 0.02
 FEWEST_POINTS = 12
 """Of a hole's rim."""
 
-MARGIN_PX = 4
-"""Pixels around a patch that belong to its window."""
-
 THREE, FIVE = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
 """By which masks shrink and grow."""
 
@@ -155,7 +152,6 @@ def fit_pose(
     unit: float,
     turns: bool,
     steps: int,
-    hopeless: float = np.inf,
     gate: float = np.inf,
 ) -> np.ndarray:
     """Lay a polygon onto points by Gauss-Newton steps, and say how far they are from it.
@@ -174,8 +170,6 @@ def fit_pose(
         Whether its angle matters: not that of a disc.
     steps : int
         Most Gauss-Newton steps.
-    hopeless : float
-        If the points are further away than that after two steps, RMS [m], it goes no further.
     gate : float
         Points further away than that are of something else [m]; it is then not swollen.
 
@@ -185,18 +179,5 @@ def fit_pose(
         x, y [m], angle [rad]; how far the points are outside on average [m]; root mean square of
         the rest [m].
     """
-    fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, turns, steps, hopeless, gate)
+    fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, turns, steps, np.inf, gate)
     return fit
-
-
-def turn_scatter(
-    edges: np.ndarray, points: np.ndarray, fit: np.ndarray, full: float, unit: float, gate: float
-) -> float:
-    """Return how sure a fitted angle is, as a standard deviation [rad]: by how much worse a polygon
-    lies on points when it is turned by a pixel; infinite if it does not.
-
-    Arguments as those of `fit_pose`; `fit` (5,) is what that returns, `full` the mean square by
-    which points on the polygon's rim leave it per turn [m2/rad2]. If the points show less of that,
-    corners are blurred or hidden, and noise looks like corners.
-    """
-    return float(_kernels.turn_scatter(edges, points, fit, full, unit, gate))

@@ -16,7 +16,7 @@ from plate_core.yaml_fields import Fields
 
 from ..camera.files import read_pictures, write_picture
 from ..camera.lens import Calibration
-from ..errors import CalibrationError, TeachError
+from ..errors import CalibrationError, TeachError, check_size
 from ..plate.home import PlateLocation, locate_plate
 from ..plate.region import Region
 from .background import Background, learn_plate
@@ -49,24 +49,18 @@ def _as_data(part: PartType) -> dict[str, Any]:
     def rounded(ring: Any) -> list[list[float]]:
         return [[round(float(x), MICRON), round(float(y), MICRON)] for x, y in ring]
 
-    data: dict[str, Any] = {}
-    if part.radius_m:
-        data["radius_m"] = round(part.radius_m, MICRON)
-    else:
-        data["outline_m"] = rounded(part.outline)
-    if part.holes:
-        data["holes_m"] = [rounded(hole) for hole in part.holes]
-    for key in ("mass_kg", "mu"):
-        if getattr(part, key) is not None:
-            data[key] = getattr(part, key)
-    if part.colour_lab is not None:
-        data["colour_lab"] = [round(value, 1) for value in part.colour_lab]
-    data["symmetry"] = part.symmetry
-    if part.scatter_m:
-        data["scatter_m"] = round(part.scatter_m, MICRON)
-    if part.picture:
-        data["picture"] = part.picture
-    return data
+    data = {
+        "radius_m": round(part.radius_m, MICRON) if part.radius_m else None,
+        "outline_m": None if part.radius_m else rounded(part.outline),
+        "holes_m": [rounded(hole) for hole in part.holes] or None,
+        "mass_kg": part.mass_kg,
+        "mu": part.mu,
+        "colour_lab": part.colour_lab and [round(value, 1) for value in part.colour_lab],
+        "symmetry": part.symmetry,
+        "scatter_m": round(part.scatter_m, MICRON) if part.scatter_m else None,
+        "picture": part.picture or None,
+    }
+    return {key: value for key, value in data.items() if value is not None}
 
 
 def add_type(
@@ -85,7 +79,7 @@ def add_type(
     PlateError
         As `learn_type` and `check_alike`, or if a file cannot be written.
     """
-    types = read_types(path) if path.exists() else {}
+    types = dict(load_part_types(path)) if path.exists() else {}
     lesson = learn_type(name, examples, calibration, background, region)
     check_alike(lesson.part, types, calibration)
     if name in types:
@@ -110,12 +104,8 @@ def load_bare(
     """
     pictures = []
     for name, picture in read_pictures(path):
-        here = (picture.shape[1], picture.shape[0])
-        if here != size_px:
-            raise TeachError(
-                f"bare plate: {name}: {here[0]} x {here[1]} px, allowed: {size_px[0]} x "
-                f"{size_px[1]} px, as the other pictures"
-            )
+        why = ", as the other pictures"
+        check_size(f"bare plate: {name}:", picture.shape[1::-1], size_px, TeachError, why)
         if location is not None:
             try:
                 _, picture = locate_plate(location, picture)
@@ -146,8 +136,3 @@ def colour_text(part: PartType) -> str:
     if part.colour_lab is None:
         return "not known"
     return "Lab " + " ".join(f"{value:.0f}" for value in part.colour_lab)
-
-
-def read_types(path: Path) -> dict[str, PartType]:
-    """Return the types in a file, as `plate_core.rig.load_part_types`."""
-    return dict(load_part_types(path))

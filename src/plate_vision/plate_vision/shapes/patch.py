@@ -18,6 +18,9 @@ SMOOTH_PX = 0.8
 """Blur [px] before the outline is looked for: the edge of a sharp part is then as steep as it seems
 between neighbouring pixels."""
 
+MARGIN_PX = 4
+"""Pixels around a patch that belong to its window."""
+
 LEAST_HOLE_PX2 = 6.0
 """Smallest hole that is reported [px2]: less are noise."""
 
@@ -47,6 +50,30 @@ class Patch:
     cover: np.ndarray
     whole: bool = True
     group: bool = False
+
+    @property
+    def place(self) -> tuple[slice, slice]:
+        """Rows and columns of the image that its window shows."""
+        (x0, y0), (height, width) = self.corner, self.mask.shape
+        return np.s_[y0 : y0 + height, x0 : x0 + width]
+
+    def around(self, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+        """Rows and columns of an image (H, W, ...) with a margin [px] around its window."""
+        rows, columns = self.place
+        return (
+            slice(max(rows.start - margin, 0), min(rows.stop + margin, shape[0])),
+            slice(max(columns.start - margin, 0), min(columns.stop + margin, shape[1])),
+        )
+
+    def windowed(self, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], np.ndarray]:
+        """Return rows and columns of an image (H, W, ...) with `MARGIN_PX` around its window, and
+        its pixels (h, w) uint8 there."""
+        here = rows, columns = self.around(MARGIN_PX, shape)
+        mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
+        (x, y), (height, width) = self.corner, self.mask.shape
+        top, left = y - rows.start, x - columns.start
+        mask[top : top + height, left : left + width] = self.mask
+        return here, mask
 
     @cached_property
     def area_px2(self) -> float:
@@ -80,7 +107,7 @@ class Patch:
     def _rims(self) -> tuple[np.ndarray, list[np.ndarray]]:
         framed = np.pad(self.mask.astype(np.uint8), 2)
         cover = cv2.GaussianBlur(np.pad(self.cover, 2), (0, 0), SMOOTH_PX)
-        rims, family = cv2.findContours(framed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[-2:]
+        rims, family = cv2.findContours(framed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         if not rims:
             return np.empty((0, 2)), []
         outer = [i for i in range(len(rims)) if family[0][i][3] < 0]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from .background import Background, colours_like, model_background
-from .patch import Patch
+from .background import Background, colours_like, model_background, steepness
 from .segmentation import find_patches
 
 MOST_PIXELS = 1_000_000
@@ -67,9 +66,9 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
         one["radius_px"] = np.mean(scale) * patch.radius_px
         one["round"] = compact > ROUND and filled > ROUND
         one["angle_rad"] = 0 if one["round"] else _angle(outline)
-        behind = background.grey[_window(patch)][patch.mask]
+        behind = background.grey[patch.place][patch.mask]
         one["background"] = np.median(behind)
-        one["contrast"] = np.median(grey[_window(patch)][patch.mask].astype(float) - behind)
+        one["contrast"] = np.median(grey[patch.place][patch.mask].astype(float) - behind)
         one["group"] = patch.group
         one["confidence"] = filled * min(1, abs(one["contrast"]) / SURE)
         column, row = np.rint(outline).astype(int).T
@@ -83,18 +82,8 @@ def _slope(image: np.ndarray, background: Background) -> np.ndarray:
     lab = colours_like(image, background)
     smooth = cv2.GaussianBlur(lab, (0, 0), 1.0).reshape(lab.shape)
     weights = (1.0, background.chroma, background.chroma)
-    slopes = [
-        weight / 8 * np.hypot(cv2.Sobel(c, cv2.CV_32F, 1, 0), cv2.Sobel(c, cv2.CV_32F, 0, 1))
-        for c, weight in zip(cv2.split(smooth), weights, strict=False)
-    ]
-    steepest = cv2.dilate(np.max(slopes, axis=0), np.ones((3, 3), np.uint8))
+    steepest = cv2.dilate(steepness(smooth, weights) / 8, np.ones((3, 3), np.uint8))
     return np.asarray(steepest / np.maximum(background.limit, 1))
-
-
-def _window(patch: Patch) -> tuple[slice, slice]:
-    """Return the rows and columns of the image that a patch's window shows."""
-    (x0, y0), (height, width) = patch.corner, patch.mask.shape
-    return np.s_[y0 : y0 + height, x0 : x0 + width]
 
 
 def _angle(outline: np.ndarray) -> float:

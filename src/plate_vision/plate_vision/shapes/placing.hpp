@@ -1,4 +1,4 @@
-// Where a part may lie in a group, all places and turns are tried: see placing.py.
+// Where a part may lie in a group, all places and turns are tried: see groups.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -115,7 +115,7 @@ struct PlaceFound {
     double x, y, angle, seen;
 };
 
-// Return each place where a part's widest place may be: see `search` of placing.py.
+// Return each place where a part's widest place may be: see groups.py.
 //
 // A part at a turn is a set of offsets in pixels, the same at all places, so that what it covers is
 // counted for a whole row of places at once.

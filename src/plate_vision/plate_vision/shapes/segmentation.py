@@ -6,6 +6,8 @@ at half of its own contrast; holes told from highlights; patches split where par
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -152,8 +154,7 @@ def _patches(
     region: Region | None,
 ) -> list[Patch]:
     """Return the patches of a cover (H, W), of which the pixels of parts are known (H, W)."""
-    traced, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[-2:]
-    rims = [np.asarray(rim) for rim in traced]
+    rims, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     windows = [
         _window(number, rims, family[0], cover, away)
         for number, rim in enumerate(rims)
@@ -164,14 +165,13 @@ def _patches(
     return [
         patch
         for piece in pieces_of(solids, LEAST_AREA_PX2, noise)
-        if (patch := _patch(piece, windows[piece.rank], cover.shape, region)) is not None
+        if (patch := _patch(piece, windows[piece.rank], region)) is not None
     ]
 
 
 def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
     """Whether a patch is what was left of a shadow that was taken out around it."""
-    (x0, y0), (height, width) = patch.corner, patch.mask.shape
-    here = np.s_[max(y0 - 2, 0) : y0 + height + 2, max(x0 - 2, 0) : x0 + width + 2]
+    here = patch.around(2, seen.shape)
     taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
     return bool(taken > LEFT * patch.area_px2)
 
@@ -249,7 +249,7 @@ class Window(NamedTuple):
 
 
 def _window(
-    number: int, rims: list[np.ndarray], family: np.ndarray, cover: np.ndarray, away: np.ndarray
+    number: int, rims: Sequence[np.ndarray], family: np.ndarray, cover: np.ndarray, away: np.ndarray
 ) -> Window:
     """Return what is within one outer rim: what it encloses is a hole, a gap or a highlight."""
     x, y, w, h = cv2.boundingRect(rims[number])
@@ -285,9 +285,7 @@ def _window(
     return Window((x0, y0), solid, holes > 0, amount, true, enclosed > 0)
 
 
-def _patch(
-    piece: Piece, window: Window, shape: tuple[int, ...], region: Region | None
-) -> Patch | None:
+def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     """Return one patch, in a window of its own; None if it is thinner than a part."""
     left, top, width, height = cv2.boundingRect(piece.inside.astype(np.uint8))
     x0, y0 = max(left - 1, 0), max(top - 1, 0)
@@ -303,11 +301,10 @@ def _patch(
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
-    column, row = window.corner[0] + x0, window.corner[1] + y0
-    bottom, right = row + mask.shape[0], column + mask.shape[1]
-    edge = (row, column, shape[0] - bottom, shape[1] - right)
-    rims = (mask[0], mask[:, 0], mask[-1], mask[:, -1])
-    whole = not any(gap == 0 and np.any(rim) for gap, rim in zip(edge, rims, strict=True))
-    if region is not None:
-        whole = whole and bool(np.all(region.usable[row:bottom, column:right][near]))
-    return Patch(mask, (column, row), cover, whole, piece.group)
+    # There is a pixel around it, but where the image ends.
+    whole = not any(np.any(rim) for rim in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
+    corner = window.corner[0] + x0, window.corner[1] + y0
+    patch = Patch(mask, corner, cover, whole, piece.group)
+    if region is not None and not np.all(region.usable[patch.place][near]):
+        return replace(patch, whole=False)
+    return patch

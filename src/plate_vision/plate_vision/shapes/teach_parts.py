@@ -7,24 +7,24 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from plate_core import PlateError, load_rig
-from plate_core.rig import PartType
+from plate_core.rig import PartType, load_part_types
 
 from ..camera import read_pictures, rig_of_picture
-from ..errors import TeachError
+from ..errors import TeachError, check_size
 from ..recognition import calibrate_by_scale
 from ..vision import make_vision
-from .part_files import OUT, add_type, colour_text, load_bare, read_types, save_part_types, told
+from .part_files import OUT, add_type, colour_text, load_bare, save_part_types, told
 from .teaching import Example, apart, drawn_name, merged
 
 COMMANDS = ("list", "merge", "rename", "delete")
-"""Words that are no names of types."""
+"""Words that are no names of types, in the order of `_managing_parser`."""
 
 BOX = (
     "only the part in this box of the picture, from its left upper corner [px]; up to five, each "
@@ -73,21 +73,13 @@ def _parser() -> argparse.ArgumentParser:
 def _managing_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="teach", description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    abouts = {
-        "list": ("say what types there are", _list, {}),
-        "merge": (
-            "make one type of two",
-            _merge,
-            {"name": "that stays", "other": "that goes into it"},
-        ),
-        "rename": (
-            "give a type another name",
-            _rename,
-            {"name": "as it is", "new": "as it shall be"},
-        ),
-        "delete": ("forget a type", _delete, {"name": "of the type"}),
-    }
-    for word, (about, run, names) in abouts.items():
+    abouts: tuple[tuple[Callable[..., None], str, dict[str, str]], ...] = (
+        (_list, "say what types there are", {}),
+        (_merge, "make one type of two", {"name": "that stays", "other": "that goes into it"}),
+        (_rename, "give a type another name", {"name": "as it is", "new": "as it shall be"}),
+        (_delete, "forget a type", {"name": "of the type"}),
+    )
+    for word, (run, about, names) in zip(COMMANDS, abouts, strict=True):
         command = commands.add_parser(word, help=about)
         for name, meaning in names.items():
             command.add_argument(name, metavar=name.upper(), help=meaning)
@@ -129,7 +121,8 @@ def _teach(args: argparse.Namespace) -> None:
             raise TeachError(f"{where}, allowed: within {size[0]} x {size[1]} px of {name}")
     if args.scale is None or args.bare is not None:
         for other, pixels in pictures:
-            _check_size(other, pixels, size)
+            why = ", as the other pictures; with --scale, and without --bare, any"
+            check_size(f"{other}:", pixels.shape[1::-1], size, TeachError, why)
     region = None
     if args.scale is not None:
         calibration = calibrate_by_scale(1e3 * args.scale)
@@ -162,15 +155,6 @@ def _teach(args: argparse.Namespace) -> None:
     print(f"{args.out}: types; {args.out.with_name(lesson.part.picture)}: the part taught")
 
 
-def _check_size(name: str, picture: np.ndarray, size: tuple[int, int]) -> None:
-    here = picture.shape[1], picture.shape[0]
-    if here != size:
-        raise TeachError(
-            f"{name}: {here[0]} x {here[1]} px, allowed: {size[0]} x {size[1]} px, as the other "
-            "pictures; with --scale, and without --bare, any"
-        )
-
-
 def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
     """Return the example in a box; `cuts`: of the picture only what is around the box."""
     x, y, width, height = box
@@ -191,8 +175,7 @@ def _known(types: dict[str, PartType], name: str, path: Path) -> PartType:
 
 
 def _list(args: argparse.Namespace) -> None:
-    types = read_types(args.out)
-    for part in types.values():
+    for part in load_part_types(args.out).values():
         size = 2e3 * np.sqrt(part.area_m2 / np.pi)
         corners = "disc" if part.radius_m else f"{len(part.outline)} corners"
         print(
@@ -202,7 +185,7 @@ def _list(args: argparse.Namespace) -> None:
 
 
 def _merge(args: argparse.Namespace) -> None:
-    types = read_types(args.out)
+    types = dict(load_part_types(args.out))
     if args.name == args.other:
         raise TeachError(f"{args.out}: type {args.other!r} into itself, allowed: another one")
     part, other = _known(types, args.name, args.out), _known(types, args.other, args.out)
@@ -217,7 +200,7 @@ def _merge(args: argparse.Namespace) -> None:
 
 
 def _rename(args: argparse.Namespace) -> None:
-    types = read_types(args.out)
+    types = dict(load_part_types(args.out))
     part = _known(types, args.name, args.out)
     if args.new in types:
         raise TeachError(f"{args.out}: type {args.new!r} is there, allowed: a new name")
@@ -233,7 +216,7 @@ def _rename(args: argparse.Namespace) -> None:
 
 
 def _delete(args: argparse.Namespace) -> None:
-    types = read_types(args.out)
+    types = dict(load_part_types(args.out))
     part = _known(types, args.name, args.out)
     del types[args.name]
     save_part_types(args.out, types)

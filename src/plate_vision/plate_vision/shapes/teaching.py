@@ -191,10 +191,9 @@ def learn_type(
         If there is no example, none with whole parts that lie apart, examples differ too much, or
         the outline has more corners than are allowed.
     """
-    if not examples:
-        raise TeachError(f"type {name}: no examples, allowed: 1 to {MOST_PICTURES}")
-    if len(examples) > MOST_PICTURES:
-        raise TeachError(f"type {name}: {len(examples)} examples, allowed: 1 to {MOST_PICTURES}")
+    if not 1 <= len(examples) <= MOST_PICTURES:
+        count = len(examples) or "no"
+        raise TeachError(f"type {name}: {count} examples, allowed: 1 to {MOST_PICTURES}")
     shown: list[_Shown] = []
     unused: list[str] = []
     for example in examples:
@@ -469,13 +468,8 @@ def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
         way = distances(outline.edges, mean.points)
         shift -= way[:, :1] * way[:, 1:]
     moved = mean.points + shift / len(outlines)
-    middle = make_outline(np.split(moved, _ends(mean)))
+    middle = make_outline(np.split(moved, mean.ends[:-1]))
     return _shifted(middle, middle.centre)
-
-
-def _ends(outline: Outline) -> np.ndarray:
-    """Return where the rings of an outline end, but the last."""
-    return np.cumsum([len(ring) for ring in outline.rings])[:-1]
 
 
 def _symmetry(mean: Outline, scale: float) -> int:
@@ -485,7 +479,7 @@ def _symmetry(mean: Outline, scale: float) -> int:
     for count in range(MOST_SYMMETRY, 1, -1):
         turned = _turned(mean, np.array([0, 0, 2 * np.pi / count]))
         square = distances(edges, turned.points)[:, 0] ** 2
-        rest = math.sqrt(max(float(np.mean(ring)) for ring in np.split(square, _ends(mean))))
+        rest = math.sqrt(max(float(np.mean(ring)) for ring in np.split(square, mean.ends[:-1])))
         if rest < max(TURNED * mean.reach, TURNED_PX / scale):
             return count
     return 1
