@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from emulated_board import RING_BYTES, EmulatedBoard, Record
+from emulated_board import RING_BYTES, EmulatedBoard, median_ticks
 
 from plate_core.serial_protocol import (  # fmt: skip
     VERSION,
@@ -182,11 +182,12 @@ class Host:
         """Return the present Hello once more."""
         return frame(pack(Packet(self._sequence, Hello(VERSION, self._session))))
 
-    def ticks_since(self, before: Record, first: int) -> Ticks:
+    def ticks_since(self, before: np.record, first: int) -> Ticks:
         """Sum up the ticks since an earlier record and number of telemetries."""
         record = self.board.record()
         worst = max(m.load for m in self.telemetry[first:]) * TICK_INSTRUCTIONS
-        return Ticks(record.median(before), round(worst), record.step_m, record.most, record.late)
+        seen = float(record.step_m), tuple(record.most.tolist()), int(record.late)
+        return Ticks(median_ticks(record, before), round(worst), *seen)
 
 
 def parts(table: int, knots: tuple[Knot, ...], splice_ticks: int = 0) -> list[Message]:
