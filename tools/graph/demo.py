@@ -410,8 +410,8 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
                 line.end(f"The plate moves {time.monotonic() - began:.1f} s after the start.")
         line.show(progress.text(record))
         now = time.monotonic()
-        if len(record.reports["planner"]) > count:
-            count, news = len(record.reports["planner"]), now
+        if len(record.reports("planner")) > count:
+            count, news = len(record.reports("planner")), now
         if now - news > SILENCE_S:
             raise GraphError(f"the planner has said nothing for {SILENCE_S:g} s")
         if now > end:

@@ -149,7 +149,8 @@ def judge(
 
 def typical(record: Record, key: str) -> float | None:
     """Return the median of what the solver reported while it was at work."""
-    values = [float(v[key]) for _, v in record.reports["solver"] if float(v["solve_ms_median"]) > 0]
+    reports = [said.values for said in record.reports("solver")]
+    values = [float(v[key]) for v in reports if float(v["solve_ms_median"]) > 0]
     return round(float(np.median(values)), 4) if values else None
 
 
