@@ -135,7 +135,7 @@ def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
     check = check_limits(record, rig)
     assert check.tables > 20
     assert check.faults == ()
-    assert 0.5 < check.accel <= 1
+    assert 0.5 < check.shares["accel"] <= 1
     check_all_nodes_in_one_process(tmp_path / "one process", before)
 
 
