@@ -89,7 +89,7 @@ class PageNode(SafeLifecycleNode[Options]):
     def begin(self) -> None:
         """Serve the page."""
         if self.options.bag:
-            kinds = {topic.removeprefix("/"): kind for topic, (kind, _) in TOPICS.items()}
+            kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
             self._replay = Replay(self.options.bag, kinds, self._hear)
         port = self.options.port
         self._server = PageServer(self._access, port, self._hello(), self._take, self._changed)
