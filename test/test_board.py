@@ -27,7 +27,6 @@ from emulated_board import (
     NEEDS,
     RING_BYTES,
     EmulatedBoard,
-    Record,
     built,
     symbols,
     unfollowed,
@@ -247,7 +246,7 @@ def test_an_instruction_is_eight_nanoseconds(tmp_path):
     took = []
     for count in rounds:
         elf = assembled(LOOP.replace("ROUNDS", str(count)), tmp_path / f"loop{count}.elf")
-        with EmulatedBoard(elf, tmp_path, idle="took") as board:
+        with EmulatedBoard(elf, idle="took") as board:
             took.append(int.from_bytes(board.memory("took", 4), "little"))
     # Four instructions a round.
     assert took[1] - took[0] == 4 * (rounds[1] - rounds[0]) * INSTRUCTION_NS
@@ -289,8 +288,8 @@ took: .space 4
 
 
 @emulated
-def test_a_tick_is_bounded_while_tables_small_and_large_come(firmware, tmp_path):
-    with EmulatedBoard(firmware, tmp_path) as board:
+def test_a_tick_is_bounded_while_tables_small_and_large_come(firmware):
+    with EmulatedBoard(firmware) as board:
         host = ready(board)
         for table, pieces in enumerate((48, 500)):
             status, ticks = committed(host, pieces, 10 * table + 1)
@@ -313,7 +312,7 @@ def test_a_tick_is_bounded_with_drives_on_a_bus(tmp_path, rig, drives, most_m):
     """
     rig = ROOT / "config" / "rigs" / f"{rig}.yaml"
     firmware = built(tmp_path, RIG=rig, CAN=ROOT / "test" / f"{drives}.c")
-    with EmulatedBoard(firmware, tmp_path) as board:
+    with EmulatedBoard(firmware) as board:
         for _ in range(400):
             board.tick()
         host = ready(board)
@@ -328,11 +327,11 @@ def test_a_tick_is_bounded_with_drives_on_a_bus(tmp_path, rig, drives, most_m):
 
 
 @emulated
-def test_a_tick_is_bounded_where_a_table_takes_over_in_motion(firmware, tmp_path):
+def test_a_tick_is_bounded_where_a_table_takes_over_in_motion(firmware):
     knots, middle = wave(500, 0.9), 250
     splice = knots[middle].ticks
     rest = tuple(replace(knot, ticks=knot.ticks - splice) for knot in knots[middle:])
-    with EmulatedBoard(firmware, tmp_path) as board:
+    with EmulatedBoard(firmware) as board:
         host = ready(board)
         assert host.upload(1, knots, 1, splice) is Status.DONE
         host.until(lambda: host.now().state is State.PLAYING)
@@ -353,8 +352,8 @@ def test_a_tick_is_bounded_where_a_table_takes_over_in_motion(firmware, tmp_path
 
 
 @emulated
-def test_a_tick_is_bounded_whatever_comes(firmware, tmp_path):
-    with EmulatedBoard(firmware, tmp_path) as board:
+def test_a_tick_is_bounded_whatever_comes(firmware):
+    with EmulatedBoard(firmware) as board:
         host = Host(board, pace=128)
         host.begin()
         host.enable()
@@ -366,7 +365,7 @@ def test_a_tick_is_bounded_whatever_comes(firmware, tmp_path):
         assert_moved_within_limits(record)
 
 
-def assert_moved_within_limits(record: Record) -> None:
+def assert_moved_within_limits(record: np.record) -> None:
     assert 0 < record.step_m <= SPEED * 1e-3 * SLACK
     assert record.most[0] <= STROKE_M * SLACK
     assert record.most[1] <= SPEED * SLACK
@@ -502,7 +501,7 @@ class BoardPort:
 
 
 @emulated
-def test_the_driver_plays_on_the_board(firmware, tmp_path):
+def test_the_driver_plays_on_the_board(firmware):
     """The driver's own transport, in the board's time."""
     rig = load_rig()
     knots = wave(48)
@@ -514,7 +513,7 @@ def test_the_driver_plays_on_the_board(firmware, tmp_path):
     cycle = PlateCycle.from_knots(times, *np.zeros((3, len(knots), 3)))
     table = MotorTable(0, cycle, q, qd, qdd)
     assert rig.limits.stroke_m == STROKE_M
-    with EmulatedBoard(firmware, tmp_path) as board:
+    with EmulatedBoard(firmware) as board:
         port = BoardPort(board)
         transport = SerialTransport(lambda: port, lambda: port.now, 1)
         transport.open()

@@ -15,7 +15,6 @@ from graph.session import session
 from light_graph import LightOptions
 
 from plate_bringup import GraphError
-from plate_client import PlateClient
 from plate_core import PlateError
 from plate_core.tasks import load_scenario
 
@@ -46,7 +45,7 @@ def check_the_command(graph):
         words, env=os.environ | domain, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
     record = graph.observer.record
-    record.states.clear()
+    record.tasks.clear()
     assert graph.observer.until(lambda: "running" in record.states, 30)
     process.send_signal(signal.SIGINT)
     said, problem = process.communicate(timeout=30)
@@ -59,7 +58,7 @@ def check_the_command(graph):
 def check_a_planner_that_dies(graph, monkeypatch):
     """A client does not wait in vain for what a dead planner promised."""
     observer = graph.observer
-    plate = PlateClient(observer.node, observer.until)
+    plate = observer.client
     observer.pulses.clear()  # else the death of a node is the observer's error
     task = plate.start(SORT_4)
     graph.processes.signal("planner", signal.SIGKILL)

@@ -375,9 +375,10 @@ def test_why_a_task_failed_is_told_before_its_nodes_end(monkeypatch, capsys):
     record = SimpleNamespace(ended=True, states=[why])
     told = []
     observer = SimpleNamespace(record=record, until=lambda *_: told.append(capsys.readouterr().out))
-    monkeypatch.setattr("graph.demo.Progress", lambda _: SimpleNamespace(text=lambda _: "progress"))
+    monkeypatch.setattr("graph.demo.progress", lambda *_: "progress")
     plan = SimpleNamespace(
-        scenario=SimpleNamespace(time_limit_s=1.0), options=SimpleNamespace(lockstep=False)
+        scenario=SimpleNamespace(time_limit_s=1.0, task=None),
+        options=SimpleNamespace(lockstep=False),
     )
     watch(plan, observer, 0.0)
     assert why in told[0]

@@ -44,7 +44,7 @@ def _robot(graph):
     observer = graph.observer
     assert observer.until(lambda: bool(observer.record.last("feeder", "port")), 10)
     port = int(observer.record.last("feeder", "port"))
-    with Robot(observer, "127.0.0.1", port, cycle_s=1.5) as robot:
+    with Robot(observer, port, cycle_s=1.5) as robot:
         yield robot
 
 
@@ -64,7 +64,7 @@ def test_a_robot_takes_parts_from_where_they_are_said_to_be(graph, robot):
     table = moves(graph.observer)
     graph.observer.until(lambda: False, 2.0)
     assert not table, "nothing moves before somebody asks"
-    robot.work(PICKS)
+    assert all(grip is robot.grips[-1] for grip in robot.work(PICKS))
     assert table, "parts were led to the window"
     result = feed_result(robot.grips, graph.observer.record, PICKS, ["black"])
     assert result["success"], result
@@ -112,7 +112,7 @@ def test_a_plate_with_a_reserved_part_rests_and_a_stop_is_told_at_once(graph, ro
 
 @pytest.mark.parametrize(("error_m", "success"), [(1e-4, True), (2e-3, False)])
 def test_a_part_that_lay_elsewhere_is_no_success_and_the_result_can_be_written(error_m, success):
-    grip = Grip("black_1", 0.0, True, error_m, 0.0, "black_1 is taken", 2.0)
+    grip = Grip(0.0, True, error_m, 0.0, 2.0)
     result = feed_result([grip], Record(states=["running"]), 1, ["black"])
     assert json.loads(json.dumps(result)) == result
     assert result["success"] is success
@@ -122,7 +122,7 @@ def test_a_second_client_does_not_end_the_reservation_of_another(graph, robot):
     code, text = robot.ask("get_part")
     assert code == 200, text
     name = re.search(r"id=(\S+)", text)[1]
-    with Robot(graph.observer, "127.0.0.1", robot.port) as other:
+    with Robot(graph.observer, robot.port) as other:
         assert "id=" not in other.ask("state")[1]
         for deed in ("part_taken", f"part_taken {name}", f"part_taken {name} failed"):
             code, text = other.ask(deed)

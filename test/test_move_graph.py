@@ -8,7 +8,6 @@ pytest.importorskip("rclpy")
 from graph.session import session
 from light_graph import LightOptions
 
-from plate_client import PlateClient
 from plate_core.ros import DATA, LATCHED, msg_to_parts
 from plate_core.tasks import PartTarget, load_scenario
 from plate_interfaces.msg import Parts, Targets, TaskStatus
@@ -42,7 +41,7 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
             )
         graph.free()
         observer.await_ready()
-        plate = PlateClient(observer.node, observer.until)
+        plate = observer.client
         task = plate.start(load_scenario("play"))
 
         def text():

@@ -30,21 +30,12 @@ class TriedBoard(EmulatedBoard):
     """Keeps a log of what is written to units that QEMU does not model."""
 
     def __init__(self, elf: Path, folder: Path) -> None:
-        super().__init__(elf, folder)
-        self.more = ["-d", "unimp", "-D", str(self._folder / "log")]
-        self._events = set()
-
-    def _answer(self):
-        answer = super()._answer()
-        self._events.add(answer.get("event"))
-        return answer
+        self._log = folder / "log"
+        super().__init__(elf, more=["-d", "unimp", "-D", str(self._log)])
 
     def reset(self) -> None:
         """Reset the chip, and let it start; its memory keeps what it held."""
-        self._events.clear()
-        self.order("system_reset")
-        while "RESET" not in self._events:
-            self._answer()
+        self._debugger.order(f"qRcmd,{b'system_reset'.hex()}")
         self._rest(0)
 
     def jump(self, address: int) -> None:
@@ -58,7 +49,6 @@ class TriedBoard(EmulatedBoard):
         """Let so many instructions pass, and no interrupt."""
         for _ in range(instructions):
             self._debugger.run(b"s")
-        self._listen()
 
     def write(self, data: bytes) -> None:
         """Send bytes on QEMU's line, which has no pace: they come when the board takes them."""
@@ -68,7 +58,7 @@ class TriedBoard(EmulatedBoard):
 
     def written(self) -> list[tuple[str, int, int]]:
         """What was written to those units: unit's name, register's place in it, value."""
-        log = (self._folder / "log").read_text(encoding="utf-8")
+        log = self._log.read_text(encoding="utf-8")
         return [(unit, int(at, 16), int(value, 16)) for unit, at, value in WRITTEN.findall(log)]
 
     def enabled(self) -> bool:

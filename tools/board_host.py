@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from emulated_board import RING_BYTES, EmulatedBoard, Record
+from emulated_board import RING_BYTES, EmulatedBoard, median_ticks
 
 from plate_core.serial_protocol import (  # fmt: skip
     VERSION,
@@ -130,6 +130,12 @@ class Host:
         self._sequence = (self._sequence + 1) % 2**16
         return frame(pack(Packet(self._sequence, message)))
 
+    def framed(self, table: int, knots: tuple[Knot, ...], splice_ticks: int = 0) -> Iterator[bytes]:
+        """Yield the frames of a table but for its Commit."""
+        yield self.numbered(Begin(table, len(knots), table_crc(knots), splice_ticks))
+        for first in range(0, len(knots), 4):
+            yield self.numbered(Knots(table, first, knots[first : first + 4]))
+
     def until(self, reached: Callable[[], object]) -> None:
         """Let time pass until something is so."""
         end = self._ticks + WAIT_TICKS
@@ -175,24 +181,19 @@ class Host:
         self, table: int, knots: tuple[Knot, ...], repeats: int = 1, splice_ticks: int = 0
     ) -> Status:
         """Send a whole table; returns the answer to its Commit."""
-        self.send(b"".join(self.numbered(m) for m in parts(table, knots, splice_ticks)))
+        self.send(b"".join(self.framed(table, knots, splice_ticks)))
         return self.ask(Commit(table, repeats))
 
     def again(self) -> bytes:
         """Return the present Hello once more."""
         return frame(pack(Packet(self._sequence, Hello(VERSION, self._session))))
 
-    def ticks_since(self, before: Record, first: int) -> Ticks:
+    def ticks_since(self, before: np.record, first: int) -> Ticks:
         """Sum up the ticks since an earlier record and number of telemetries."""
         record = self.board.record()
         worst = max(m.load for m in self.telemetry[first:]) * TICK_INSTRUCTIONS
-        return Ticks(record.median(before), round(worst), record.step_m, record.most, record.late)
-
-
-def parts(table: int, knots: tuple[Knot, ...], splice_ticks: int = 0) -> list[Message]:
-    """Return a table's messages but for its Commit."""
-    begin: list[Message] = [Begin(table, len(knots), table_crc(knots), splice_ticks)]
-    return begin + [Knots(table, i, knots[i : i + 4]) for i in range(0, len(knots), 4)]
+        seen = float(record.step_m), tuple(record.most.tolist()), int(record.late)
+        return Ticks(median_ticks(record, before), round(worst), *seen)
 
 
 def wave(
@@ -287,8 +288,8 @@ class Attack:
 
     def mutated(self) -> Iterator[bytes]:
         """A table in which some bytes are others."""
-        for message in parts(self.another(), wave(24)):
-            packet = bytearray(unframe(self.host.numbered(message)[:-1]))
+        for framed in self.host.framed(self.another(), wave(24)):
+            packet = bytearray(unframe(framed[:-1]))
             if self.rng.random() < 0.5:
                 packet[int(self.rng.integers(3, len(packet)))] = int(self.rng.integers(256))
             yield frame(bytes(packet))
@@ -299,8 +300,7 @@ class Attack:
         pieces = int(self.rng.choice([30, 48, 60, 96, 150, 300, 511]))
         share = float(self.rng.choice([0.99, 1.0, 1.0015, 1.0019, 1.003]))
         knots = wave(pieces, share, jitter=0.3, rng=self.rng)
-        for message in parts(self.another(), knots):
-            yield self.host.numbered(message)
+        yield from self.host.framed(self.another(), knots)
         yield self.host.numbered(Commit(self.table, int(self.rng.integers(1, 8))))
 
     def repeated(self) -> Iterator[bytes]:
@@ -334,8 +334,7 @@ class Attack:
             rest = (0.0,) * 4
             last = replace(knots[-1], position=rest, velocity=rest, acceleration=rest)
             knots = (Knot(0, rest, rest, rest), *knots[1:-1], last)
-        for message in parts(self.another(), knots):
-            yield self.host.numbered(message)
+        yield from self.host.framed(self.another(), knots)
         yield self.host.numbered(Commit(self.table, 1))
         if self.rng.random() < 0.1:
             yield self.host.numbered(Stop(int(self.rng.integers(2))))

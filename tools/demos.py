@@ -16,7 +16,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from graph.robot import summary as feed_summary
 from PIL import Image, ImageSequence
 from record.judge import summary
 
@@ -84,8 +83,7 @@ def run(name: str) -> dict[str, Any]:
         return facts | {"well": False, "outcome": f"Failed: {' '.join(last)}"}
     shrink_strip(out / "strip.png", pictures[0])
     shrink_film(out / "demo.gif", pictures[1])
-    found = json.loads(result.read_text(encoding="utf-8"))
-    outcome = feed_summary(found) if feeds else summary(found)
+    outcome = summary(json.loads(result.read_text(encoding="utf-8")))
     return facts | {"well": done.returncode == 0, "outcome": outcome}
 
 

@@ -8,19 +8,13 @@ instructions. A byte takes no time on that line: a host that is to be real must 
 from __future__ import annotations
 
 import contextlib
-import json
-import select
-import shutil
 import socket
 import struct
 import subprocess
 import sys
-import tempfile
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import yaml
@@ -28,16 +22,29 @@ import yaml
 BOARD = Path(__file__).resolve().parents[1] / "firmware" / "boards" / "stm32f405"
 ICOUNT_SHIFT = 3
 INSTRUCTION_NS = 2**ICOUNT_SHIFT
-TICK_BINS = 1024
 RING_BYTES = 4096
 """`ROOM` of usart.c."""
 
-
-RECORD = struct.Struct(f"<3I{TICK_BINS}II4f3I")
-"""`Record` of board.h."""
+RECORD = np.dtype(
+    (
+        np.record,
+        [
+            ("ticks", "<u4"), ("late", "<u4"), ("longest_ns", "<u4"), ("by_us", "<u4", 1024),
+            ("setpoints", "<u4"), ("step_m", "<f4"), ("most", "<f4", 3),
+            ("received", "<u4"), ("overruns", "<u4"), ("dropped", "<u4"),
+        ],
+    )
+)  # fmt: skip
+"""`Record` of board.h, what the board has seen since its reset: ticks, those that lasted into the
+next one's time, the longest, and how many took so many microseconds; setpoints, the longest step of
+a motor between two that are a tick apart [m], and most travel [m], speed [m/s] and acceleration
+[m/s2] of all motors; bytes that came, times that the line ran over, frames that found no room."""
 
 ANSWER_S = 60.0
 """The machine may be busy: longest wait for an answer of QEMU [s]."""
+
+MOST_BYTES = 1024
+"""Of memory that are asked for at once: QEMU takes twice as many."""
 
 NEEDS = ("arm-none-eabi-gcc", "qemu-system-arm")
 """Of tools/needs.py."""
@@ -71,55 +78,11 @@ def symbols(elf: Path) -> dict[str, int]:
     return {row[-1]: int(row[0], 16) for row in rows if len(row) == 3}
 
 
-@dataclass(frozen=True)
-class Record:
-    """What the board has seen since its reset; `Record` of board.h, times in instructions.
-
-    Attributes
-    ----------
-    ticks, late : int
-        Ticks, and those that lasted into the next one's time.
-    longest : int
-        Instructions of the longest tick.
-    by_us : (1024,)
-        Number of ticks that took so many microseconds.
-    setpoints : int
-    step_m : float
-        Longest step of a motor between two setpoints a tick apart [m].
-    most : tuple of float
-        Travel [m], speed [m/s], acceleration [m/s2] of the setpoints: most of all motors.
-    received, overruns, dropped : int
-        Bytes that came, times that the line ran over, frames that found no room.
-    """
-
-    ticks: int
-    late: int
-    longest: int
-    by_us: np.ndarray
-    setpoints: int
-    step_m: float
-    most: tuple[float, float, float]
-    received: int
-    overruns: int
-    dropped: int
-
-    @classmethod
-    def of_bytes(cls, data: bytes) -> Record:
-        """Read it as it stands in the board's memory."""
-        values = RECORD.unpack(data)
-        ticks, late, longest_ns = values[:3]
-        by_us = np.array(values[3 : 3 + TICK_BINS])
-        setpoints, step, *most = values[3 + TICK_BINS : 8 + TICK_BINS]
-        return cls(
-            ticks, late, longest_ns // INSTRUCTION_NS, by_us, setpoints, step,
-            (most[0], most[1], most[2]), *values[8 + TICK_BINS :],
-        )  # fmt: skip
-
-    def median(self, before: Record | None = None) -> float:
-        """Median of the ticks, those after an earlier record [instructions, to 125]."""
-        count = self.by_us if before is None else self.by_us - before.by_us
-        middle = int(np.searchsorted(np.cumsum(count), np.sum(count) / 2))
-        return (middle + 0.5) * 1e3 / INSTRUCTION_NS
+def median_ticks(record: np.record, before: np.record) -> float:
+    """Median of the ticks since an earlier record [instructions, to 125]."""
+    count = record.by_us - before.by_us
+    middle = int(np.searchsorted(np.cumsum(count), np.sum(count) / 2))
+    return (middle + 0.5) * 1e3 / INSTRUCTION_NS
 
 
 class EmulatedBoard:
@@ -133,85 +96,49 @@ class EmulatedBoard:
 
     Parameters
     ----------
-    elf, folder : Path
-        What it runs, and where its files are meanwhile.
+    elf : Path
+        What it runs.
     idle : str
         Name of two words, of which the board reads one when it has nothing to do: the first and the
         second one in turn, another one after each tick.
+    more : sequence of str
+        Words for QEMU.
     """
 
-    def __init__(self, elf: Path, folder: Path, idle: str = "waits") -> None:
+    def __init__(self, elf: Path, idle: str = "waits", more: Sequence[str] = ()) -> None:
         self.names = symbols(elf)
-        self._elf, self._idle = elf, self.names[idle]
-        self._folder = Path(tempfile.mkdtemp(dir=folder))
-        self.more: list[str] = []  # words for QEMU
+        self._elf, self._idle, self._more = elf, self.names[idle], more
 
     def __enter__(self) -> Self:
-        control, line, gdb = (self._folder / name for name in ("qmp", "line", "gdb"))
-        command = [
-            "qemu-system-arm", "-M", "netduinoplus2", "-nodefaults", "-display", "none",
-            "-kernel", str(self._elf), "-icount", f"shift={ICOUNT_SHIFT},sleep=off", "-S",
-            "-chardev", f"socket,id=line,path={line},server=on,wait=off", "-serial", "chardev:line",
-            "-qmp", f"unix:{control},server=on,wait=off", *self.more,
-        ]  # fmt: skip
-        self._machine = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        self._qmp = _connected(control, self._machine)
-        self._heard = self._said = b""
-        self._answer()
-        self.order("qmp_capabilities")
-        self._line = _connected(line, self._machine)
+        self._line, line = socket.socketpair()
+        debugger, gdb = socket.socketpair()
+        with line, gdb:
+            command = [
+                "qemu-system-arm", "-M", "netduinoplus2", "-nodefaults", "-display", "none", "-S",
+                "-kernel", str(self._elf), "-icount", f"shift={ICOUNT_SHIFT},sleep=off",
+                "-chardev", f"socket,id=line,fd={line.fileno()}", "-serial", "chardev:line",
+                "-chardev", f"socket,id=gdb,fd={gdb.fileno()}", "-gdb", "chardev:gdb", *self._more,
+            ]  # fmt: skip
+            self._machine = subprocess.Popen(command, pass_fds=(line.fileno(), gdb.fileno()))
         self._line.setblocking(False)
-        while "disconnected" in str(self.order("query-chardev")):
-            time.sleep(1e-3)
-        self.order("human-monitor-command", **{
-            "command-line": f"gdbserver unix:{gdb},server=on,wait=off"
-        })  # fmt: skip
-        self._debugger = Debugger(
-            _connected(gdb, self._machine), [self._line, self._qmp], self._listen
-        )
+        self._debugger = Debugger(debugger)
         self._rest(0)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._line.close()
         self._debugger.close()
-        self._qmp.close()
         self._machine.terminate()
         self._machine.wait(10)
-        shutil.rmtree(self._folder)
-
-    def order(self, name: str, **arguments: Any) -> Any:
-        """Give QEMU an order (QMP) and return its answer."""
-        order = {"execute": name, "arguments": arguments}
-        self._qmp.sendall(json.dumps(order).encode())
-        while True:
-            answer = self._answer()
-            if "error" in answer:
-                raise RuntimeError(f"{name}: {answer['error']['desc']}")
-            if "return" in answer:
-                return answer["return"]
-
-    def _answer(self) -> dict[str, Any]:
-        """Return what QEMU says next: a greeting, an answer or an event."""
-        while b"\n" not in self._heard:
-            data = self._qmp.recv(65_536)
-            if not data:
-                raise RuntimeError("QEMU has closed the line for orders")
-            self._heard += data
-        line, _, self._heard = self._heard.partition(b"\n")
-        return dict(json.loads(line))
 
     def memory(self, name: str, size: int) -> bytes:
         """Return the bytes of a variable of the firmware."""
-        file = self._folder / "memory"
-        self.order("pmemsave", val=self.names[name], size=size, filename=str(file))
-        return file.read_bytes()
+        return self._debugger.read(self.names[name], size)
 
-    def record(self) -> Record:
-        """Return what the board has seen so far."""
-        return Record.of_bytes(self.memory("record", RECORD.size))
+    def record(self) -> np.record:
+        """Return what the board has seen so far, as `RECORD`."""
+        found: np.record = np.frombuffer(self.memory("record", RECORD.itemsize), RECORD)[0]
+        return found
 
     def _rest(self, word: int) -> None:
         """Let it run until it has nothing to do, and reads one of the two words."""
@@ -223,17 +150,11 @@ class EmulatedBoard:
         if data:
             self._come(data)
         self._rest(1 - self._word)
-        self._listen()
-        said, self._said = self._said, b""
-        return said
-
-    def _listen(self) -> None:
-        """Read what the board says, and QEMU of each stop: it waits if nobody reads."""
-        while select.select([self._qmp], [], [], 0)[0] and self._qmp.recv(65_536):
-            pass
+        said = b""
         with contextlib.suppress(BlockingIOError):
-            while data := self._line.recv(65_536):
-                self._said += data
+            while some := self._line.recv(65_536):
+                said += some
+        return said
 
     def room(self) -> int:
         """How many bytes the board can be brought before it has read."""
@@ -251,7 +172,7 @@ class EmulatedBoard:
 
     def _counts(self) -> tuple[int, int]:
         """Return how many bytes have come, and were read."""
-        return struct.unpack("<2I", self._debugger.read(self.names["received"], 8))
+        return struct.unpack("<2I", self.memory("received", 8))
 
 
 class Debugger:
@@ -260,18 +181,12 @@ class Debugger:
     Parameters
     ----------
     line : socket
-        Of QEMU's server; the machine stands still.
-    others : list of socket
-        On which something may come meanwhile.
-    listen : callable
-        Reads it.
+        To QEMU's server; the machine stands still.
     """
 
-    def __init__(
-        self, line: socket.socket, others: list[socket.socket], listen: Callable[[], None]
-    ) -> None:
-        self._line, self._others, self._listen = line, others, listen
-        self._held = b""
+    def __init__(self, line: socket.socket) -> None:
+        self._line, self._held = line, b""
+        line.settimeout(ANSWER_S)
         self.ask(b"QStartNoAckMode")
 
     def close(self) -> None:
@@ -293,7 +208,11 @@ class Debugger:
 
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""
-        return bytes.fromhex(self.ask(f"m{address:x},{size:x}".encode()).decode())
+        end, data = address + size, b""
+        for begin in range(address, end, MOST_BYTES):
+            some = min(MOST_BYTES, end - begin)
+            data += bytes.fromhex(self.ask(f"m{begin:x},{some:x}".encode()).decode())
+        return data
 
     def write(self, address: int, data: bytes) -> None:
         """Change bytes of memory."""
@@ -317,31 +236,13 @@ class Debugger:
 
     def _answer(self) -> bytes:
         while b"#" not in self._held[:-2]:
-            ready, _, _ = select.select([self._line, *self._others], [], [], ANSWER_S)
-            if not ready:
-                raise RuntimeError(f"debugger: no answer from QEMU in {ANSWER_S:g} s")
-            if ready != [self._line]:
-                self._listen()
-            if self._line not in ready:
-                continue
-            data = self._line.recv(4096)
+            try:
+                data = self._line.recv(4096)
+            except TimeoutError:
+                raise RuntimeError(f"debugger: no answer from QEMU in {ANSWER_S:g} s") from None
             if not data:
                 raise RuntimeError("debugger: QEMU has closed the line")
             self._held += data
         answer, _, rest = self._held.partition(b"#")
         self._held = rest[2:]
         return answer.partition(b"$")[2]
-
-
-def _connected(path: Path, machine: subprocess.Popen[bytes]) -> socket.socket:
-    """Connect to a socket that QEMU makes as it starts."""
-    line = socket.socket(socket.AF_UNIX)
-    while machine.poll() is None:
-        try:
-            line.connect(str(path))
-        except OSError:
-            time.sleep(0.01)
-        else:
-            line.settimeout(ANSWER_S)
-            return line
-    raise RuntimeError(f"qemu-system-arm ended with {machine.returncode}")

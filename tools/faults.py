@@ -14,18 +14,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from graph.observer import ALL, Observer
+from graph.observer import ALL, Observer, Said
 from graph.processes import signals_raise
 from graph.relays import GATE
 from graph.session import Session, session
@@ -34,9 +35,9 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import load_rig
-from plate_core.ros import LATCHED, msg_to_reports, nanoseconds
+from plate_core.ros import nanoseconds
 from plate_core.status import Level
-from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
+from plate_interfaces.msg import Parts, TaskStatus
 
 MOVE_S = 30.0
 """Longest wait until the plate moves [s]."""
@@ -53,6 +54,9 @@ STILL_SPEED = 2e-3
 MOST_S = 2.0
 """Time within which a task must have ended [s]."""
 
+FRESH_S = 1.5
+"""A node that has said nothing for longer is not back [s]: it says something each second."""
+
 TRIES = 3
 """Of a task to get going: on a busy machine one may end at once."""
 
@@ -66,35 +70,30 @@ class Plate:
 
     def __init__(self, observer: Observer, transport: str) -> None:
         self.moved_until = 0.0
-        self.told_until = 0.0
         self.tables_only = False
-        self._serial = transport == "serial"
         listen = observer.node.create_subscription
-        listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
-        if self._serial:
+        if transport == "serial":
             listen(JointTrajectory, "motor_motion", self._on_motion, ALL)
         else:
             listen(Parts, "ground_truth", self._on_truth, ALL)
+            listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
 
-    def _saw(self, moves: bool, until: float) -> None:
-        self.told_until = max(self.told_until, until)
-        if moves:
-            self.moved_until = max(self.moved_until, until)
+    def _moves_until(self, end_s: float) -> None:
+        self.moved_until = max(self.moved_until, end_s)
 
     def _on_table(self, msg: JointTrajectory) -> None:
-        if self.tables_only and not self._serial:
+        if self.tables_only and any(any(point.positions) for point in msg.points):
             length = 1e-9 * nanoseconds(msg.points[-1].time_from_start)
-            self._saw(any(any(point.positions) for point in msg.points), time.time() + length)
+            self._moves_until(time.time() + length)
 
     def _on_motion(self, msg: JointTrajectory) -> None:
-        end = nanoseconds(msg.header.stamp) + nanoseconds(msg.points[-1].time_from_start)
-        moves = any(abs(v) > STILL_SPEED for point in msg.points for v in point.velocities)
-        self._saw(moves, 1e-9 * end)
+        if any(abs(v) > STILL_SPEED for point in msg.points for v in point.velocities):
+            end = nanoseconds(msg.header.stamp) + nanoseconds(msg.points[-1].time_from_start)
+            self._moves_until(1e-9 * end)
 
     def _on_truth(self, msg: Parts) -> None:
-        if not self.tables_only:
-            moves = any(part.vx or part.vy for part in msg.parts)
-            self._saw(moves, 1e-9 * nanoseconds(msg.header.stamp))
+        if not self.tables_only and any(part.vx or part.vy for part in msg.parts):
+            self._moves_until(1e-9 * nanoseconds(msg.header.stamp))
 
     @property
     def moving(self) -> bool:
@@ -102,48 +101,14 @@ class Plate:
         return time.time() - self.moved_until < STILL_S
 
 
-@dataclass(frozen=True)
-class Said:
-    """What somebody said, when [s, monotonic], and how bad it is."""
-
-    at: float
-    text: str
-    level: int = 0
-    state: int | None = None  # of a status
+def between(said: Iterable[Said], since: float, until: float) -> list[Said]:
+    """Return what was said between two times [s, monotonic]."""
+    return [each for each in said if since < each.at < until]
 
 
-class Talk:
-    """All that was said, by topic or node."""
-
-    def __init__(self, observer: Observer) -> None:
-        self.said: dict[str, list[Said]] = {}
-        listen = observer.node.create_subscription
-        listen(DriverStatus, "driver_status", self._on_driver, LATCHED)
-        listen(TaskStatus, "task_status", self._on_task, LATCHED)
-        listen(DiagnosticArray, "diagnostics", self._on_diagnostics, ALL)
-
-    def _on_driver(self, msg: DriverStatus) -> None:
-        self._note("driver_status", msg.text)
-
-    def _on_task(self, msg: TaskStatus) -> None:
-        said = self.said.get("task_status")
-        if not said or said[-1].text != msg.text:  # it is said with each image
-            self._note("task_status", msg.text, state=msg.state)
-
-    def _note(self, who: str, text: str, level: int = 0, state: int | None = None) -> None:
-        self.said.setdefault(who, []).append(Said(time.monotonic(), text, level, state))
-
-    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        for report in msg_to_reports(msg):
-            self._note(report.node, report.message, report.level)
-
-    def after(self, who: str, when: float) -> list[Said]:
-        """Return what was said after a time."""
-        return [said for said in self.said.get(who, []) if said.at > when]
-
-    def before(self, who: str, when: float) -> Said:
-        """Return what was said last before a time."""
-        return [Said(0.0, ""), *(said for said in self.said.get(who, []) if said.at <= when)][-1]
+def before(said: Iterable[Said], when: float) -> Said:
+    """Return what was said last before a time [s, monotonic]."""
+    return [Said(0.0, 0, ""), *(each for each in said if each.at <= when)][-1]
 
 
 @dataclass(frozen=True)
@@ -206,7 +171,7 @@ class Faults:
     def __init__(self, graph: Session, times: Times | None = None) -> None:
         self.processes, self.observer = graph.processes, graph.observer
         self.scenario = graph.scenario
-        self.plate, self.talk = Plate(self.observer, graph.options.transport), Talk(self.observer)
+        self.plate = Plate(self.observer, graph.options.transport)
         self.times = times or Times()
 
     def wait(self, seconds: float) -> None:
@@ -233,9 +198,9 @@ class Faults:
     def gone(self, kind: str, node: str) -> Any:
         """Take a node or its input away, and bring it back."""
         if kind == "cut":
-            assert self.observer.set_parameter(GATE, "cut", node)[0]
+            self.observer.set_parameter(GATE, "cut", node)
             yield
-            assert self.observer.set_parameter(GATE, "cut", "")[0]
+            self.observer.set_parameter(GATE, "cut", "")
             return
         processes = self.processes
         processes.signal(node, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
@@ -249,7 +214,7 @@ class Faults:
     def put(self, kind: str, node: str) -> Row:
         """Put one fault into a running task."""
         self.work()
-        row, plate, talk = Row(kind, node), self.plate, self.talk
+        row, plate, said = Row(kind, node), self.plate, self.observer.record.said
         plate.tables_only = node == "simulator" and kind != "cut"
         at, at_utc = time.monotonic(), time.time()
         with self.gone(kind, node):
@@ -261,7 +226,7 @@ class Faults:
         self.hear(row, at, back)
         # It speaks again; nothing moves before somebody asks for it.
         self.observer.until(
-            lambda: bool(talk.after(node, time.monotonic() - 1.5)) and bool(talk.after(node, back)),
+            lambda: before(said.get(node, ()), math.inf).at > max(back, time.monotonic() - FRESH_S),
             BACK_S,
         )
         self.wait(self.times.unasked)
@@ -276,27 +241,23 @@ class Faults:
 
     def hear(self, row: Row, since: float, until: float) -> None:
         """Note what was said between two times."""
-        talk = self.talk
-        for said in talk.after("task_status", since):
-            if said.at < until and said.state != TaskStatus.RUNNING:
+        record = self.observer.record
+        for said in between(record.tasks, since, until):
+            if said.state != TaskStatus.RUNNING:
                 row.task, row.task_s = said.text, round(said.at - since, 1)
                 break
-        before = talk.before("driver_status", since).text
-        row.driver, row.driver_s = before, None
-        for said in talk.after("driver_status", since):
-            if said.at < until and said.text != before:
+        row.driver, row.driver_s = before(record.drivers, since).text, None
+        for said in between(record.drivers, since, until):
+            if said.text != row.driver:
                 row.driver, row.driver_s = said.text, round(said.at - since, 1)
                 break
         row.diagnostics = []
-        for name in talk.said:
-            worst: Said | None = None
-            for said in talk.after(name, since):
-                more = Level(said.level).rank > (Level(worst.level).rank if worst else 0)
-                if name not in ("driver_status", "task_status") and said.at < until and more:
-                    worst = said
-            if worst is not None and worst.level != talk.before(name, since).level:
+        for name, all_said in record.said.items():
+            told = between(all_said, since, until)
+            worst = max(told, key=lambda said: said.level.rank, default=Said(0.0, 0, ""))
+            if worst.level not in (Level.OK, before(all_said, since).level):
                 seconds = round(worst.at - since, 1)
-                row.diagnostics.append((name, Level(worst.level).name, seconds, worst.text))
+                row.diagnostics.append((name, worst.level.name, seconds, worst.text))
         row.diagnostics.sort(key=lambda item: item[2])
 
     def moves(self) -> bool:

@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import RunOptions
-from plate_client import PlateClient, Task
+from plate_client import Task
 from plate_core import load_rig
 from plate_core.ros import msg_to_motors, scenario_to_goal
 from plate_core.tasks import load_scenario
@@ -63,13 +63,12 @@ def random_goal(rng: np.random.Generator) -> tuple[Any, bool]:
 
 def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str, Any]:
     """Send goals, end some of them, and say what became of them."""
-    plate = PlateClient(observer.node, observer.until)
     sent: list[tuple[Task, bool]] = []
     canceled: set[int] = set()
     stops = 0
     for number in range(count):
         goal, bad = random_goal(rng)
-        sent.append((plate.send(goal), bad))
+        sent.append((observer.client.send(goal), bad))
         if rng.random() < 0.1:
             observer.set_parameter("planner", "preempt", bool(rng.random() < 0.5))
         if rng.random() < 0.05:

@@ -161,12 +161,10 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
     """Run a task; this process is on the machine with the driver."""
     options = RunOptions(scenario=scenario, rig_file=load_scenario(scenario).rig)
     graph = options.nodes(load_graph())
-    seeing = [node for node in graph if node.name in SEEING]
+    seeing = [node for node in graph if node.name in SEEING and reach != "nobody"]
     others = [node for node in graph if node.name not in SEEING]
     prefix = {node.name: enter(eyes) for node in seeing}
     away = Processes(seeing, options, logs, DOMAIN, prefix, reach_environment(reach, HANDS))
-    if reach == "nobody":
-        away = Processes((), options, logs, DOMAIN)
     here = Processes(others, options, logs, DOMAIN, None, reach_environment(reach, EYES))
     with away, here, Observer(DOMAIN, pictures=False) as observer:
         record = observer.record

@@ -122,7 +122,6 @@ def main() -> int:
     args = parser.parse_args()
     until = time.monotonic() + 60 * args.minutes
     options = RunOptions(args.scenario, autostart=False)
-    load = os.getloadavg()[2]
     result = None
     with signals_raise(), suppress(Interrupted), tempfile.TemporaryDirectory() as logs:
         friction = dict.fromkeys(("friction_spread", "friction_patches"), args.uneven)
@@ -131,7 +130,7 @@ def main() -> int:
         )  # fmt: skip
         for now in tasks:
             print(line(now.tasks[-1]), flush=True)
-            result = {**summed_up(now), "load": [load, os.getloadavg()[2]]}
+            result = summed_up(now)
             if args.json:  # after each task: a run that is cut short has its table too
                 args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
     if result is None:

@@ -35,8 +35,8 @@ def measure(quick: bool) -> Result:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         elf = built(folder, RIG=unfollowed(ROOT / "config" / "rig.yaml", folder))
-        commits = commit_rows(elf, folder, pieces)
-        attacks = [attack_row(elf, folder, pace, packets) for pace in LINES]
+        commits = commit_rows(elf, pieces)
+        attacks = [attack_row(elf, pace, packets) for pace in LINES]
     return Result(
         [
             Table(
@@ -64,10 +64,10 @@ COLUMNS = {
 }
 
 
-def commit_rows(elf: Path, folder: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
+def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
     """One board, and a table of each size."""
     rows = []
-    with EmulatedBoard(elf, folder) as board:
+    with EmulatedBoard(elf) as board:
         host = Host(board)
         host.begin()
         host.enable()
@@ -77,9 +77,9 @@ def commit_rows(elf: Path, folder: Path, pieces: tuple[int, ...]) -> list[dict[s
     return rows
 
 
-def attack_row(elf: Path, folder: Path, pace: int, packets: int) -> dict[str, Any]:
+def attack_row(elf: Path, pace: int, packets: int) -> dict[str, Any]:
     """A board under attack, by a line of some speed."""
-    with EmulatedBoard(elf, folder) as board:
+    with EmulatedBoard(elf) as board:
         host = Host(board, pace)
         host.begin()
         host.enable()

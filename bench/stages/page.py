@@ -111,7 +111,7 @@ def measured(
                     graph.processes.wait("page", 10.0)
                     found[name].append(one_task(graph, hops, None, 0.0, longest_s))
                     graph.processes.restart("page")
-                    graph.observer.record.reports.pop("page", None)
+                    graph.observer.record.said.pop("page", None)
                     url = graph.page()
                     continue
                 with browsers(url, count):

@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import shutil
-import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -18,18 +17,17 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message
 from record.bag import Recorder
-from record.judge import judge, summary
+from record.judge import judge, summary, there
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_bringup.production import check_robot
 from plate_core import PlateError, Rig, did_you_mean, load_rig
 from plate_core.tasks import (
-    AssembleTask,
     FeedTask,
     FollowTask,
-    PoseTask,
     Scenario,
+    Task,
     load_scenario,
     start_positions,
 )
@@ -43,7 +41,6 @@ from .firmware import build
 from .observer import Observer, Record
 from .processes import Interrupted, ros_environment, signals_raise, signals_wait
 from .robot import Grip, Robot, feed_result
-from .robot import summary as feed_summary
 from .session import Session, session
 
 SILENCE_S = 30.0
@@ -84,6 +81,8 @@ class Plan:
 
     Attributes
     ----------
+    args : Namespace
+        Of the command line.
     options : RunOptions
     scenario : Scenario
     rig : Rig
@@ -91,24 +90,14 @@ class Plan:
         Where results go.
     domain : int, optional
         ROS domain; if left out, one of its own.
-    pictures : bool
-    record : bool
-        Whether to keep all messages.
-    picks : int
-        Parts that a robot is to take, in a scenario of `feed`.
-    robot_cycle_s : float
-        Time that the robot needs for one, if it never waits [s].
     """
 
+    args: argparse.Namespace
     options: RunOptions
     scenario: Scenario
     rig: Rig
     out: Path
     domain: int | None
-    pictures: bool
-    record: bool
-    picks: int
-    robot_cycle_s: float
 
 
 def demo(args: argparse.Namespace) -> int:
@@ -123,7 +112,7 @@ def demo(args: argparse.Namespace) -> int:
         with signals_raise():
             return run(plan)
     except Interrupted as interrupt:
-        print(f"\ndemo: {name_of(interrupt)}, all nodes are stopped", flush=True)
+        print(f"\ndemo: {interrupt}, all nodes are stopped", flush=True)
         return 128 + interrupt.number
     except (PlateError, OSError) as error:  # the latter: a full disk; the nodes are stopped by now
         print(f"\ndemo: {error}", file=sys.stderr, flush=True)
@@ -146,28 +135,26 @@ def checked(args: argparse.Namespace) -> Plan:
     check_run(args)
     among("transport", transport, {*installed(), *DRIVES})
     check_transport(transport, args.port or "of the simulated device")
-    if drives and args.port:
+    if args.port and (drives or transport == "sim"):
+        allowed = "none (a board is transport serial)" if drives else "no port"
         raise PlateError(
-            f"port is {args.port!r} with transport {args.transport}, allowed with it: none (a "
-            "board is transport serial)"
+            f"port is {args.port!r} with transport {args.transport}, allowed with it: {allowed}"
         )
     if args.lockstep and transport == "serial":
         raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with --lockstep")
     Disturbances(image_rate=args.image_rate)  # refuses one out of range
-    if isinstance(scenario.task, FeedTask) and args.lockstep:
-        raise PlateError(
-            "lockstep with a task of feed, allowed: without (a robot has its own time)"
-        )
-    if isinstance(scenario.task, FeedTask) and args.port:
-        raise PlateError("port with a task of feed, allowed: none (the robot is simulated)")
     within("picks", args.picks, 1, MOST_PICKS)
     within("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
+        if args.lockstep:
+            raise PlateError(
+                "lockstep with a task of feed, allowed: without (a robot has its own time)"
+            )
+        if args.port:
+            raise PlateError("port with a task of feed, allowed: none (the robot is simulated)")
         check_robot(scenario.task, args.robot_cycle)
-    if args.port and args.transport == "sim":
-        raise PlateError(f"port is {args.port!r} with transport sim, allowed with it: no port")
     for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,
         print(f"demo: warning: {doubt}", flush=True)
     start_positions(scenario, rig, np.random.default_rng(args.seed))  # and do its parts
@@ -194,10 +181,7 @@ def checked(args: argparse.Namespace) -> Plan:
     domain = args.domain
     if domain is None and args.port:  # the camera is somebody else's, in the domain of this shell
         domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
-    return Plan(
-        options, scenario, rig, out, domain, not args.no_pictures, args.record, args.picks,
-        args.robot_cycle,
-    )  # fmt: skip
+    return Plan(args, options, scenario, rig, out, domain)
 
 
 def check_run(args: argparse.Namespace) -> None:
@@ -295,7 +279,7 @@ def run(plan: Plan) -> int:
     code = conclude(plan, graph, time.monotonic() - began, problem, grips)
     stop = problem if isinstance(problem, Interrupted) else late
     if stop is not None:
-        print(f"demo: {name_of(stop)}, all nodes are stopped", flush=True)
+        print(f"demo: {stop}, all nodes are stopped", flush=True)
         return 128 + stop.number
     if problem is not None:
         print(f"\ndemo: {problem}", file=sys.stderr, flush=True)
@@ -323,15 +307,13 @@ def conclude(
         result["wall_s"] = round(wall_s, 1)
         if isinstance(plan.scenario.task, FeedTask):
             wanted = [pick.label for pick in plan.scenario.task.picks]
-            result |= feed_result(grips, record, plan.picks, wanted)
+            result |= feed_result(grips, record, plan.args.picks, wanted)
         if problem is not None:
-            words = name_of(problem) if isinstance(problem, Interrupted) else str(problem)
-            result |= {"success": False, "message": "ended by " + words.split("\n")[0]}
-        feeds = isinstance(plan.scenario.task, FeedTask)
-        text = feed_summary(result) if feeds else summary(result)
-        print(("\n" if problem else "") + text, flush=True)
+            words = str(problem).split("\n")[0]
+            result |= {"success": False, "message": f"ended by {words}"}
+        print(("\n" if problem else "") + summary(result), flush=True)
         write(plan.out / "result.json", result)
-    if plan.pictures:
+    if not plan.args.no_pictures:
         if problem is not None:
             print("  drawing what was done so far; Ctrl-C: no pictures", flush=True)
         draw(plan, record)
@@ -340,11 +322,6 @@ def conclude(
     for name in (name for name, code in codes.items() if code and problem is None):
         print(f"{name}:\n{graph.processes.tail(name)}", flush=True)
     return 1
-
-
-def name_of(interrupt: Interrupted) -> str:
-    """Return the name of the signal."""
-    return signal.Signals(interrupt.number).name
 
 
 @contextmanager
@@ -377,7 +354,7 @@ def running(
 @contextmanager
 def recording(plan: Plan, observer: Observer) -> Iterator[None]:
     """Keep all messages meanwhile, if that was asked for."""
-    if not plan.record:
+    if not plan.args.record:
         yield
         return
     with Recorder(observer.node, plan.out / BAG) as recorder:
@@ -397,8 +374,7 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
     GraphError
         If the planner falls silent, or does not end the task in time.
     """
-    line, progress = StatusLine(PROGRESS_S), Progress(plan.scenario)
-    record = observer.record
+    line, record, task = StatusLine(PROGRESS_S), observer.record, plan.scenario.task
     allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
     end = time.monotonic() + allowed + EXTRA_S
     count, news, seen, moving = 0, time.monotonic(), 0, False
@@ -408,10 +384,10 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
             moving, seen = any(map(moves, record.tables[seen:])), len(record.tables)
             if moving:
                 line.end(f"The plate moves {time.monotonic() - began:.1f} s after the start.")
-        line.show(progress.text(record))
+        line.show(progress(task, record))
         now = time.monotonic()
-        if len(record.reports["planner"]) > count:
-            count, news = len(record.reports["planner"]), now
+        if len(record.reports("planner")) > count:
+            count, news = len(record.reports("planner")), now
         if now - news > SILENCE_S:
             raise GraphError(f"the planner has said nothing for {SILENCE_S:g} s")
         if now > end:
@@ -420,7 +396,7 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
     if not over.startswith("done"):  # at once: a node that is frozen is waited for at the end
         line.end(f"Task {over}")
     observer.until(lambda: record.last("planner", "task_state") == over, 2.0)
-    line.end(progress.text(record))
+    line.end(progress(task, record))
 
 
 def moves(table: bytes) -> bool:
@@ -440,20 +416,17 @@ def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
     line, record = StatusLine(PROGRESS_S), observer.record
     if not observer.until(lambda: bool(record.last("feeder", "port")), FEEDER_S):
         raise GraphError(f"the feeder has said nothing for {FEEDER_S:g} s")
-    port = int(record.last("feeder", "port"))
-    print(f"A robot takes {plan.picks} parts, over TCP at 127.0.0.1:{port}.", flush=True)
-
-    def text() -> str:
-        taken = sum(grip.taken for grip in grips)
-        last = (
-            f", the last {1e3 * grips[-1].error_m:.2f} mm from where it was said" if grips else ""
-        )
-        return f"{taken} of {plan.picks} parts taken{last}"
-
-    with Robot(observer, "127.0.0.1", port, plan.robot_cycle_s, grips) as robot:
-        robot.work(plan.picks, lambda grip: line.show(text()))
+    port, picks = int(record.last("feeder", "port")), plan.args.picks
+    print(f"A robot takes {picks} parts, over TCP at 127.0.0.1:{port}.", flush=True)
+    with Robot(observer, port, plan.args.robot_cycle, grips) as robot:
+        for grip in robot.work(picks):
+            text = (
+                f"{sum(each.taken for each in grips)} of {picks} parts taken, the last "
+                f"{1e3 * grip.error_m:.2f} mm from where it was said"
+            )
+            line.show(text)
     observer.trigger("stop")
-    line.end(text())
+    line.end(text)
 
 
 def clear(out: Path) -> None:
@@ -547,26 +520,19 @@ class StatusLine:
         self._open = False
 
 
-class Progress:
-    """What there is to tell of a task of this scenario while it runs."""
+def progress(task: Task, record: Record) -> str:
+    """Return what there is to tell of a task while it runs."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._following = isinstance(scenario.task, FollowTask)
-        self._there = "placed" if isinstance(scenario.task, AssembleTask | PoseTask) else "sorted"
+    def told(key: str) -> str:
+        return record.last("planner", key)
 
-    def text(self, record: Record) -> str:
-        """Return the line."""
-        if not record.last("planner", "time_s"):
-            return "waiting for the first image"
-        if self._following:
-            done = f"error {1e3 * float(record.last('planner', 'rms_error_m')):.2f} mm rms"
-        else:
-            done = f"{record.last('planner', 'parts_sorted')}/" + record.last(
-                "planner", "parts_total"
-            )
-            done += f" parts {self._there}"
-        to_go = 1e3 * float(record.last("planner", "to_go_m"))
-        return (
-            f"{done} | {float(record.last('planner', 'time_s')):5.1f} s | {to_go:4.0f} mm to go"
-            f" | solve {float(record.last('solver', 'solve_ms_median', '0')):3.0f} ms"
-        )
+    if not told("time_s"):
+        return "waiting for the first image"
+    if isinstance(task, FollowTask):
+        done = f"error {1e3 * float(told('rms_error_m')):.2f} mm rms"
+    else:
+        done = f"{told('parts_sorted')}/{told('parts_total')} parts {there(task)}"
+    return (
+        f"{done} | {float(told('time_s')):5.1f} s | {1e3 * float(told('to_go_m')):4.0f} mm to go"
+        f" | solve {float(record.last('solver', 'solve_ms_median', '0')):3.0f} ms"
+    )

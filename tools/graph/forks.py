@@ -240,7 +240,7 @@ def _become(
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-        os._exit(code)
+        os._exit(code)  # at an end as of other programs, libraries of a fork crash
 
 
 if __name__ == "__main__":

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import rclpy
@@ -95,12 +95,30 @@ class Thinned:
 
 
 @dataclass(frozen=True)
-class Health:
-    """What a node said of itself last: level and message of its diagnostics, and when they came."""
+class Said:
+    """What a node said of itself, or of the driver or the task.
 
-    level: Level
-    message: str
+    Attributes
+    ----------
+    at : float
+        When it came [s, monotonic].
+    stamp : int
+        What it was about [ns].
+    text : str
+    level : Level
+        Of diagnostics.
+    state : int
+        Of a status.
+    values : dict of str to str
+        Of diagnostics.
+    """
+
     at: float
+    stamp: int
+    text: str
+    level: Level = Level.OK
+    state: int = 0
+    values: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -115,12 +133,10 @@ class Record:
         Number of plate_cycle messages.
     images : Thinned
         Some of image_raw, as bytes.
-    reports : dict of str to list of (stamp in ns, dict)
-        Diagnostics by node: keys and values, and the message under "message".
-    health : dict of str to Health
-        The newest of them.
-    states : list of str
-        What the planner said of the task, each once.
+    said : dict of str to list of Said
+        Diagnostics by node.
+    drivers, tasks : list of Said
+        Statuses of the driver and, each text once, of the task.
     status : TaskStatus, optional
         The newest.
     driver : DriverStatus, optional
@@ -131,22 +147,25 @@ class Record:
     tables: list[bytes] = field(default_factory=list)
     answers: int = 0
     images: Thinned = field(default_factory=Thinned)
-    reports: dict[str, list[tuple[int, dict[str, str]]]] = field(
-        default_factory=lambda: defaultdict(list)
-    )
-    health: dict[str, Health] = field(default_factory=dict)
-    states: list[str] = field(default_factory=list)
+    said: dict[str, list[Said]] = field(default_factory=dict)
+    drivers: list[Said] = field(default_factory=list)
+    tasks: list[Said] = field(default_factory=list)
     status: TaskStatus | None = None
     driver: DriverStatus | None = None
 
     def last(self, node: str, key: str, default: str = "") -> str:
         """Return the newest value that a node has reported."""
-        reports = self.reports.get(node)
-        return reports[-1][1].get(key, default) if reports else default
+        reports = self.reports(node)
+        return reports[-1].values.get(key, default) if reports else default
 
-    def numbers(self, node: str, key: str) -> list[float]:
-        """Return all numbers that a node has reported under a key."""
-        return [float(values[key]) for _, values in self.reports.get(node, []) if key in values]
+    def reports(self, node: str) -> list[Said]:
+        """Return what a node has said with values."""
+        return [said for said in self.said.get(node, []) if said.values]
+
+    @property
+    def states(self) -> list[str]:
+        """What the planner said of the task, in words."""
+        return [said.text for said in self.tasks]
 
     @property
     def ready(self) -> bool:
@@ -203,7 +222,6 @@ class Observer:
         self.record, self.domain, self._waiting = Record(), domain, waiting
         self.pulses = [pulse]
         self._pulsed_at = 0.0
-        self._client: PlateClient | None = None
         rclpy.init(
             domain_id=domain,
             args=["--ros-args", "--disable-external-lib-logs"],
@@ -239,19 +257,23 @@ class Observer:
 
     def _on_task(self, msg: TaskStatus) -> None:
         self.record.status = msg
-        if not self.record.states or self.record.states[-1] != msg.text:
-            self.record.states.append(msg.text)
+        if self.record.states[-1:] != [msg.text]:  # it is said with each image
+            self.record.tasks.append(_said(msg))
 
     def _on_driver(self, msg: DriverStatus) -> None:
         self.record.driver = msg
+        self.record.drivers.append(_said(msg))
 
     def _on_report(self, msg: DiagnosticArray) -> None:
-        stamp = nanoseconds(msg.header.stamp)
+        now, stamp = time.monotonic(), nanoseconds(msg.header.stamp)
         for report in msg_to_reports(msg):
-            if report.values:
-                values = {"message": report.message, **report.values}
-                self.record.reports[report.node].append((stamp, values))
-            self.record.health[report.node] = Health(report.level, report.message, time.monotonic())
+            said = Said(now, stamp, report.message, report.level, values=report.values)
+            self.record.said.setdefault(report.node, []).append(said)
+
+    @cached_property
+    def client(self) -> PlateClient:
+        """The client of the planner's actions."""
+        return PlateClient(self.node, self.until)
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         """Listen until the condition holds; False if it does not within the time [s]."""
@@ -283,15 +305,12 @@ class Observer:
 
         def missing() -> list[str]:
             seen = self.seen(names)
-            return [name for name in names if name not in seen]
-
-        def there() -> bool:
-            absent = missing()
+            absent = [name for name in names if name not in seen]
             if absent:
                 self._waiting(f"waiting for {', '.join(absent)}")
-            return not absent
+            return absent
 
-        if not self.until(there, timeout_s):
+        if not self.until(lambda: not missing(), timeout_s):
             raise GraphError(
                 f"not seen within {timeout_s:g} s: {', '.join(missing())} (of {', '.join(names)})"
             )
@@ -328,12 +347,12 @@ class Observer:
         GraphError
             If that does not happen: what the nodes say.
         """
-        health, names = self.record.health, list(names)
+        names = list(names)
         began, allowed_s = time.monotonic(), timeout_s
         while not self.until(lambda: self.record.answers > 0, LOOK_S):
             waited_s = time.monotonic() - began
             self._waiting(f"waiting for the answer to the first image | {waited_s:.0f} s")
-            if names and all(name in health for name in names):
+            if names and all(name in self.record.said for name in names):
                 allowed_s = min(allowed_s, waited_s + ANSWERED_S)
             if waited_s > allowed_s:
                 raise GraphError(
@@ -344,12 +363,12 @@ class Observer:
 
     def blame(self) -> str:
         """Say why images are not answered: the first node on their way that says so, or all."""
-        health = self.record.health
+        newest = {name: said[-1] for name, said in self.record.said.items()}
         for name in ("detector", "planner", "solver"):
-            if name in health and health[name].level in (Level.ERROR, Level.STALE):
-                return f"{name}: {health[name].message}"
-        said = [f"{name}: {h.message}" for name, h in health.items()]
-        return "; ".join(said) or "no node says how it is"
+            if name in newest and newest[name].level in (Level.ERROR, Level.STALE):
+                return f"{name}: {newest[name].text}"
+        told = [f"{name}: {said.text}" for name, said in newest.items()]
+        return "; ".join(told) or "no node says how it is"
 
     def activate_driver(self) -> None:
         """Let the driver pass on what the solver answers, as far as the motors may move.
@@ -377,10 +396,10 @@ class Observer:
         now = self.call(GetState, f"{node}/get_state", GetState.Request(), AGAIN_S)
         if now.current_state.label == AFTER.get(transition):
             return
-        health, now = self.record.health, time.monotonic()
-        self.until(lambda: node in health and health[node].at > now, FRESH_S)
-        said = health[node].message if node in health else "nothing"
-        raise GraphError(f"{transition} refused, {node} says: {said}")
+        said, now = self.record.said, time.monotonic()
+        self.until(lambda: any(each.at > now for each in said.get(node, ())), FRESH_S)
+        told = said[node][-1].text if node in said else "nothing"
+        raise GraphError(f"{transition} refused, {node} says: {told}")
 
     def check_not_stopped(self) -> None:
         """Refuse to begin where somebody has stopped motors or task: that is theirs to undo.
@@ -444,11 +463,9 @@ class Observer:
         """
         if ready_timeout_s:
             self.await_ready()
-        if self._client is None:
-            self._client = PlateClient(self.node, self.until)
         self.record.status = None
         try:
-            task = self._client.start(scenario, ready_timeout_s, self._waiting)
+            task = self.client.start(scenario, ready_timeout_s, self._waiting)
         except PlateError as refusal:
             raise GraphError(str(refusal)) from None
         # What was said of the task before may come after the new goal was sent.
@@ -499,18 +516,28 @@ class Observer:
         GraphError
             If that is refused.
         """
-        self.record.states.clear()
         for service in ("stop", "simulator/reset", "detector/reset"):
             self.trigger(service)
         self.until(lambda: False, SETTLE_S)  # images of the old parts are on their way
         self.trigger("detector/reset")
-        self.record.states.clear()
+        self.record.tasks.clear()
         self.start(scenario)
 
-    def set_parameter(self, node: str, name: str, value: Any) -> tuple[bool, str]:
-        """Set a parameter of a running node; returns whether it took it, and why not."""
+    def set_parameter(self, node: str, name: str, value: Any) -> None:
+        """Set a parameter of a running node.
+
+        Raises
+        ------
+        GraphError
+            If it refuses: why.
+        """
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]
         )
         result = self.call(SetParameters, f"{node}/set_parameters", request).results[0]
-        return bool(result.successful), str(result.reason)
+        if not result.successful:
+            raise GraphError(str(result.reason))
+
+
+def _said(msg: DriverStatus | TaskStatus) -> Said:
+    return Said(time.monotonic(), nanoseconds(msg.header.stamp), msg.text, state=msg.state)

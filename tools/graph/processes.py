@@ -42,7 +42,7 @@ class Interrupted(KeyboardInterrupt):
     """A signal asked us to stop; `number` is the signal."""
 
     def __init__(self, number: int) -> None:
-        super().__init__(number)
+        super().__init__(signal.Signals(number).name)
         self.number = number
 
 

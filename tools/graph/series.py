@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from record.judge import check_limits
 
-from plate_bringup import GraphError, RunOptions
+from plate_bringup import RunOptions
 from plate_core import load_rig
 
 from .hops import Hops
@@ -121,9 +121,7 @@ def work_again(
         hops = stack.enter_context(Hops())
         graph.free()
         for name, value in (world or {}).items():
-            taken, why = graph.observer.set_parameter("simulator", name, value)
-            if not taken:
-                raise GraphError(why)
+            graph.observer.set_parameter("simulator", name, value)
         names, others = [*graph.processes.names], None
         if beside:
             one_task(graph, hops, None, 0.0, min(longest_s, 5.0))  # messages of their true size
@@ -181,8 +179,8 @@ def one_task(
     )
     record.tables.clear()
     record.truth.clear()
-    for reports in record.reports.values():
-        del reports[:-1]
+    for said in record.said.values():
+        del said[:-1]
     return task
 
 

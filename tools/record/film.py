@@ -79,10 +79,10 @@ def develop(record: Record, rig: Rig) -> Film:
         If the task never began.
     """
     # Stamped by the image they tell of; once the task is over its time stands still.
-    reports = [(ns, v) for ns, v in record.reports["planner"] if float(v.get("time_s", "0")) > 0]
+    reports = [r for r in record.reports("planner") if float(r.values.get("time_s", "0")) > 0]
     if not reports or not record.truth:
         raise PlateError("the task never began: there is nothing to judge or draw")
-    began = reports[0][0] - round(1e9 * float(reports[0][1]["time_s"]))
+    began = reports[0].stamp - round(1e9 * float(reports[0].values["time_s"]))
     truth = [deserialize_message(data, Parts) for data in record.truth]
     ids = tuple(dict.fromkeys(part.id for msg in truth for part in msg.parts))
     position = np.full((len(truth), len(ids), 2), np.nan)
@@ -112,7 +112,7 @@ def develop(record: Record, rig: Rig) -> Film:
         time=since(truth),
         position=position,
         angle=angle,
-        end=float(reports[-1][1]["time_s"]),
+        end=float(reports[-1].values["time_s"]),
         table_time=since(tables),
         tables=tuple(cycles),
         image_time=since(images),

@@ -15,7 +15,7 @@ from plate_bringup import RunOptions
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.motion import is_rest
 from plate_core.ros import msg_to_motors
-from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Task, load_scenario
 from plate_planner.tasks import SLOWED
 
 from .film import develop
@@ -45,19 +45,14 @@ class LimitCheck:
         How many there were.
     faults : tuple of str
         What was wrong; empty: all was well.
-    stroke, speed, accel, force : float
-        Greatest shares of the limits [-].
-    heat : float
-        Greatest share of the heat that a motor bears continuously, by I2t over all tables [-].
+    shares : dict of str to float
+        Greatest shares of the limits, by `SHARES`; and `heat`, of the heat that a motor bears
+        continuously, by I2t over all tables [-].
     """
 
     tables: int
     faults: tuple[str, ...]
-    stroke: float
-    speed: float
-    accel: float
-    force: float
-    heat: float
+    shares: dict[str, float]
 
 
 def check_limits(record: Record, rig: Rig) -> LimitCheck:
@@ -88,8 +83,8 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
         if not is_rest(cycle.parts[-1].state(-1)):
             faults.append(f"motor table {number}: does not end at rest at home")
         before = cycle
-    stroke, speed, accel, force = map(float, most)
-    return LimitCheck(len(record.tables), tuple(faults), stroke, speed, accel, force, hottest)
+    shares = {**dict(zip(SHARES, most.tolist(), strict=True)), "heat": hottest}
+    return LimitCheck(len(record.tables), tuple(faults), shares)
 
 
 def judge(
@@ -123,7 +118,7 @@ def judge(
         "message": record.states[-1],
         "dropped": film.dropped,
         "parts": len(film.ids),
-        "there": "placed" if isinstance(task, AssembleTask | PoseTask) else "sorted",
+        "there": there(task),
         "parts_sorted": int(record.last("planner", "parts_sorted")),
         "time_s": round(film.end, 3),
         "cycles": film.cycles,
@@ -135,7 +130,7 @@ def judge(
         "setpoints_within_limits": kept,
         "bus_shares_max": bus if options.firmware else None,
         "limit_faults": list(limits.faults[:5]),
-        **{f"{name}_share_max": round(getattr(limits, name), 4) for name in (*SHARES, "heat")},
+        **{f"{name}_share_max": round(share, 4) for name, share in limits.shares.items()},
         "missed_share": typical(record, "missed_fraction"),
         "solve_ms_median": typical(record, "solve_ms_median"),
         "turn_error_deg": float(record.last("planner", "turn_error_deg")) if poses else None,
@@ -147,14 +142,27 @@ def judge(
     }
 
 
+def there(task: Task) -> str:
+    """Return what its parts are when they are where they are to be."""
+    return "placed" if isinstance(task, AssembleTask | PoseTask) else "sorted"
+
+
 def typical(record: Record, key: str) -> float | None:
     """Return the median of what the solver reported while it was at work."""
-    values = [float(v[key]) for _, v in record.reports["solver"] if float(v["solve_ms_median"]) > 0]
+    reports = [said.values for said in record.reports("solver")]
+    values = [float(v[key]) for v in reports if float(v["solve_ms_median"]) > 0]
     return round(float(np.median(values)), 4) if values else None
 
 
 def summary(result: dict[str, Any]) -> str:
     """Return the result in a line or two for a reader."""
+    done, end = _fed(result) if "picks" in result else _moved(result)
+    verdict = "Success" if result["success"] else f"No success ({result['message'] or 'see below'})"
+    limits = "within limits" if result["setpoints_within_limits"] else "LIMITS BROKEN"
+    return f"{verdict}: {done}; all {result['motor_setpoints']} motor tables {limits}{end}"
+
+
+def _moved(result: dict[str, Any]) -> tuple[str, str]:
     if result["rms_error_m"] is None:
         done = f"{result['parts_sorted']} of {result['parts']} parts {result['there']}"
     else:
@@ -164,13 +172,25 @@ def summary(result: dict[str, Any]) -> str:
             done += f", at {100 * result['pace']:.0f} % of the speed asked for"
     if result["turn_error_deg"] is not None:
         done += f", {result['turn_error_deg']:.1f} degrees off at most"
-    verdict = "Success" if result["success"] else f"No success ({result['message']})"
+    done += f" in {result['time_s']:.1f} s and {result['cycles']} cycles"
     used = max(result[f"{name}_share_max"] for name in SHARES)
-    limits = "within limits" if result["setpoints_within_limits"] else "LIMITS BROKEN"
     waits = [f"{result[key]} {words}" for key, words in WAITS.items() if result[key]]
     waited = f" {', '.join(waits)} (machine load {result['load']:g})." if waits else ""
+    return f"{done}, {result['dropped'] or 'none'} dropped", f" ({100 * used:.0f} % used).{waited}"
+
+
+def _fed(result: dict[str, Any]) -> tuple[str, str]:
+    done = f"{result['picks']} parts taken in {result['time_s']:.0f} s"
+    if result["picks"]:
+        (away, most), (turned, most_turned) = result["pick_error_mm"], result["pick_error_deg"]
+        done += (
+            f" ({result['parts_per_minute']:.0f} a minute), the robot waited "
+            f"{100 * result['robot_waits_share']:.1f} % of the time. Parts lay {away:.2f} mm and "
+            f"{turned:.1f} degrees from where they were said, {most:.2f} mm and {most_turned:.1f} "
+            "degrees at most"
+        )
     return (
-        f"{verdict}: {done} in {result['time_s']:.1f} s and {result['cycles']} cycles, "
-        f"{result['dropped'] or 'none'} dropped; all {result['motor_setpoints']} motor tables "
-        f"{limits} ({100 * used:.0f} % used).{waited}"
+        f"{done}; {result['picks_failed']} picks failed, {result['discharged']} parts went to the "
+        f"chute, {result['dropped'] or 'none'} lost",
+        ".",
     )

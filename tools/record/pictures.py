@@ -23,6 +23,7 @@ from plate_core.tasks import (
     FollowTask,
     PoseTask,
     Scenario,
+    Side,
     SortTask,
     circle_points,
     pick_window,
@@ -88,31 +89,36 @@ class Scene:
         """Whether parts come and go."""
         return isinstance(self.scenario.task, FeedTask)
 
+    @property
+    def chute(self) -> Side | None:
+        """Over which edge parts go that nobody wants."""
+        return self.scenario.task.chute if isinstance(self.scenario.task, FeedTask) else None
+
     @cached_property
     def targets(self) -> list[tuple[str, np.ndarray]]:
         """Class and polygon (n, 2) [m] of every place where parts belong."""
-        task, radius = self.scenario.task, self.rig.parts.radius_m
+        task, rig = self.scenario.task, self.rig
         if isinstance(task, SortTask):
-            half = self.rig.plate.half
-            return [(label, region_outline(task, label, half)) for label in task.regions]
-        if isinstance(task, PoseTask):
-            found = []
-            for label, (x, y), angle in self.poses:
-                part = self.rig.part_type(label)
-                place = circle_points((x, y), 1.25 * radius, 0.0, True)
-                if not part.radius_m:
-                    place = to_home(np.array([x, y, angle]), part.polygon)
-                found.append((label, place))
-            return found if not task.anywhere else []
+            return [(label, region_outline(task, label, rig.plate.half)) for label in task.regions]
         if isinstance(task, FeedTask):
-            windows = [(pick.label, *pick_window(pick, self.rig)) for pick in task.picks]
+            windows = [(pick.label, *pick_window(pick, rig)) for pick in task.picks]
             return [
                 (label, np.array([a, (b[0], a[1]), b, (a[0], b[1])])) for label, a, b in windows
             ]
-        places = zip(task.labels, task.place, strict=True) if isinstance(task, AssembleTask) else ()
+        if isinstance(task, AssembleTask):
+            places = zip(task.labels, task.place, strict=True)
+            return [(label, self._circle(place)) for label, place in places]
         return [
-            (label, circle_points((x, y), 1.25 * radius, 0.0, True)) for label, (x, y) in places
+            (label, self._circle(place))
+            if rig.part_type(label).radius_m
+            else (label, to_home(np.array([*place, angle]), rig.part_type(label).polygon))
+            for label, place, angle in self.poses
         ]
+
+    def _circle(self, centre: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return a circle a little larger than a part."""
+        x, y = centre
+        return circle_points((x, y), 1.25 * self.rig.parts.radius_m, 0.0, True)
 
     @cached_property
     def paths(self) -> list[tuple[str, np.ndarray]]:
@@ -125,10 +131,11 @@ class Scene:
 
     @cached_property
     def poses(self) -> list[tuple[str, np.ndarray, float]]:
-        """Class, place [m] and angle [rad] of every commanded pose."""
+        """Class, place [m] and angle [rad] of every commanded pose; none if parts may have it
+        anywhere."""
         task = self.scenario.task
         free, found = list(range(len(self.labels))), []
-        for pose in task.poses if isinstance(task, PoseTask) else ():
+        for pose in task.poses if isinstance(task, PoseTask) and not task.anywhere else ():
             place = np.array(pose.place or (0.0, 0.0))
             if pose.place is None:
                 part = next(k for k in free if self.labels[k] == pose.label)
@@ -306,8 +313,8 @@ def draw_task(scene: Scene, canvas: Canvas) -> None:
     for label, corner in scene.targets:
         canvas.area(corner, class_colour(label), TINT)
     canvas.line([(-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)], INK, 1.2)
-    if isinstance(scene.scenario.task, FeedTask) and scene.scenario.task.chute is not None:
-        out = np.array([scene.scenario.task.chute.x, scene.scenario.task.chute.y])
+    if scene.chute is not None:
+        out = np.array([scene.chute.x, scene.chute.y])
         side = np.where(out != 0, out, [[-1], [1]]) * (x, y)
         canvas.line(side, FORCE, 6)
     for label, line in scene.paths:
@@ -326,8 +333,7 @@ def draw_parts(scene: Scene, canvas: Canvas, t: float, faces: bool) -> None:
     """Draw parts at t [s], or only their edges; angles; and where parts have left the plate."""
     position = scene.until(t)
     now = max(0, int(np.searchsorted(scene.film.time, t + NOW, side="right")) - 1)
-    anywhere = isinstance(scene.scenario.task, PoseTask) and scene.scenario.task.anywhere
-    for label, place, angle in () if anywhere else scene.poses:
+    for label, place, angle in scene.poses:
         reach = scene.rig.part_type(label).reach_m
         draw_angle(canvas, place, angle, reach, class_colour(label), dashed=True)
     for part, label in enumerate(scene.labels):
@@ -391,21 +397,15 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
     if scene.scenario.marked:
         told = "angle of a part" + "; dashed: wanted" * bool(scene.poses)
         found.append(Sample(ray, lambda c: c.line([(0, 0), (ray, 0)], INK, 2), told))
-    if isinstance(scene.scenario.task, FeedTask) and scene.scenario.task.chute is not None:
+    if scene.chute is not None:
         found.append(Sample(2 * radius, lambda c: c.line([(0, 0), 2 * end], FORCE, 6), "chute"))
     if scene.feeds:
         told = "taken, or over the edge, a moment ago"
         found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), told))
     elif scene.film.dropped:
         found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), "fell off here"))
-    ruler = [
-        (0, radius / 2),
-        (0, -radius / 2),
-        (0, 0),
-        (bar, 0),
-        (bar, radius / 2),
-        (bar, -radius / 2),
-    ]
+    mark = radius / 2
+    ruler = [(0, mark), (0, -mark), (0, 0), (bar, 0), (bar, mark), (bar, -mark)]
     found.append(Sample(bar, lambda c: c.line(ruler, INK, 1.5), f"{1e3 * bar:g} mm"))
     return found
 
@@ -421,9 +421,8 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
     def draw(canvas: Canvas) -> None:
         high = 1.6 * radius
         if target:
-            canvas.area(
-                np.array([[0, -high], [wide, -high], [wide, high], [0, high]]), colour, TINT
-            )
+            corners = [[0, -high], [wide, -high], [wide, high], [0, high]]
+            canvas.area(np.array(corners), colour, TINT)
         if path:
             canvas.line([(0, -high / 2), (wide, -high / 2)], colour, 1.2, dashed=True)
         canvas.line([(0.5 * radius, 0), (4.5 * radius, 0)], colour, 2)

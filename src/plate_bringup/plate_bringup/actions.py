@@ -56,11 +56,7 @@ HARDWARE = {
 CHOICES = {
     "method": ("rotations", "sinusoids"),
     "transport": ("sim", "serial"),
-    "lockstep": ("true", "false"),
-    "one_process": ("true", "false"),
-    "autostart": ("true", "false"),
-    "record": ("true", "false"),
-    "view": ("true", "false"),
+    **dict.fromkeys(("lockstep", "one_process", "autostart", "record", "view"), ("true", "false")),
 }
 
 OPTIONS: Mapping[str, Callable[[str], Any]] = {

@@ -446,8 +446,7 @@ def run(
             line.send(table)
             state = planner.hear(state, answer.cycle, now)
             step_s = cpu_time() - at_work
-            error = _true_error(planner.scenario, rig, state, tracker.parts, start, began)
-            turned = _true_turn_error(scenario, rig, state, tracker.parts, start)
+            error, turned = _true_errors(planner.scenario, rig, state, tracker.parts, start, began)
             used = fitted.usage
             yield Moment(
                 began, start, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
@@ -477,32 +476,34 @@ def seen_by(setup: Setup, rig: Rig) -> Rig:
     return replace(rig, camera=replace(rig.camera, **settings)) if settings else rig
 
 
-def _true_error(
+def _true_errors(
     scenario: Scenario,
     rig: Rig,
     state: PlannerState,
     parts: Parts,
     world: WorldState,
     t: float,
-) -> np.ndarray:
-    """Distance (P,) [m] of the true parts from their references or places, once these count."""
-    task, true = scenario.task, world.position
-    if isinstance(task, AssembleTask) and len(true):
-        names = Parts.make(world.ids, true)
-        distance = Assembler(task, rig).distance(names)
-        return distance[~np.isnan(distance)]
-    if isinstance(task, PoseTask) and state.memory is not None and len(true):
-        true_parts = _named(parts, state.memory.match, world)
-        return Poser(task, rig).errors(state.memory, true_parts)[0]
-    if isinstance(task, MoveTask) and state.memory is not None and len(true):
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (P,) [m] of the true parts from their references or places, once these count; and
+    what is missing to their angles (P,) [rad], in a task of poses."""
+    task, true, none = scenario.task, world.position, np.zeros(0)
+    if not len(true):
+        return none, none
+    if isinstance(task, AssembleTask):
+        distance = Assembler(task, rig).distance(Parts.make(world.ids, true))
+        return distance[~np.isnan(distance)], none
+    if state.memory is None:
+        return none, none
+    if isinstance(task, PoseTask):
+        missing = Poser(task, rig).errors(state.memory, _named(parts, state.memory.match, world))
+        return missing[0], np.abs(missing[1])
+    if isinstance(task, MoveTask):
         true_parts = _named(parts, tuple(target.id for target in task.targets), world)
         place = {target.id: target.place for target in task.targets}
         goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
-        return np.hypot(*(true_parts.position - goal).T)
-    if not isinstance(task, FollowTask) or state.memory is None or not len(true):
-        return np.zeros(0)
-    if state.memory.leading:  # the path has not begun
-        return np.zeros(0)
+        return np.hypot(*(true_parts.position - goal).T), none
+    if not isinstance(task, FollowTask) or state.memory.leading:  # the path has not begun
+        return none, none
     reference = Follower(task, rig).reference(state.memory, t)
     seen = dict(zip(parts.ids, parts.position, strict=True))
     errors = []
@@ -510,17 +511,7 @@ def _true_error(
         if name in seen:
             nearest = np.argmin(np.sum((true - seen[name]) ** 2, axis=1))
             errors.append(np.linalg.norm(true[nearest] - reference[k]))
-    return np.array(errors)
-
-
-def _true_turn_error(
-    scenario: Scenario, rig: Rig, state: PlannerState, parts: Parts, world: WorldState
-) -> np.ndarray:
-    """What is missing to the angles (P,) [rad] of the true parts, in a task of poses."""
-    if not isinstance(scenario.task, PoseTask) or state.memory is None:
-        return np.zeros(0)
-    true = _named(parts, state.memory.match, world)
-    return np.abs(Poser(scenario.task, rig).errors(state.memory, true)[1])
+    return np.array(errors), none
 
 
 def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:

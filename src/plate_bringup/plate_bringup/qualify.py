@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -297,7 +298,7 @@ def arguments() -> argparse.Namespace:
         help="simulated time of each production (2)",
     )  # fmt: skip
     parser.add_argument(
-        "--seeds", type=_whole("seeds", MOST_SEEDS), default=3, metavar="N",
+        "--seeds", type=_within("seeds", 1, MOST_SEEDS, int), default=3, metavar="N",
         help="productions for each fill (3)",
     )  # fmt: skip
     parser.add_argument(
@@ -308,10 +309,12 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _within(name: str, low: float, high: float) -> Callable[[str], float]:
+def _within(
+    name: str, low: float, high: float, number: Callable[[str], float] = float
+) -> Callable[[str], Any]:
     def read(text: str) -> float:
         try:
-            value = float(text)
+            value = number(text)
         except ValueError:
             value = np.nan
         if not low <= value <= high:
@@ -321,17 +324,8 @@ def _within(name: str, low: float, high: float) -> Callable[[str], float]:
     return read
 
 
-def _whole(name: str, high: int) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        if not text.isdecimal() or not 1 <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"{name} is {text}, allowed: 1 to {high}")
-        return int(text)
-
-    return read
-
-
 def _fills(text: str) -> list[int]:
-    fill = _whole("fill", MOST_PARTS)
+    fill = _within("fill", 1, MOST_PARTS, int)
     return list(dict.fromkeys(fill(word.strip()) for word in text.split(",")))
 
 

@@ -19,7 +19,7 @@ from .access import Access
 from .commands import URGENT, Command
 from .inbox import Inbox
 from .ros import TOPICS, Asked, Listener, Operator, Replay, Stops
-from .scene import Scene, replay_scene, rig_scene, type_scene
+from .scene import Scene, rig_scene, type_scene
 from .server import PageServer, Socket
 from .top_view import TopView
 
@@ -32,6 +32,9 @@ SWITCH_S = 0.0005
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
+
+REPLAY = ("begin", "end", "now", "playing", "rate", "problem")
+"""What browsers get to know of a recorded run."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ class PageNode(SafeLifecycleNode[Options]):
     def begin(self) -> None:
         """Serve the page."""
         if self.options.bag:
-            kinds = {topic.removeprefix("/"): kind for topic, (kind, _) in TOPICS.items()}
+            kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
             self._replay = Replay(self.options.bag, kinds, self._hear)
         port = self.options.port
         self._server = PageServer(self._access, port, self._hello(), self._take, self._changed)
@@ -219,10 +222,8 @@ class PageNode(SafeLifecycleNode[Options]):
     def _tell_replay(self) -> None:
         replay, server = self._replay, self._server
         if replay is not None and server is not None:
-            scene = replay_scene(
-                replay.begin, replay.end, replay.now, replay.playing, replay.rate, replay.problem
-            )
-            server.publish("replay", scene)
+            where = {name: getattr(replay, name) for name in REPLAY}
+            server.publish("replay", {"kind": "replay", **where})
 
     # What it reports
 

@@ -191,16 +191,6 @@ def task_scene(rig: Rig, task: Task | None) -> Scene:
     return scene
 
 
-def replay_scene(
-    begin: float, end: float, now: float, playing: bool, rate: float, problem: str
-) -> Scene:
-    """Return where a recorded run is, and why it goes no further."""
-    return {
-        "kind": "replay", "begin": begin, "end": end, "now": now, "playing": playing, "rate": rate,
-        "problem": problem,
-    }  # fmt: skip
-
-
 def nodes_scene(reports: Mapping[str, tuple[float, str, str, Mapping[str, str]]]) -> Scene:
     """Return what nodes say of themselves; by name: age [s], level, message, values."""
     return {

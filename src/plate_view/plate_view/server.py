@@ -83,7 +83,6 @@ class Socket(tornado.websocket.WebSocketHandler):
         self.page = page
         self.role: Role | None = None
         self.watches = {"image": False, "field": False}
-        self.dropped = 0
         self._newest: dict[str, str | bytes] = {}
         self._queue: deque[str] = deque(maxlen=LONGEST_QUEUE)
         self._answers: deque[str] = deque(maxlen=LONGEST_QUEUE)
@@ -188,7 +187,6 @@ class Socket(tornado.websocket.WebSocketHandler):
             assert isinstance(message, str)
             self._queue.append(message)
         else:
-            self.dropped += kind in self._newest
             self._newest[kind] = message
         self._some.set()
 

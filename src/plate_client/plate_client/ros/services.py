@@ -150,8 +150,8 @@ class Services:
         def there() -> bool:  # a service may be known before the name of its node is
             return urgent or client.service_is_ready() or bool(self._seen())
 
+        cut = ": cut the power by hand" if urgent else ""
         if not (self._until(there, NOBODY_S) and self._until(client.service_is_ready, FOUND_S)):
-            cut = ": cut the power by hand" if urgent else ""
             raise PlateError(self._missing(service) + cut)
         again_s = ANSWER_S if once else AGAIN_S
         answers: list[Any] = []
@@ -160,7 +160,6 @@ class Services:
             if self._until(lambda: bool(answers), again_s):
                 self.node.destroy_client(client)
                 return answers[0]
-        cut = ": cut the power by hand" if urgent else ""
         raise PlateError(f"{service} does not answer{cut}")
 
     def _missing(self, service: str) -> str:

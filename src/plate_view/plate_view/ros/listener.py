@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -92,8 +92,7 @@ class Listener:
         self._node, self._rig, self._view, self._server = node, rig, view, server
         self.task, self.parts = TaskStatus(), Parts()
         self.told: Callable[[], None] = lambda: None
-        self._listening: list[Any] = []
-        self._images: Any = None
+        self._listening: dict[str, Any] = {}
         self._newest: dict[str, Any] = {}
         self._reports: dict[str, tuple[float, Any]] = {}
         self._latencies: list[float] = []
@@ -101,47 +100,32 @@ class Listener:
 
     def adapt(self) -> None:
         """Listen to what the browsers want, and to nothing if there are none."""
-        server = self._server
-        if not server.browsers:
-            self.close()
-            return
-        if not self._listening:
-            self._listen()
-        if server.wants("image") != (self._images is not None):
-            self._watch_images(server.wants("image"))
+        some, images = bool(self._server.browsers), self._server.wants("image")
+        for name, topic in TOPICS.items():
+            wanted = some and (images or topic.kind is not Image)
+            if wanted and name not in self._listening:
+                self._listening[name] = self._node.create_subscription(
+                    topic.kind, name, partial(self.hear, name), topic.qos
+                )
+            elif not wanted:
+                self._ignore(name)
 
     def close(self) -> None:
         """Listen to nothing."""
-        listening, self._listening = self._listening, []
-        for subscription in listening:
-            self._node.destroy_subscription(subscription)
-        self._images = None
+        for topic in TOPICS:
+            self._ignore(topic)
 
-    def _listen(self) -> None:
-        self._listening = [
-            self._node.create_subscription(kind, topic, partial(self.hear, topic), qos)
-            for topic, (kind, qos) in TOPICS.items()
-            if kind is not Image
-        ]
+    def _ignore(self, topic: str) -> None:
+        if topic in self._listening:
+            self._node.destroy_subscription(self._listening.pop(topic))
+            self._newest.pop(topic, None)
 
     def hear(self, topic: str, msg: Any) -> None:
         """Take in a message of one of `TOPICS`."""
-        if topic in AT_ONCE:
-            AT_ONCE[topic](self, msg)
+        if TOPICS[topic].at_once:
+            TOPICS[topic].take(self, msg)
         else:
             self._newest[topic] = msg
-
-    def _watch_images(self, wanted: bool) -> None:
-        if wanted:
-            kind, qos = TOPICS["image_raw"]
-            hear = partial(self.hear, "image_raw")
-            self._images = self._node.create_subscription(kind, "image_raw", hear, qos)
-            self._listening.append(self._images)
-            return
-        self._listening.remove(self._images)
-        self._node.destroy_subscription(self._images)
-        self._images = None
-        self._newest.pop("image_raw", None)
 
     # What is sent at once
 
@@ -193,7 +177,7 @@ class Listener:
         newest, self._newest = self._newest, {}
         for topic, msg in newest.items():
             try:
-                SHOWN[topic](self, msg)
+                TOPICS[topic].take(self, msg)
             except (PlateError, ValueError) as error:  # the latter: NaN, which JSON has no word for
                 warn = self._node.get_logger().warning
                 warn(f"{topic}: {error}", throttle_duration_sec=WARN_PERIOD_S)
@@ -268,39 +252,30 @@ class Listener:
         self._server.publish(scene["kind"], scene, keep)
 
 
-TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
-    "parts": (Parts, DATA),
-    "ground_truth": (Parts, DATA),
-    "part_forces": (PartForces, DATA),
-    "part_targets": (Targets, LATCHED),
-    "cycle_started": (JointTrajectory, DATA),
-    "motor_setpoints": (JointTrajectory, DATA),
-    "task_status": (TaskStatus, LATCHED),
-    "driver_status": (DriverStatus, LATCHED),
-    "diagnostics": (DiagnosticArray, DATA),
-    "/rosout": (Log, ROSOUT),
-    "image_raw": (Image, CAMERA),
-}
-"""What is listened to; to images only if a browser wants them."""
+class Topic(NamedTuple):
+    """What is listened to; what is done with it, at once with each message, or as often as browsers
+    can draw it with the newest."""
 
-AT_ONCE: Mapping[str, Callable[[Listener, Any], None]] = {
-    "motor_setpoints": Listener._on_setpoints,
-    "task_status": Listener._on_task,
-    "driver_status": Listener._on_driver,
-    "diagnostics": Listener._on_diagnostics,
-    "/rosout": Listener._on_log,
-}
-"""By topic: what is done with each message. Of the others the newest is shown:"""
+    kind: type
+    qos: QoSProfile
+    take: Callable[[Listener, Any], None]
+    at_once: bool = False
 
-SHOWN: Mapping[str, Callable[[Listener, Any], None]] = {
-    "parts": Listener._show_parts,
-    "ground_truth": Listener._show_truth,
-    "part_forces": Listener._show_wanted,
-    "part_targets": Listener._show_targets,
-    "cycle_started": Listener._show_cycle,
-    "image_raw": Listener._show_image,
+
+TOPICS: Mapping[str, Topic] = {
+    "parts": Topic(Parts, DATA, Listener._show_parts),
+    "ground_truth": Topic(Parts, DATA, Listener._show_truth),
+    "part_forces": Topic(PartForces, DATA, Listener._show_wanted),
+    "part_targets": Topic(Targets, LATCHED, Listener._show_targets),
+    "cycle_started": Topic(JointTrajectory, DATA, Listener._show_cycle),
+    "motor_setpoints": Topic(JointTrajectory, DATA, Listener._on_setpoints, at_once=True),
+    "task_status": Topic(TaskStatus, LATCHED, Listener._on_task, at_once=True),
+    "driver_status": Topic(DriverStatus, LATCHED, Listener._on_driver, at_once=True),
+    "diagnostics": Topic(DiagnosticArray, DATA, Listener._on_diagnostics, at_once=True),
+    "/rosout": Topic(Log, ROSOUT, Listener._on_log, at_once=True),
+    "image_raw": Topic(Image, CAMERA, Listener._show_image),
 }
-"""By topic: how browsers get it."""
+"""To images only if a browser wants them."""
 
 
 def _plain(value: Any) -> float | int | None:

@@ -259,7 +259,7 @@ class Operator:
             raise PlateError(f"scenario is {scenario!r}, allowed: {', '.join(scenario_names())}")
         name, goal = scenario_to_goal(chosen)
         if scenario not in scenario_names():
-            asked.call = goal_text(name, ACTIONS[name].__name__, _fields(goal))
+            asked.call = goal_text(name, ACTIONS[name].__name__, _given(goal))
         self._send_after_move(asked, name, goal)
 
     def _send(self, asked: Asked, name: str, goal: Any) -> None:
@@ -363,11 +363,8 @@ class Operator:
             tolerance_rad=MOVE_TOLERANCE_RAD,
             marked=any(math.isfinite(target["angle"]) for target in targets.values()),
         )  # fmt: skip
-        told = {
-            "parts": _counted(goal.parts), "until_canceled": True, "tolerance_m": MOVE_TOLERANCE_M,
-            "tolerance_rad": MOVE_TOLERANCE_RAD,
-        }  # fmt: skip
-        asked.call = f"{goal_text('move_parts', 'MoveParts', told)}; {call_text(asked.command)}"
+        begun = goal_text("move_parts", "MoveParts", _given(goal))
+        asked.call = f"{begun}; {call_text(asked.command)}"
         asked.answered = lambda ok, text: None if ok else self._forget_waiting()
         self._waiting = dict(targets)
         self._send(asked, "move_parts", goal)
@@ -412,15 +409,7 @@ class Operator:
             parts=[PartCount(type=path.type, count=1)], paths=[path], max_error_m=FOLLOW_ERROR_M,
             time_limit_s=FOLLOW_LIMIT_S,
         )  # fmt: skip
-        told = {
-            "type": path.type, "closed": closed, "laps": path.laps, "speed": speed,
-            "waypoints": [{"x": x, "y": y} for x, y in asked.values["points"]],
-        }  # fmt: skip
-        asked.call = goal_text(
-            "follow_paths", "FollowPaths",
-            {"parts": _counted(goal.parts), "paths": [told], "max_error_m": FOLLOW_ERROR_M,
-             "time_limit_s": FOLLOW_LIMIT_S},
-        )  # fmt: skip
+        asked.call = goal_text("follow_paths", "FollowPaths", _given(goal))
         self._send_after_move(asked, "follow_paths", goal)
 
     def _send_after_move(self, asked: Asked, name: str, goal: Any) -> None:
@@ -471,17 +460,15 @@ DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
 """By command: what does it; what stops is done by `Stops`."""
 
 
-def _counted(parts: list[PartCount]) -> list[dict[str, Any]]:
-    return [{"type": each.type, "count": each.count} for each in parts]
-
-
-def _fields(msg: Any) -> Any:
-    """Return a message as mappings, lists and plain values."""
+def _given(msg: Any) -> Any:
+    """Return what a message says beyond a new one of its kind: mappings, lists and plain values."""
     if hasattr(msg, "get_fields_and_field_types"):
-        return {name: _fields(getattr(msg, name)) for name in msg.get_fields_and_field_types()}
+        values = {name: getattr(msg, name) for name in msg.get_fields_and_field_types()}
+        new = type(msg)()
+        return {name: _given(v) for name, v in values.items() if v != getattr(new, name)}
     if isinstance(msg, str | bool | int | float):
         return msg
-    return [_fields(each) for each in msg]
+    return [_given(each) for each in msg]
 
 
 def _parameter(name: str, value: Any, about: Any) -> dict[str, Any]:
