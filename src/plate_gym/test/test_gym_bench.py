@@ -90,8 +90,11 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
         (["tasks", "Sort4-v1", "rows", 1, "wall_ms"], -2, "wall_ms is -2, allowed: from 0 on"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], 0, "a seed is given twice, allowed: each once"),
         (["tasks", "Sort4-v1", "rows", 1, "return"], np.nan, "return is nan, allowed: a number"),
-        (["tasks", "Sort4-v1", "rows", 1, "time_s"], 1e10, "time_s is 10000000000.0, allowed: a "
-         "number below 1e+09"),
+        (
+            ["tasks", "Sort4-v1", "rows", 1, "time_s"],
+            1e10,
+            "time_s is 10000000000.0, allowed: a number below 1e+09",
+        ),
         (["tasks", "Sort5-v1"], {}, "result: task is 'Sort5-v1'"),
     ],
 )

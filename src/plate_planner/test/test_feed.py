@@ -117,9 +117,8 @@ def test_it_is_not_at_rest_before_the_last_motion_has_ended():
     ids=["told at once", "told with the image after", "the planner is behind"],
 )
 def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begins, told, came):
-    """The answer to image 0 begins with an image, long after the order to rest, is told of with one,
-    and with it rest that was asked for since; all are heard after image 3, when it was `came` by
-    the clock."""
+    """The answer to image 0 begins with an image long after the order to rest, and is told of with
+    one. All that was asked for until image 3 is answered after it, which `came` by the clock."""
     feed = Planner(RIG, replace(SCENARIO, task=TASK))
     state, still = feed.start(feed.initial()), []
     push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])
