@@ -14,20 +14,14 @@ from typing import NamedTuple
 
 from maps.stability import MAPS
 from plate_core import PlateError
-from report.chart import Chart, Data, Row, Sheet, table
+from report.chart import Chart, Data, Sheet, table
 from report.documents import fill_documents, names
 from report.feeding import feeding
-from report.forces import (
-    force_map,
-    force_map_rows,
-    inversion,
-    learning,
-    rotations,
-    rotations_rows,
-)  # fmt: skip
+from report.forces import force_map, inversion, learning, rotations
 from report.loop import bound, cameras, control, crowds, drives, rigs, tracking
 from report.model import model
 from report.page import write_report
+from report.panels import Row
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows, steering
 from report.stability import chart_of, rows_of
@@ -47,30 +41,32 @@ class Entry(NamedTuple):
     sources: tuple[str, ...]
 
 
-def of_table(draw: Callable[[list[Row]], Chart], name: str, key: str = "") -> Entry:
-    """Return the entry of a chart whose rows are one table of a measurement."""
-    return Entry(name, draw, lambda data: table(data, name, key or name), (name,))
+def of_table(
+    draw: Callable[[list[Row]], Chart], key: str, measurement: str = "", name: str = ""
+) -> Entry:
+    """Return the entry of a chart whose rows are one table of a measurement; both are called as the
+    chart is, if not told."""
+    source = measurement or key
+    return Entry(key, draw, lambda data: table(data, source, name or key), (source,))
 
 
 CHARTS: tuple[Entry, ...] = (
-    Entry("force_map", force_map, force_map_rows, ("force_map",)),
+    of_table(force_map, "force_map"),
     Entry("solver", solver, solver_rows, ("solver",)),
     of_table(options, "options"),
     of_table(steering, "steering"),
-    Entry("rotations", rotations, rotations_rows, ("rotations",)),
-    of_table(inversion, "inversion", "fate"),
+    of_table(rotations, "rotations"),
+    of_table(inversion, "inversion", name="fate"),
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
     of_table(model, "model"),
     of_table(vision, "vision"),
     of_table(control, "control"),
     of_table(tracking, "tracking"),
-    Entry(
-        "cameras", cameras, lambda data: table(data, "free_running", "cameras"), ("free_running",)
-    ),
+    of_table(cameras, "cameras", "free_running"),
     of_table(drives, "drives"),
     of_table(bound, "bound"),
     of_table(rigs, "rigs"),
-    Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),
+    of_table(crowds, "crowds", "sizing", "parts"),
     Entry("cost", cost, cost_rows, ("stages", "sim")),
     of_table(learning, "learning"),
     of_table(feeding, "feeding"),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from harness import shown
 from report.axis import Axis
-from report.chart import Chart, Data, Row, Sheet, by, column, table
-from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Panels
+from report.chart import Chart, column
+from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
 LEAST_ERROR = 1e-11
 """Errors below this [mu mg] are rounding, and drawn here."""
@@ -16,21 +16,6 @@ WANTED = 1e-6
 
 COLOURS = (PEER, SECOND, THIRD, "#8a6d00", LIMIT)
 """Of peers."""
-
-
-def force_map_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name."""
-    rows = [
-        {"case": case} | {key: r[value] for key, value in (("method", "method"), ("us", time),
-                                                         ("median", "median"), ("p99", "p99"))}
-        for case, name, time in (("many", "batched", "us"), ("one", "methods", "one_us"))
-        for r in table(data, "force_map", name).rows if r.get("harmonics", 2) == 2
-    ]  # fmt: skip
-    heads = {
-        "case": "case", "method": "method", "us": "time of one force [µs]",
-        "median": "median error [mu mg]", "p99": "worst 1 % [mu mg]",
-    }  # fmt: skip
-    return Sheet.of(rows, heads)
 
 
 def force_map(rows: list[Row]) -> Chart:
@@ -44,15 +29,13 @@ def force_map(rows: list[Row]) -> Chart:
         limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
         panel = panels.add(
             title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
-            Axis("error, worst 1 % of cases [mu mg]", log=True), "less less",
+            Axis("error, worst 1 % of cases [mu mg]", log=True, least=LEAST_ERROR), "less less",
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]
         for r, colour, marker in zip([best, *others], (OURS, *COLOURS), "osD^vx", strict=False):
-            panel.points(
-                r["method"], [r["us"]], [max(r["p99"], LEAST_ERROR)], colour, marker,
-                notes=[f"median error {shown(r['median'])}"],
-            )  # fmt: skip
+            look = Look(r["method"], colour, marker)
+            panel.points([r], "us", "p99", look, note="median error {median:.3g}")
         panel.rule("wanted", y=WANTED)
         panel.mark(best["us"], best["p99"])
     best, quad = (
@@ -71,25 +54,6 @@ def force_map(rows: list[Row]) -> Chart:
         f"1 % below {WANTED:g} mu mg.",
         panels,
     )  # fmt: skip
-
-
-def rotations_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name."""
-    rows: list[Row] = [
-        {"case": "force", "label": f"{r['centres']}, {r['method']}", "value": r["p10"],
-         "ours": r["method"] == "least time" and r["centres"] == "library"}
-        for r in table(data, "rotations", "guaranteed").rows
-    ]  # fmt: skip
-    rows += [
-        {"case": "force", "label": f"realised, {r['closure']}", "value": r["p10"], "ours": True}
-        for r in table(data, "rotations", "realised").rows
-    ]
-    rows += [
-        {"case": "time", "label": r["method"], "value": r["milliseconds"],
-         "ours": r["method"].startswith("ours")}
-        for r in table(data, "rotations", "times").rows
-    ]  # fmt: skip
-    return Sheet.of(rows, {"value": "value [mu mg or ms]"})
 
 
 def rotations(rows: list[Row]) -> Chart:
@@ -136,7 +100,8 @@ def inversion(rows: list[Row]) -> Chart:
     rest = [100 - r["more"] - r["proven"] for r in rows]
     left.bars("in part only", rest, names, "#cccccc")
     right = panels.add("Time", Axis("median time of a cold solve [ms]", log=True), y)
-    right.points("median time", column(rows, "median_ms"), names, THIRD)
+    named = [r | {"name": name} for r, name in zip(rows, names, strict=True)]
+    right.points(named, "median_ms", "name", Look("median time", THIRD))
     free = [r for r in rows if "(" in str(r["harmonics"])]
     least = min(r["share"] for r in free if r["share"] is not None)
     told = ", ".join(f"{r['solved']:.0f} % of {r['parts']} parts" for r in free)
@@ -151,14 +116,12 @@ def inversion(rows: list[Row]) -> Chart:
 
 def learning(rows: list[Row]) -> Chart:
     """Return the error of realised harmonics against the number of experiments."""
-    x = column(rows, "iteration")
-    panels = Panels()
+    panels, ticks = Panels(), tuple(column(rows, "iteration"))
     panel = panels.add(
-        "Error of realised harmonics", Axis("experiments", ticks=tuple(x)),
-        Axis("error [%]", log=True),
-    )  # fmt: skip
-    panel.points("largest of the cycles", x, column(rows, "most"), SECOND, "s", "--")
-    panel.points("median", x, column(rows, "median"), OURS, "o", "-")
+        "Error of realised harmonics", Axis("experiments", ticks=ticks), Axis("error [%]", log=True)
+    )
+    panel.points(rows, "iteration", "most", Look("largest of the cycles", SECOND, "s", "--"))
+    panel.points(rows, "iteration", "median", Look("median", OURS, "o", "-"))
     panel.rule("2 %", y=2, colour=LIMIT)
     first, last = rows[0], rows[-1]
     return Chart(

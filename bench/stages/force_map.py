@@ -49,25 +49,19 @@ def measure(quick: bool) -> Result:
     seconds = 0.5 if quick else 3.0
     place = rng.uniform(-rig.plate.half, rig.plate.half)[None]
     one = race({name: partial(c, cases[0][0], place) for name, c in methods.items()}, seconds)
-    rows = [
-        {"method": name, "one_us": 1e6 * one.median(name), **worst(error[name])} for name in methods
-    ]
-    errors = {"median": "median error [mu m g]", "p99": "worst 1 % [mu m g]"}
+    rows = batch_rows(cases, truth, seconds)
+    rows += [row("one", name, one.median(name), error[name]) for name in methods]
     return Result(
         [
             Table(
-                "batched", "Average forces of many motions at once",
-                {"method": "method", "us": "each [us]", **errors},
-                batch_rows(cases, truth, seconds),
-                f"{len(cases)} random motions and places in one call, from coefficients. The "
-                "closed form has 8 intervals; its error is that of triangles for sines.",
-            ),
-            Table(
-                "methods", "Average force of a cycle",
-                {"method": "method", "one_us": "1 part [us]", **errors},
+                "force_map", "Average forces of many motions at once, and of one cycle",
+                {"case": "case", "method": "method", "us": "time of one force [µs]",
+                 "median": "median error [mu mg]", "p99": "worst 1 % [mu mg]"},
                 rows,
-                f"{len(cases)} random motions and places, 12 parameters. step_forces takes twist "
-                "samples that are there already; average_force integrates the cycle's spline.",
+                f"{len(cases)} random motions of 12 parameters and places. Many: in one call, from "
+                "coefficients; the closed form has 8 intervals, its error is that of triangles for "
+                "sines. One: step_forces takes twist samples that are there already; average_force "
+                "integrates the cycle's spline.",
             )
         ],
     )  # fmt: skip
@@ -107,16 +101,18 @@ def batch_rows(
         ),
     }
     timed = race(calls, seconds)
-    rows = []
-    for name, call in calls.items():
-        error = np.max(np.abs(call() - truth), axis=1)
-        rows.append({"method": name, "us": 1e6 * timed.median(name) / len(cases), **worst(error)})
-    return rows
+    return [
+        row("many", name, timed.median(name) / len(cases), np.max(np.abs(call() - truth), axis=1))
+        for name, call in calls.items()
+    ]
 
 
-def worst(error: np.ndarray) -> dict[str, float]:
-    """Return the columns of an error (n,) [mu m g]."""
-    return {"median": float(np.median(error)), "p99": float(np.percentile(error, 99))}
+def row(case: str, method: str, seconds: float, error: np.ndarray) -> dict[str, Any]:
+    """Return a row of the time of one force [s] and of errors (n,) [mu m g]."""
+    return {
+        "case": case, "method": method, "us": 1e6 * seconds,
+        "median": float(np.median(error)), "p99": float(np.percentile(error, 99)),
+    }  # fmt: skip
 
 
 def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:
