@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from plate_core import PlateError
+
 ROOT = Path(__file__).resolve().parents[2]
 
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "pymunk", "mujoco")
@@ -35,6 +37,7 @@ class Table:
     columns : mapping of str to str
         Key of a row -> heading with unit.
     rows : list of dict
+        What has no column is not written.
     """
 
     key: str
@@ -61,9 +64,18 @@ def optional(name: str) -> Any:
         return None
 
 
-def missing_peer(name: str) -> str:
-    """Say how to get a peer that is not there."""
-    return f"{name}: peer not installed: pip install -r requirements-bench.txt"
+def peer(name: str) -> Any:
+    """Return the module of a peer.
+
+    Raises
+    ------
+    PlateError
+        If it is not installed: how to get it.
+    """
+    found = optional(name)
+    if found is None:
+        raise PlateError(f"{name} is not installed: pip install -r requirements-bench.txt")
+    return found
 
 
 def rounded(value: Any, digits: int = 4) -> Any:
@@ -128,6 +140,8 @@ def write(
         "machine": machine(),
         **asdict(result),
     }
+    for table in content["tables"]:
+        table["rows"] = [{key: row.get(key) for key in table["columns"]} for row in table["rows"]]
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".draft")
     draft.write_text(json.dumps(rounded(content), indent=1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Stability maps: where methods fail, over two parameters each, and where theory says they do."""
+"""Stability maps: where methods fail, and where theory says so."""
 
 from __future__ import annotations
 

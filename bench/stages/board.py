@@ -1,4 +1,4 @@
-"""The firmware on an emulated STM32F405: instructions of its ticks, steps between its setpoints."""
+"""The firmware on an emulated STM32F405: instructions a tick, longest steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A disc that slides and turns on a plate that shakes and turns: bodies beside scipy.
+"""A disc that slides and turns: error and speed, beside scipy.
 
 The truth is scipy's DOP853 at a tight tolerance, with friction integrated over the disc by
 midpoints of many cells; as peers the same equations with fewer cells and looser tolerances.

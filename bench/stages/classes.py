@@ -1,4 +1,4 @@
-"""Types of parts: named, placed and turned right.
+"""Types of parts: names, centres and angles.
 
 Parts of config/parts.yaml are drawn by counting sub-pixels, apart, in random turns, in colour; what
 they are is known. The types are those of the file: taught ones differ from them by 0.1 px.

@@ -1,4 +1,4 @@
-"""The averaged force map beside scipy's quad, plain numba and numpy: random cases.
+"""Average friction over a cycle: time and error.
 
 The truth is quad itself, told where the surface almost stands still, to a tolerance of 1e-10.
 """

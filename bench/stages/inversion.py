@@ -1,4 +1,4 @@
-"""Method B's inversion of the average map: what becomes of requests.
+"""Method B: what is solved, what is proven out of reach.
 
 Requests are fresh: no seed here was used while the solver was made. All answers are judged by
 `average_force` on the finished cycle.

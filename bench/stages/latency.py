@@ -1,4 +1,4 @@
-"""From image to motors in the real graph, beside a graph of five processes that only forwards.
+"""Image to motors in the real graph, beside one that only forwards.
 
 Nodes in processes of their own, then all in one. Both graphs run at the same time and take turns:
 the forwarders' image comes half a cycle after the real one. Their messages have the real ones'

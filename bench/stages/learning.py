@@ -1,4 +1,4 @@
-"""Learning the plate: error of the realised harmonics against the number of experiments.
+"""Learning the plate: error of realised harmonics.
 
 The simulated plate hangs at 35 Hz with 3 % damping, off-centre; its motors push 15 % too much or
 too little, with a bandwidth of 200 Hz; sensors are read every 10 ms, with noise. The cycles judged

@@ -1,4 +1,4 @@
-"""The simulator's other peer: the same scenes in MuJoCo, where it is installed.
+"""The simulator's other peer: the same scenes in MuJoCo.
 
 A plate moved as a mocap body drags nothing. So the scene is the plate's frame, under a gravity that
 shakes. Parts on a plane err by several percent at every step, as a contact that slides also lifts
@@ -8,10 +8,9 @@ where the plate moves along one joint, else too strong across, by up to a root o
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from harness import peer
 from plate_core import PlateCycle
 
 MASS, GRAVITY = 0.02, 9.81
@@ -58,10 +57,11 @@ class MujocoScene:
     """
 
     def __init__(
-        self, mujoco: Any, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
+        self, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
         mu: float, velocity: np.ndarray | None = None, radius: float = 0.0,
         half: np.ndarray | None = None,
     ) -> None:  # fmt: skip
+        mujoco = peer("mujoco")
         meets, size = int(radius > 0), radius or POINT_M
         parts = [PART.format(x=x, y=y, radius=size, meets=meets) for x, y in position]
         walls = []

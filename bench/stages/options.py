@@ -1,4 +1,4 @@
-"""Both methods with their options, and scipy, on the same steering requests: error against time.
+"""Both methods with their options, and scipy, on the stick-slip cycle.
 
 Parts lie at rest; each is asked to drift its own way over one cycle, from a cold start and with no
 slack. `plate_sim` judges all answers. The peers are scipy's least squares on Method B's unknowns

@@ -1,4 +1,6 @@
-"""The live page beside the graph: latency and processor time with none, one, ten browsers, and one
+"""The live page beside the graph: latency, processor time, targets that are dragged.
+
+The live page beside the graph: latency and processor time with none, one, ten browsers, and one
 that hangs; and how long a target takes from a browser to the planner.
 
 Browsers are connections that ask for images and fields and read all they get, in a process of their

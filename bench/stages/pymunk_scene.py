@@ -1,11 +1,10 @@
-"""The simulator's peer: the same scene in pymunk, where it is installed."""
+"""The simulator's peer: the same scene in pymunk."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from harness import peer
 from plate_core import PlateCycle
 
 MASS = 0.02
@@ -30,11 +29,11 @@ class PymunkScene:
     """
 
     def __init__(
-        self, pymunk: Any, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
+        self, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
         friction_accel: float, velocity: np.ndarray | None = None, radius: float = 0.0,
         offset: float = 0.5,
     ) -> None:  # fmt: skip
-        self.dt = dt
+        self.dt, pymunk = dt, peer("pymunk")
         self.space = pymunk.Space()
         self.plate = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         self.space.add(self.plate)

@@ -1,4 +1,4 @@
-"""Method A: what forces rotations can guarantee, at what cost, and what closed motions give.
+"""Method A: guaranteed forces, least time, closure.
 
 Parts lie at random, at least 10 % of the plate's width apart. A request asks for a force of size r
 in a random direction of each part; guaranteed is the greatest r that takes one cycle of time.

@@ -1,4 +1,4 @@
-"""Parts of any outline in hostile scenes of our own: what is found, how exactly, in what time.
+"""Parts of any outline in hostile scenes: recall, precision, centres, time.
 
 Nothing is known of the parts; the plate was seen bare before. The scenes: `hostile`.
 """

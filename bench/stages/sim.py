@@ -1,4 +1,4 @@
-"""The simulator beside its peers: error, speed, and cost as scenes grow."""
+"""Parts on a shaken plate: error and speed of the simulator."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, missing_peer, optional, race
+from harness import Result, Table, race
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import WorldState, run_cycle
 from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
-from stages import mujoco_scene
+from stages.mujoco_scene import MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, all_ways
 from stages.tray import tray_table
@@ -40,10 +40,6 @@ SPACING_M = 0.02
 
 def measure(quick: bool) -> Result:
     """Measure error by setting, speed at the peer's error, colliding discs, and cost."""
-    peers = {PYMUNK: optional("pymunk"), MUJOCO: optional("mujoco")}
-    errors = error_rows(peers, quick)
-    speeds = speed_rows(peers[PYMUNK], quick)
-    cost = cost_rows(peers[PYMUNK], quick)
     return Result(
         [
             Table(
@@ -54,7 +50,7 @@ def measure(quick: bool) -> Result:
                     "error_mm": "error [mm]", "error_percent": "error [%]",
                     "speed": "simulated s per s",
                 },
-                errors,
+                error_rows(quick),
                 "In steps: root mean square over neighbouring steps, as the error of a single one "
                 "depends on where the steps fall.",
             ),
@@ -62,7 +58,7 @@ def measure(quick: bool) -> Result:
                 "speed",
                 f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
                 {"parts": "parts", "lead": "times as fast as pymunk"},
-                speeds,
+                speed_rows(quick),
                 "Error: root mean square over the parts.",
             ),
             Table(
@@ -72,12 +68,11 @@ def measure(quick: bool) -> Result:
                     "parts": "parts", EVENTS: "by events [s/s]", STEPS: "in steps [s/s]",
                     PYMUNK: "pymunk, 1 ms [s/s]",
                 },
-                cost,
+                cost_rows(quick),
                 f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
             ),
-            tray_table(peers[PYMUNK], peers[MUJOCO], quick),
+            tray_table(quick),
         ],
-        [missing_peer(name.lower()) for name, module in peers.items() if not module],
     )  # fmt: skip
 
 
@@ -91,18 +86,14 @@ def step_count(step_ms: float) -> int:
     return max(1, round(1e3 / FREQUENCY / step_ms))
 
 
-def peer_scene(
-    pymunk: Any, scene: Scene, dt: float, span: float, offset: float = 0.5
-) -> PymunkScene:
+def peer_scene(scene: Scene, dt: float, span: float, offset: float = 0.5) -> PymunkScene:
     """Build the peer's scene; it may take the plate's velocity where it serves it best."""
-    return PymunkScene(
-        pymunk, scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset
-    )
+    return PymunkScene(scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset)
 
 
-def peer_travel(pymunk: Any, scene: Scene, dt: float, offset: float) -> np.ndarray:
+def peer_travel(scene: Scene, dt: float, offset: float) -> np.ndarray:
     """How far the peer's parts went in 1 s (M, 2) [m]."""
-    return np.asarray(peer_scene(pymunk, scene, dt, SPAN, offset).run() - scene.position)
+    return np.asarray(peer_scene(scene, dt, SPAN, offset).run() - scene.position)
 
 
 @dataclass(frozen=True)
@@ -116,7 +107,7 @@ class Case:
     span: float
 
 
-def error_rows(peers: dict[str, Any], quick: bool) -> list[dict[str, Any]]:
+def error_rows(quick: bool) -> list[dict[str, Any]]:
     """Error of the travel of one part after 1 s, and speed, by setting."""
     steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
     tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
@@ -127,10 +118,9 @@ def error_rows(peers: dict[str, Any], quick: bool) -> list[dict[str, Any]]:
         cases = [by_events(scene, tolerance, exact) for tolerance in tolerances]
         for step_ms in steps_ms:
             cases.append(in_steps(scene, step_ms, exact, repeats))
-            if peers[PYMUNK]:
-                cases.append(in_pymunk(peers[PYMUNK], scene, step_ms, exact, repeats))
-            if peers[MUJOCO] and step_ms >= MUJOCO_LEAST_MS:
-                cases.append(in_mujoco(peers[MUJOCO], scene, step_ms, exact))
+            cases.append(in_pymunk(scene, step_ms, exact, repeats))
+            if step_ms >= MUJOCO_LEAST_MS:
+                cases.append(in_mujoco(scene, step_ms, exact))
         for case in cases:
             timed = race({"": case.run}, 0.1 if quick else 0.4)
             rows.append(
@@ -158,44 +148,38 @@ def in_steps(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
     return Case(STEPS, f"{step_ms:g} ms", errors, partial(scene.travel_in_steps, steps[0]), SPAN)
 
 
-def in_pymunk(pymunk: Any, scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
+def in_pymunk(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
     """Return pymunk, which may take the plate's velocity where it serves it best."""
     first = CYCLES * step_count(step_ms)
     errors = [
-        [
-            peer_travel(pymunk, scene, SPAN / (first + 3 * i), offset)[0, 0] - exact
-            for i in range(repeats)
-        ]
+        [peer_travel(scene, SPAN / (first + 3 * i), offset)[0, 0] - exact for i in range(repeats)]
         for offset in (0.5, 1.0)
     ]
-    run = peer_scene(pymunk, scene, 1e-3 * step_ms, PEER_SPAN).run
+    run = peer_scene(scene, 1e-3 * step_ms, PEER_SPAN).run
     return Case(PYMUNK, f"{step_ms:g} ms", min(errors, key=rms), run, PEER_SPAN)
 
 
-def in_mujoco(mujoco: Any, scene: Scene, step_ms: float, exact: float) -> Case:
+def in_mujoco(scene: Scene, step_ms: float, exact: float) -> Case:
     """Return MuJoCo, in the plate's frame under a shaken gravity."""
     long, short = (
-        mujoco_scene.MujocoScene(mujoco, scene.cycle, 1e-3 * step_ms, span, scene.position, MU)
+        MujocoScene(scene.cycle, 1e-3 * step_ms, span, scene.position, MU)
         for span in (SPAN, PEER_SPAN)
     )
     error = long.run()[0, 0] - scene.position[0, 0] - exact
     return Case(MUJOCO, f"{step_ms:g} ms", [error], short.run, PEER_SPAN)
 
 
-def speed_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+def speed_rows(quick: bool) -> list[dict[str, Any]]:
     """Speed at the peer's error by number of parts, which move all ways."""
     rows = []
     for count in (1, 10, 100):
-        lead = None
-        if pymunk:
-            scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
-            truth = scene.travel(1e-11)
-            peer = min(rms(peer_travel(pymunk, scene, dt, offset) - truth) for offset in (0.5, 1.0))
-            ours = partial(scene.travel, loosest(scene, truth, peer))
-            run = peer_scene(pymunk, scene, dt, PEER_SPAN)
-            timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
-            lead = SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)
-        rows.append({"parts": count, "lead": lead})
+        scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
+        truth = scene.travel(1e-11)
+        error = min(rms(peer_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))
+        ours = partial(scene.travel, loosest(scene, truth, error))
+        run = peer_scene(scene, dt, PEER_SPAN)
+        timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
+        rows.append({"parts": count, "lead": SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)})
     return rows
 
 
@@ -207,7 +191,7 @@ def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> float:
     return float(tolerance)
 
 
-def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+def cost_rows(quick: bool) -> list[dict[str, Any]]:
     """Simulated seconds per second of every method, from 1 to 1000 parts."""
     rows = []
     for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
@@ -216,17 +200,14 @@ def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
         place = SPACING_M * (np.arange(side) - 0.5 * (side - 1))
         grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)[:count]
         scene = Scene(scene.cycle, grid, 0 * scene.velocity)
-        span = 3 / FREQUENCY
-        contestants: dict[str, Callable[[], object]] = {EVENTS: partial(scene.travel, TOLERANCE)}
-        contestants[STEPS] = partial(run_world, scene.cycle, scene.position)
-        if pymunk:
-            contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN).run
+        contestants: dict[str, Callable[[], object]] = {
+            EVENTS: partial(scene.travel, TOLERANCE),
+            STEPS: partial(run_world, scene.cycle, scene.position),
+            PYMUNK: peer_scene(scene, 1e-3, PEER_SPAN).run,
+        }
+        spans = {EVENTS: SPAN, STEPS: 3 / FREQUENCY, PYMUNK: PEER_SPAN}
         timed = race(contestants, 0.3 if quick else 1.5)
-        spans = {EVENTS: SPAN, PYMUNK: PEER_SPAN}
-        rows.append(
-            {"parts": count}
-            | {name: spans.get(name, span) / timed.median(name) for name in timed.times}
-        )
+        rows.append({"parts": count} | {n: span / timed.median(n) for n, span in spans.items()})
     return rows
 
 

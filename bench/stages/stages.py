@@ -1,4 +1,4 @@
-"""What each stage costs for one image: a run of the closed loop, played again with a clock.
+"""What each stage of the loop costs for one image.
 
 The loop itself is `loop.run`; every stage then gets the same inputs once more.
 """

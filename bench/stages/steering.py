@@ -1,4 +1,4 @@
-"""Steering: displacements asked of parts on the true stick-slip cycle, judged by the simulator.
+"""Plate motions for wanted displacements on the true stick-slip cycle.
 
 Each scene is a short closed loop without camera and planner: the controller answers where the
 parts are now, its cycle runs next, and `plate_sim` moves them. All want a random, steady drift.

@@ -1,5 +1,8 @@
-"""How far the simulator can be believed: creep of parts that should ride, beside the peers; the
-size of what it leaves out; and what laws of friction that nobody told the loop do to tasks."""
+"""Creep beside the peers, what is left out, other laws of friction.
+
+How far the simulator can be believed: creep of parts that should ride, beside the peers; the
+size of what it leaves out; and what laws of friction that nobody told the loop do to tasks.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, missing_peer, optional
+from harness import Result, Table, peer
 from plate_bringup.loop import Setup, summary, with_settings
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import Ground, simulate, simulate_bodies
@@ -20,8 +23,9 @@ from stages.mujoco_scene import MASS, MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
 
-Run = Callable[[PlateCycle, float, float], float]
-"""Drift [m] in a plate's motion under a pull [mu g] after a time [s]."""
+Method = tuple[str, float | None, Callable[[PlateCycle, float, float], float]]
+"""Name, step [ms] if it has any, and what gives the drift [m] in a plate's motion under a pull
+[mu g] after a time [s]."""
 
 CREEP_S = 10
 """Time in which a part should stay where it is on the plate [s]."""
@@ -78,8 +82,6 @@ PRESLIDING_M = 1e-6
 
 def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate what is left out."""
-    peers = {name: optional(name) for name in ("pymunk", "mujoco")}
-    creep = creep_rows(peers, 0.5 if quick else CREEP_S)
     return Result(
         [
             Table(
@@ -89,7 +91,7 @@ def measure(quick: bool) -> Result:
                     "method": "method", "step_ms": "step [ms]",
                     **{scene: f"{scene} [um]" for scene in RIDES},
                 },
-                creep,
+                creep_rows(OURS + PEERS, 0.5 if quick else CREEP_S),
                 f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and "
                 "solimp.",
             ),
@@ -112,20 +114,12 @@ def measure(quick: bool) -> Result:
                 world_rows(1 if quick else 3),
                 "Seeds 0, 1, 2, Method B.",
             ),
-        ], [missing_peer(name) for name, module in peers.items() if not module],
+        ],
     )  # fmt: skip
 
 
-def creep_rows(peers: dict[str, Any], span: float) -> list[dict[str, Any]]:
-    """Drift [um] of a part that rides, by method and scene."""
-    methods: list[tuple[str, float | None, Run]] = [
-        ("plate_sim, point by events", None, by_events),
-        ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
-        ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
-    ]
-    for peer, name, run in PEERS:
-        if peers[peer]:
-            methods += [(name, ms, partial(run, peers[peer], 1e-3 * ms)) for ms in (1.0, 0.1)]
+def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:
+    """Drift [um] of a part that rides in a span of time [s], by method and scene."""
     rows = []
     for name, ms, run in methods:
         row: dict[str, Any] = {"method": name, "step_ms": ms}
@@ -158,25 +152,25 @@ def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> fl
     return float(run.position[-1, 0, 0])
 
 
-def in_pymunk(pymunk: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+def in_pymunk(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] in pymunk."""
-    scene = PymunkScene(pymunk, cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
+    scene = PymunkScene(cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
     scene.space.gravity = pull * MU_G, 0.0
     return float(scene.run()[0, 0] - scene.plate.position.x)
 
 
-def in_joints(mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+def in_joints(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] in MuJoCo with friction in joints, as in the scene of `sim`."""
-    scene = MujocoScene(mujoco, cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
+    scene = MujocoScene(cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
     scene.shake[:, 0] += pull * MU_G
     return float(scene.run()[0, 0] - scene.moved[0])
 
 
 def in_contact(
-    mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0,
-    noslip: int = 0,
+    dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0, noslip: int = 0,
 ) -> float:  # fmt: skip
     """Drift [m] in MuJoCo of a cylinder on a plane, in the plate's frame."""
+    mujoco = peer("mujoco")
     model = mujoco.MjModel.from_xml_string(
         IN_CONTACT.format(
             dt=dt, impratio=impratio, noslip=noslip, mu=MU, height=HEIGHT, radius=RADIUS, mass=MASS
@@ -191,14 +185,23 @@ def in_contact(
     return float(data.qpos[0])
 
 
-PEERS: tuple[tuple[str, str, Callable[..., float]], ...] = (
-    ("pymunk", "pymunk, pivot of limited force", in_pymunk),
-    ("mujoco", "MuJoCo, dry friction of joints", in_joints),
-    ("mujoco", "MuJoCo, contact", in_contact),
-    ("mujoco", "MuJoCo, contact, impratio 100", partial(in_contact, impratio=100.0)),
-    ("mujoco", "MuJoCo, contact, 10 noslip iterations", partial(in_contact, noslip=10)),
-)
-"""Peer, method, and what runs it."""
+OURS: list[Method] = [
+    ("plate_sim, point by events", None, by_events),
+    ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
+    ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
+]
+
+PEERS: list[Method] = [
+    (name, ms, partial(run, 1e-3 * ms))
+    for name, run in (
+        ("pymunk, pivot of limited force", in_pymunk),
+        ("MuJoCo, dry friction of joints", in_joints),
+        ("MuJoCo, contact", in_contact),
+        ("MuJoCo, contact, impratio 100", partial(in_contact, impratio=100.0)),
+        ("MuJoCo, contact, 10 noslip iterations", partial(in_contact, noslip=10)),
+    )
+    for ms in (1.0, 0.1)
+]
 
 
 def left_out(rig: Rig) -> list[dict[str, str]]:

@@ -1,4 +1,6 @@
-"""The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
+"""Finding discs in an image: time, misses, error of the centres.
+
+The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
 
 Images come from the simulated camera, so the true centres are known.
 """
@@ -11,20 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time, missing_peer, optional
+from harness import Result, Table, cpu_time, peer
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
 from plate_vision import detect, make_vision
 
-OURS, CONTOURS, BLOBS, HOUGH, PEAKS, REGIONS = (
-    "plate_vision.detect",
-    "findContours + moments",
-    "SimpleBlobDetector",
-    "HoughCircles",
-    "distance transform",
-    "skimage regionprops",
-)
+OURS = "plate_vision.detect"
 
 FRAMES, PEER_FRAMES = 250, 20
 """Images of each scene: a thousand in all for ours, fewer for the peers, to save time; the fewer
@@ -71,7 +66,6 @@ def measure(quick: bool) -> Result:
                 "what the others left.",
             ),
         ],
-        [] if REGIONS in finders else [missing_peer("scikit-image")],
     )  # fmt: skip
 
 
@@ -122,24 +116,20 @@ def make_finders(rig: Rig) -> dict[str, Finder]:
         tops = (depth > 0.6 * radius).astype(np.uint8)
         return np.asarray(cv2.connectedComponentsWithStats(tops)[3][1:])
 
-    finders: dict[str, Finder] = {
+    inner, skimage = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0, peer("skimage.measure")
+
+    def regions(image: np.ndarray) -> np.ndarray:
+        parts = skimage.regionprops(skimage.label((image < THRESHOLD) & inner))
+        return np.array([p.centroid[::-1] for p in parts if p.area > 0.3 * area]).reshape(-1, 2)
+
+    return {
         OURS: ours,
-        CONTOURS: contours,
-        BLOBS: blobs,
-        HOUGH: hough,
-        PEAKS: peaks,
+        "findContours + moments": contours,
+        "SimpleBlobDetector": blobs,
+        "HoughCircles": hough,
+        "distance transform": peaks,
+        "skimage regionprops": regions,
     }
-    measure = optional("skimage.measure")
-    if measure is not None:
-        inner = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0
-
-        def regions(image: np.ndarray) -> np.ndarray:
-            labels = measure.label((image < THRESHOLD) & inner)
-            parts = measure.regionprops(labels)
-            return np.array([p.centroid[::-1] for p in parts if p.area > 0.3 * area]).reshape(-1, 2)
-
-        finders[REGIONS] = regions
-    return finders
 
 
 def scene_rows(

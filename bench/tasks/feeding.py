@@ -1,4 +1,4 @@
-"""A feeder in production, beside peers that shake and look: parts a minute, waiting, accuracy.
+"""A feeder in production beside peers that shake and look: speed, accuracy.
 
 One case is the base; in the others one thing is changed: how full the plate is, the gripper's
 clearance, the robot's cycle, the pick window, the type of part. The peers are those of
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Setup
 from plate_bringup.production import filled, produce
 from plate_core.tasks import FeedTask, Scenario, load_scenario
@@ -102,26 +102,16 @@ COLUMNS = {
 
 def measure(quick: bool) -> Result:
     """Run all cases with all feeders."""
-    cache = Cache.of(__name__)
     seeds, time_s = (SEEDS[:1], QUICK_S) if quick else (SEEDS, TIME_S)
-    kept = [
-        (changed, case, method)
+    work = {
+        (changed, case, method, time_s): [(case, method, seed, time_s) for seed in seeds]
         for changed in CASES
         for case in CASES[changed]
         if not quick or case == BASE or changed == "kind"
         for method in METHODS
-    ]
-    work = {
-        f"{case} {method} {seed} {time_s}": (case, method, seed, time_s)
-        for _, case, method in kept
-        for seed in seeds
     }
-    with processes() as pool:
-        found = dict(zip(work, resumed(pool, run_case, work, cache), strict=True))
-    rows = [
-        row(changed, case, method, [found[f"{case} {method} {s} {time_s}"] for s in seeds])
-        for changed, case, method in kept
-    ]
+    found = by_case(run_case, work, Cache.of(__name__))
+    rows = [row(*kept, runs) for (*kept, _), runs in found.items()]
     note = (
         f"{time_s:g} s of production from an almost empty plate, seeds {seeds[0]} to {seeds[-1]}; "
         "means over the runs, errors over all picks' median, 95 % and worst. Waiting: since the "
@@ -130,12 +120,12 @@ def measure(quick: bool) -> Result:
         "put back by the hopper; a rim would have kept the peer's. Window: 310 x 240 mm, of nuts "
         "and bars 300 x 220, where no side is given."
     )
-    by_case = {"case": "", "ours": "part by part", "vibrated": "shaken in the plane",
+    columns = {"case": "", "ours": "part by part", "vibrated": "shaken in the plane",
                "thrown": "thrown anew (idealised)"}  # fmt: skip
     return Result(
         [
             Table("feeding", "A feeder in production", COLUMNS, rows, note),
-            Table("by_case", "Parts a minute, and share of time that the robot waits", by_case,
+            Table("by_case", "Parts a minute, and share of time that the robot waits", columns,
                   side_by_side(rows), note),
         ],
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""One seed, one answer: what changes a run of the closed loop, to the last bit, and in which piece.
+"""One seed, one answer: what changes a run, to the last bit.
 
 Every variation runs in fresh processes and is compared with a quiet one in which BLAS and numpy
 take the code of AVX2 (`ALIKE`). Another processor is stood in for by the code that libraries would

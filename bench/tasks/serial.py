@@ -1,4 +1,4 @@
-"""The serial path: a short task over it, with each kind of accident."""
+"""The serial path: a short task, and faults of the line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from harness.serial import serial_run
 from plate_bringup.loop import Setup
 from plate_core import PlateError
@@ -49,10 +49,10 @@ KINDS: dict[str, tuple[dict[str, float], str]] = {
 def measure(quick: bool) -> Result:
     """Run all; quick: a few of each."""
     runs = 1 if quick else RUNS
-    work = {f"{kind} {seed}": (kind, seed) for kind in KINDS for seed in range(runs)}
-    with processes() as pool:
-        samples = resumed(pool, accident_run, work, Cache.of(__name__))
-    faults = [fault_row(kind, [row for row in samples if row["kind"] == kind]) for kind in KINDS]
+    work = {kind: [(kind, seed) for seed in range(runs)] for kind in KINDS}
+    faults = [
+        fault_row(*found) for found in by_case(accident_run, work, Cache.of(__name__)).items()
+    ]
     return Result(
         [
             Table(
@@ -107,7 +107,7 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
     done = outcome.phase == "done" and outcome.dropped == 0
     told = not done and bool(outcome.troubles) and outcome.phase in ("stuck", "aborted")
     return {
-        "kind": kind, "done": done, "told": told, "kept": outcome.verdict.kept,
+        "done": done, "told": told, "kept": outcome.verdict.kept,
         "resting": outcome.resting, "time_s": outcome.time_s, "retries": outcome.retries,
         "used": 100 * outcome.verdict.worst, "late": outcome.late, "images": outcome.images,
         "enables": outcome.enables,
