@@ -95,7 +95,7 @@ def chart():
     first.mark(1.0, 3.0)
     panels.add("bars", y, Axis("", names=("b", "a"))).bars("bars", [1.0, 2.0], ["a", "b"])
     field = panels.add("field", y, y)
-    field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success")
+    field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success", (0, 1))
     theory = [{"x": 1.0, "y": 2.0}, {"x": 3.0, "y": 5.0}]
     field.points(theory, "x", "y", Look("theory", marker="", line="-"), in_front=False)
     sheet = Sheet([{"x": 1}])

@@ -198,7 +198,7 @@ class Panel:
     def __init__(self, title: str, x: Axis, y: Axis, better: str) -> None:
         self.title, self.x, self.y, self.better = title, x, y, better
         self.traces: list[Any] = []
-        self.field: tuple[str, tuple[float | None, float | None]] | None = None
+        self.field: tuple[str, tuple[float, float]] | None = None
         self._counted: list[tuple[float, float]] = []
         self.rules: list[Rule] = []
 
@@ -266,7 +266,7 @@ class Panel:
 
     def heat(
         self, x: Sequence[float], y: Sequence[float], z: Sequence[Sequence[float | None]],
-        label: str, limits: tuple[float | None, float | None] = (None, None),
+        label: str, limits: tuple[float, float],
     ) -> None:  # fmt: skip
         """Draw values z (m, n) over a grid as colours; x (n,) and y (m,) are cells' middles."""
         self.field = label, limits

@@ -53,7 +53,7 @@ def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
     for look, places in lines.items():
         line = [{"x": a, "y": b} for a, b in zip(*places, strict=True) if np.isfinite(b)]
         corners = steps(line, grid.x, "x" in one.log) if one.steps else line
-        panel.points(corners, "x", "y", look, in_front=False)
+        panel.points(corners, "x", "y", look)
 
 
 def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> Axis:

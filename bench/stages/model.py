@@ -7,7 +7,7 @@ event) and pymunk.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -85,24 +85,27 @@ class Scene:
             Contacts(friction=RIMS if touching and turns else 0.0),
         )  # fmt: skip
 
+    def motions(self, cycles: int) -> Iterator[PlateCycle | PlateMotion]:
+        """Yield what the plate really does in each cycle."""
+        plate = PlateState.at_rest()
+        for _ in range(cycles):
+            if self.rig.suspension is None:
+                yield self.cycle
+            else:
+                motion, plate = realise(self.rig, plate, self.cycle)
+                yield motion
+
     def run(self, cycles: int = CYCLES, step: float = STEP) -> np.ndarray:
         """Return where the world puts the parts (M, 2) [m]."""
-        state, plate = self.state, PlateState.at_rest()
-        for _ in range(cycles):
-            motion: PlateCycle | PlateMotion = self.cycle
-            if self.rig.suspension is not None:
-                motion, plate = realise(self.rig, plate, self.cycle)
+        state = self.state
+        for motion in self.motions(cycles):
             state = run_cycle(state, motion, self.rig, step=step, contacts=self.contacts)
         return state.position
 
     def judge(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
         """Return where points that never meet end (M, 2) [m]."""
-        place, speed, plate = self.state.position, self.state.velocity, PlateState.at_rest()
-        friction = self.rig.friction
-        for _ in range(cycles):
-            motion: PlateCycle | PlateMotion = self.cycle
-            if self.rig.suspension is not None:
-                motion, plate = realise(self.rig, plate, self.cycle)
+        place, speed, friction = self.state.position, self.state.velocity, self.rig.friction
+        for motion in self.motions(cycles):
             run = simulate(motion, place, speed, friction.mu, friction.gravity, 1, 1, tolerance)
             place, speed = run.position[-1], run.velocity[-1]
         return place

@@ -8,6 +8,8 @@ where the plate moves along one joint, else too strong across, by up to a root o
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from harness import peer
@@ -87,16 +89,17 @@ class MujocoScene:
 
     def run(self) -> np.ndarray:
         """Advance; returns positions (M, 2) [m], plate_home."""
-        for accel in self.shake:
-            self.model.opt.gravity[:2] = accel
-            self.advance(self.model, self.data)
-        return np.asarray(self.start + self.data.qpos.reshape(-1, 2) + self.moved)
+        for place in self.steps():
+            end = place
+        return np.asarray(self.start + end + self.moved)
 
     def trace(self) -> np.ndarray:
         """Advance; returns places after every step (k, M, 2), in the plate."""
-        path = np.empty((len(self.shake), *self.start.shape))
-        for k, accel in enumerate(self.shake):
+        return np.array([self.start + place for place in self.steps()])
+
+    def steps(self) -> Iterator[np.ndarray]:
+        """Advance; yields how far the parts are in the plate (M, 2) [m] after every step."""
+        for accel in self.shake:
             self.model.opt.gravity[:2] = accel
             self.advance(self.model, self.data)
-            path[k] = self.start + self.data.qpos.reshape(-1, 2)
-        return path
+            yield self.data.qpos.reshape(-1, 2)

@@ -247,16 +247,14 @@ def measure(quick: bool) -> Result:
             })  # fmt: skip
     finally:
         rclpy.try_shutdown()
-    return Result(
-        [
-            Table(
-                "stops", "From the call of emergency_stop to the Stop frame on the wire",
-                {"condition": "while", "stops": "stops", "median_ms": "median [ms]",
-                 "worst_ms": "worst [ms]", "least_ms": "of which surely [ms]"},
-                rows,
-                "Over ROS, driver and device as processes of their own, the plate in motion. "
-                "Surely: until the judge's last look before, which waits for processors too. "
-                f"Allowed: {LONGEST_MS:g} ms.",
-            )
-        ],
-    )  # fmt: skip
+    title = "From the call of emergency_stop to the Stop frame on the wire"
+    columns = {
+        "condition": "while", "stops": "stops", "median_ms": "median [ms]",
+        "worst_ms": "worst [ms]", "least_ms": "of which surely [ms]",
+    }  # fmt: skip
+    note = (
+        "Over ROS, driver and device as processes of their own, the plate in motion. "
+        "Surely: until the judge's last look before, which waits for processors too. "
+        f"Allowed: {LONGEST_MS:g} ms."
+    )
+    return Result([Table("stops", title, columns, rows, note)])

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, peer
-from plate_bringup.loop import Setup, summary, with_settings
+from harness import Cache, Result, Table, peer
+from plate_bringup.loop import Setup
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import Ground, simulate, simulate_bodies
 from plate_sim.friction import Footprint, disc, polygon
@@ -22,6 +22,7 @@ from plate_sim.world import STEP
 from stages.mujoco_scene import MASS, MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
+from tasks.runs import runs_of, summed
 
 Method = tuple[str, float | None, Callable[[PlateCycle, float, float], float]]
 """Name, step [ms] if it has any, and what gives the drift [m] in a plate's motion under a pull
@@ -108,7 +109,7 @@ def measure(quick: bool) -> Result:
                 "worlds",
                 "Tasks under laws of friction that the loop does not know",
                 {
-                    "world": "world", "scenario": "scenario", "runs": "runs", "success": "done",
+                    "world": "world", "scenario": "scenario", "runs": "runs", "good": "done",
                     "dropped": "parts lost", "time_s": "time, median [s]",
                 },
                 world_rows(1 if quick else 3),
@@ -260,19 +261,13 @@ def percent(share: float) -> str:
 
 def world_rows(seeds: int) -> list[dict[str, Any]]:
     """Run tasks in each world."""
-    rows = []
+    cases = {}
     for world in WORLDS:
-        for scenario in ("sort_4", "sort_10"):
-            settings = {key: str(value) for key, value in world.items()}
-            setups = [with_settings(Setup(scenario, k), settings) for k in range(seeds)]
-            runs: list[dict[str, Any]] = [summary(setup, load_rig()) for setup in setups]
-            done = [run["time_s"] for run in runs if run["success"]]
-            rows.append(
-                {
-                    "world": ", ".join(f"{k} {v:g}" for k, v in world.items()) or "as believed",
-                    "scenario": scenario, "runs": seeds, "success": len(done),
-                    "dropped": sum(run["dropped"] for run in runs),
-                    "time_s": float(np.median(done)) if done else None,
-                }
-            )  # fmt: skip
-    return rows
+        name = ", ".join(f"{k} {v:g}" for k, v in world.items()) or "as believed"
+        settings = {key: str(value) for key, value in world.items()}
+        for task in ("sort_4", "sort_10"):
+            cases[name, task] = [(Setup(task, k), settings, load_rig()) for k in range(seeds)]
+    return [
+        {"world": world, "scenario": task} | summed(runs)
+        for (world, task), runs in runs_of(Cache.of(__name__), cases).items()
+    ]

@@ -44,29 +44,24 @@ def measure(quick: bool) -> Result:
     for count in (10, 100):
         for touching in (False, True):
             rows += scene_rows(rig, finders, count, touching, quick)
-    return Result(
-        [
-            Table(
-                "vision",
-                f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise",
-                {
-                    "discs": "discs", "place": "place", "method": "method",
-                    "frames": "images", "loop_ms": "in a loop [ms]",
-                    "turns_ms": "in turns [ms]", "loop_lead": "this / ours, in a loop",
-                    "turns_lead": "this / ours, in turns",
-                    "rms_px": "centre RMS [px]", "missed_percent": "missed [%]",
-                    "false_percent": "false [%]",
-                },
-                rows,
-                "Found: within half a radius of a true centre, each once. Touching: groups of "
-                "three. The peers get the plate's outline and a fixed threshold between parts and "
-                "plate; ours fits the light itself and tells black from grey. Times of the core, "
-                "medians. In a loop: one method alone, image after image. In turns: all methods, "
-                "one after the other, with each image, so that each finds the caches full of "
-                "what the others left.",
-            ),
-        ],
-    )  # fmt: skip
+    title = f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise"
+    columns = {
+        "discs": "discs", "place": "place", "method": "method",
+        "frames": "images", "loop_ms": "in a loop [ms]",
+        "turns_ms": "in turns [ms]", "loop_lead": "this / ours, in a loop",
+        "turns_lead": "this / ours, in turns",
+        "rms_px": "centre RMS [px]", "missed_percent": "missed [%]",
+        "false_percent": "false [%]",
+    }  # fmt: skip
+    note = (
+        "Found: within half a radius of a true centre, each once. Touching: groups of "
+        "three. The peers get the plate's outline and a fixed threshold between parts and "
+        "plate; ours fits the light itself and tells black from grey. Times of the core, "
+        "medians. In a loop: one method alone, image after image. In turns: all methods, "
+        "one after the other, with each image, so that each finds the caches full of "
+        "what the others left."
+    )
+    return Result([Table("vision", title, columns, rows, note)])
 
 
 def make_finders(rig: Rig) -> dict[str, Finder]:

@@ -38,8 +38,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     tables = [shaking(PIECES, size) for size in (5e-4, 6e-4)]
     transport.open()
     played: list[int] = []
-    cycles = {"sent": 0, "resting": 0, "ticks": 0}
-    due = [0.0]
+    sent, due = [0], [0.0]
 
     def run(seconds: float, plays: bool, until: Any = None) -> None:
         """Let time pass; a cycle is sent each period, if the device takes it."""
@@ -48,8 +47,8 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
             if plays and emulator.now >= due[0]:
                 due[0] = emulator.now + PERIOD_S
                 try:
-                    transport.send(tables[cycles["sent"] % 2], HOLD_CYCLES)
-                    cycles["sent"] += 1
+                    transport.send(tables[sent[0] % 2], HOLD_CYCLES)
+                    sent[0] += 1
                 except CycleError:
                     pass
             if tick % POLL_TICKS == 0:
@@ -58,8 +57,6 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
             playing = emulator.device.playing
             if plays and playing and playing != (played[-1] if played else 0):
                 played.append(playing)
-            cycles["ticks"] += plays
-            cycles["resting"] += plays and not playing
             if until is not None and until():
                 return
 
@@ -74,7 +71,6 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     run(play_s, True)
     times = []
     own = operator.enables - enables  # it had stopped, and the operator enabled again
-    share = cycles["resting"] / cycles["ticks"]
     count = len(played)
     for _ in range(stops):
         run(BEGIN_S, True, lambda: emulator.state is State.PLAYING)
@@ -85,11 +81,8 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
         run(STOP_S, False, lambda: emulator.state in (State.BRAKING, State.OFF))
         times.append(1e3 * (emulator.now - began))
         run(BEGIN_S, False, ready)
-    in_time = play_s * (1 - share) / PERIOD_S  # periods in which something was played
     return row | {
         "tables": 60 * count / play_s,
-        "repeated": 100 * max(0.0, 1 - count / in_time) if in_time else None,
-        "resting": 100 * share,
         "stops_own": own,
         "brake_ms": float(np.median(times)) if times else None,
         "brake_most_ms": max(times) if times else None,
@@ -105,19 +98,14 @@ def measure(quick: bool) -> Result:
     kinds = [(b, n, d, seconds, stops) for b in bauds for n in lost for d in delays]
     found = by_case(line_run, {kind: [kind] for kind in kinds}, Cache.of(__name__))
     rows = [row for [row] in found.values()]
-    return Result(
-        [
-            Table(
-                "lines",
-                f"A new cycle of {PIECES} pieces each {1e3 * PERIOD_S:.0f} ms, for {seconds:.0f} s",
-                {"baud": "baud", "lost": "bytes lost [%]", "delay_ms": "delay each way [ms]",
-                 "tables": "tables played a minute", "repeated": "cycles repeated [%]",
-                 "resting": "plate at rest [% of time]", "stops_own": "stops by itself",
-                 "brake_ms": "stop() to braking, median [ms]", "brake_most_ms": "most [ms]"},
-                rows,
-                "Driver's transport, line, device in simulated time; the host looks each 5 ms. "
-                "At most 300 tables a minute. At rest: the last table was played five times, and "
-                "the next has not come.",
-            )
-        ],
-    )  # fmt: skip
+    title = f"A new cycle of {PIECES} pieces each {1e3 * PERIOD_S:.0f} ms, for {seconds:.0f} s"
+    columns = {
+        "baud": "baud", "lost": "bytes lost [%]", "delay_ms": "delay each way [ms]",
+        "tables": "tables played a minute", "stops_own": "stops by itself",
+        "brake_ms": "stop() to braking, median [ms]", "brake_most_ms": "most [ms]",
+    }  # fmt: skip
+    note = (
+        "Driver's transport, line, device in simulated time; the host looks each 5 ms. "
+        "At most 300 tables a minute."
+    )
+    return Result([Table("lines", title, columns, rows, note)])

@@ -67,12 +67,10 @@ def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         "max_mm": max(values("max_error_m", 1e3), default=None),
         "turn_deg": max(values("turn_error_deg"), default=None),
         "pace": median([run["pace"] for run in runs if run.get("pace") is not None]),
-        "missed_percent": median(values("missed_share", 100)),
         "solve_ms": median(values("solve_ms_median")),
         "solve_p99_ms": median(values("solve_ms_p99")),
         "step_ms": median(values("step_ms_median")),
         "step_p99_ms": median(values("step_ms_p99")),
-        "limit_percent": max(values("limit_share_max", 100)),
     }
 
 
