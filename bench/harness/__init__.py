@@ -14,8 +14,8 @@ from harness.result import (
     Table,
     commit,
     folder_made,
+    missing,
     optional,
-    peer,
     rounded,
     shown,
     text_table,
@@ -25,7 +25,7 @@ from plate_core.intervals import of_median, of_share, share
 
 __all__ = [
     "LEAST_ROUNDS", "LONG", "MEASUREMENTS", "ROOT", "Cache", "Race", "Result", "Table", "by_case",
-    "commit", "cpu_time", "folder_made", "is_done", "of_median", "of_share", "optional",
-    "parallel", "peer", "processes", "race", "read", "resumed", "rounded", "run_all", "share",
+    "commit", "cpu_time", "folder_made", "is_done", "missing", "of_median", "of_share", "optional",
+    "parallel", "processes", "race", "read", "resumed", "rounded", "run_all", "share",
     "shown", "text_table", "told", "write",
 ]  # fmt: skip

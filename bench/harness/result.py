@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import PlateError
-
 ROOT = Path(__file__).resolve().parents[2]
 
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "pymunk", "mujoco")
@@ -64,18 +62,10 @@ def optional(name: str) -> Any:
         return None
 
 
-def peer(name: str) -> Any:
-    """Return the module of a peer.
-
-    Raises
-    ------
-    PlateError
-        If it is not installed: how to get it.
-    """
-    found = optional(name)
-    if found is None:
-        raise PlateError(f"{name} is not installed: pip install -r requirements-bench.txt")
-    return found
+def missing(*peers: str) -> list[str]:
+    """Say of peers that are not there how to get them."""
+    lacking = [name for name in peers if optional(name) is None]
+    return [f"{n}: peer not installed: pip install -r requirements-bench.txt" for n in lacking]
 
 
 def rounded(value: Any, digits: int = 4) -> Any:

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import yaml
+
 from maps.stability import MAPS
 from plate_core import PlateError
-from report.chart import Chart, Data, Sheet, table
+from report.chart import Chart, Data, Drawn, Sheet, table
 from report.documents import fill_documents, names
 from report.feeding import feeding
 from report.forces import force_map, inversion, learning, rotations
@@ -24,7 +25,7 @@ from report.page import write_report
 from report.panels import Row
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows, steering
-from report.stability import chart_of, rows_of
+from report.stability import chart_of, rows_of, words_of
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
 __all__ = [
@@ -36,13 +37,13 @@ class Entry(NamedTuple):
     """A chart: how it is drawn from its rows, and these from measurements."""
 
     key: str
-    draw: Callable[[list[Row]], Chart]
+    draw: Callable[[list[Row]], Drawn]
     rows: Callable[[Data], Sheet]
     sources: tuple[str, ...]
 
 
 def of_table(
-    draw: Callable[[list[Row]], Chart], key: str, measurement: str = "", name: str = ""
+    draw: Callable[[list[Row]], Drawn], key: str, measurement: str = "", name: str = ""
 ) -> Entry:
     """Return the entry of a chart whose rows are one table of a measurement; both are called as the
     chart is, if not told."""
@@ -77,6 +78,12 @@ CHARTS: tuple[Entry, ...] = (
 )
 """Every chart."""
 
+WORDS: dict[str, dict[str, str]] = {
+    **yaml.safe_load(Path(__file__).with_name("charts.yaml").read_text(encoding="utf-8")),
+    **{f"stability_{key}": words_of(one) for key, one in MAPS.items()},
+}
+"""Key of a chart -> its `title`, `reading`, and mostly `letter` and `default`."""
+
 
 def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> list[Chart]:
     """Draw all charts: from measurements, or where they are missing from CSV files.
@@ -100,13 +107,23 @@ def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> lis
                 sheet = one.rows(data)
             else:
                 sheet = Sheet.read(folder / f"{one.key}.csv", columns.get(one.key, {}))
-            chart = one.draw(sheet.rows)
+            panels, finding, default = one.draw(sheet.rows)
         except PlateError as error:
             print(f"left out chart {one.key}: {error}", file=sys.stderr)
         except KeyError as key:
             print(f"left out chart {one.key}: of older code, its rows lack {key}", file=sys.stderr)
         else:
-            charts.append(replace(chart, sheet=sheet, sources=one.sources))
+            words = {"letter": "", "default": default} | WORDS[one.key]
+            charts.append(
+                Chart(
+                    one.key,
+                    **words,
+                    finding=finding,
+                    panels=panels,
+                    sheet=sheet,
+                    sources=one.sources,
+                )
+            )
             old += [one.key] * (not measured)
     if old:
         print(f"not measured here, drawn from {folder}: {', '.join(old)}", file=sys.stderr)

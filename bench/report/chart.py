@@ -8,7 +8,7 @@ from csv import DictReader, DictWriter
 from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -17,6 +17,23 @@ from report.panels import Panels, Row
 
 Data = Mapping[str, Mapping[str, Any]]
 """Measurements by name, as in their JSON files."""
+
+
+class Drawn(NamedTuple):
+    """What is drawn of rows.
+
+    Attributes
+    ----------
+    panels : Panels
+    finding : str
+        What comes out, with numbers.
+    default : str
+        What we take and why, where that depends on them.
+    """
+
+    panels: Panels
+    finding: str
+    default: str = ""
 
 
 @dataclass(frozen=True)

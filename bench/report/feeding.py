@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from report.axis import Axis
-from report.chart import Chart
+from report.chart import Drawn
 from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
 LOOKS = {
@@ -24,7 +24,7 @@ ROBOT_S, GOAL = 2.0, 2.0
 """The robot's cycle [s] of most cases, and what waiting is wanted with it at most [%]."""
 
 
-def feeding(rows: list[Row]) -> Chart:
+def feeding(rows: list[Row]) -> Drawn:
     """Return parts a minute against accuracy, and waiting against what is changed."""
     panels, cases = Panels(), [r | {"case": case(r)} for r in rows]
     speed = panels.add(
@@ -52,16 +52,11 @@ def feeding(rows: list[Row]) -> Chart:
         for kind, these in kinds.items()
     )
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
-    return Chart(
-        "feeding", "", "A feeder: parts a minute against accuracy of the pose",
-        "Simulated production of a minute a run, with a hopper and a robot: 20 discs, clearance "
-        "6 mm, a robot of 2 s, and one thing changed at a time. The peers shake all parts, look, "
-        "and pick all that lie ready; the idealised one (thrown) lays them out evenly at random in "
-        "0.6 s, which no feeder does. Bars are to lie within 5 degrees of one angle.",
+    return Drawn(
+        panels,
         f"Parts a minute with a robot of 2 s, 30 at most: {told}. Ours lost {lost or 'none'} over "
         "an edge.",
-        "", panels,
-    )  # fmt: skip
+    )
 
 
 def case(row: Row) -> str:

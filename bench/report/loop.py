@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from harness import shown
 from report.axis import Axis
-from report.chart import Chart, column, parts
+from report.chart import Drawn, column, parts
 from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, Look, Panels, Row, by
 from report.solver import METHODS
 from tasks.free_running import ALLOWED_MM
@@ -18,7 +18,7 @@ ENDED = "{succeeded} ended well"
 """Shown under the pointer."""
 
 
-def tracking(rows: list[Row]) -> Chart:
+def tracking(rows: list[Row]) -> Drawn:
     """Return tracking error against speed, and the fastest speed by parts, with the bound."""
     counts, groups = sorted(by(rows, "parts")), by(rows, "method")
     looks = {
@@ -47,16 +47,14 @@ def tracking(rows: list[Row]) -> Chart:
         fastest(groups["sinusoids"], n) >= fastest(groups.get("rotations", []), n) for n in counts
     )
     most = ", ".join(f"{fastest(rows, n)} by {parts(n)}" for n in counts)
-    return Chart(
-        "tracking", "f", "Part speed against tracking error",
-        "Parts on circles of 50 mm radius, faster and faster until a run does not keep it "
-        "(hollow): it ends badly, errs more than 6 mm or takes too long.",
+    return Drawn(
+        panels,
         f"Fastest speed kept [mm/s]: {most}; bound aT/16 = {min(column(rows, 'bound_mm_s')):.0f} "
         f"to {max(column(rows, 'bound_mm_s')):.0f}.",
-        "Method B: never slower than Method A, where both were tried." if leads else
-        "Method B; where Method A keeps a higher speed the last panel shows it.",
-        panels,
-    )  # fmt: skip
+        "Method B: never slower than Method A, where both were tried."
+        if leads
+        else "Method B; where Method A keeps a higher speed the last panel shows it.",
+    )
 
 
 def is_lost(row: Row) -> bool:
@@ -74,7 +72,7 @@ def failed(row: Row) -> bool:
     return bool(row["good"] < row["runs"])
 
 
-def control(rows: list[Row]) -> Chart:
+def control(rows: list[Row]) -> Drawn:
     """Return what the closed loop reaches against the time that the controller takes."""
     panels = Panels()
     for scenario, these in by(rows, "scenario").items():
@@ -99,15 +97,10 @@ def control(rows: list[Row]) -> Chart:
         for r in rows
         if r["default"] and r["method"] == "sinusoids"
     )
-    return Chart(
-        "control", "e", "Closed loop: what more control time buys",
-        "The whole loop without ROS, camera noise and uneven friction on; each point is a setting "
-        "of the solver (restarts, iterations), several seeds.",
-        f"Per cycle, our default: {told}.",
-        "Method B, at most 24 iterations and 40 restarts: paths gain nothing from more, sorting "
-        "a little.",
+    return Drawn(
         panels,
-    )  # fmt: skip
+        f"Per cycle, our default: {told}.",
+    )
 
 
 CAMERAS = {
@@ -123,7 +116,7 @@ RATES = (5, 7.5, 10, 15, 30, 60, 120)
 """Of images [1/s], that are written at the axis."""
 
 
-def cameras(rows: list[Row]) -> Chart:
+def cameras(rows: list[Row]) -> Drawn:
     """Return the tracking error against what a camera that runs free is like."""
     panels, borders = Panels(), []
     triggered = next(r for r in rows if r["changed"] == "triggered")
@@ -144,16 +137,11 @@ def cameras(rows: list[Row]) -> Chart:
         ends = f"{min(good):g} to {max(good):g}" if good else "none"
         borders.append(f"{label.replace(' [ms]', '')} {ends}{' ms' * (unit > 1)}")
     usual = next(r for r in rows if r["changed"] == "image_rate" and r["value"] == 30)
-    return Chart(
-        "cameras", "", "Cameras that run free: which are good enough",
-        "Two parts along rectangles at 40 mm/s, uneven friction, 10 ms of exposure, 30 images a "
-        "second, 40 ms late, stamps that scatter by 5 ms, one of these changed at a time; the "
-        f"planner knows none of them. Good: below the red line, {ALLOWED_MM:g} mm (median of the "
-        "runs), if all end well.",
+    return Drawn(
+        panels,
         f"{shown(usual['rms_mm'])} mm at 30 images a second, {shown(triggered['rms_mm'])} mm with "
         f"a triggered camera. Good for it, of what was tried: {'; '.join(borders)}.",
-        "", panels,
-    )  # fmt: skip
+    )
 
 
 ON_A_BUS = {
@@ -164,7 +152,7 @@ ON_A_BUS = {
 """What is changed of drives on a bus -> title and label."""
 
 
-def drives(rows: list[Row]) -> Chart:
+def drives(rows: list[Row]) -> Drawn:
     """Return the tracking error against what bus and drives are like."""
     panels, bridges = Panels(), next(r for r in rows if not r["changed"])
     names = by([r for r in rows if r["changed"]], "drive")
@@ -183,17 +171,13 @@ def drives(rows: list[Row]) -> Chart:
         ("loop_hz", 300): "with loops of 300 Hz",
     }  # fmt: skip
     found = ", ".join(f"{word} {told[case]} mm" for case, word in words.items())
-    return Chart(
-        "drives", "", "Drives on a bus: latency, jitter and their own loop",
-        "Two parts along rectangles at 40 mm/s, uneven friction, setpoints each 2 ms, 1 ms late, "
-        "no jitter, loops of 150 Hz, one of these changed at a time; the red line is of bridges, "
-        "which follow exactly. Hollow: not all runs ended well.",
+    return Drawn(
+        panels,
         f"Bridges {shown(bridges['rms_mm'])} mm; {found}.",
-        "", panels,
-    )  # fmt: skip
+    )
 
 
-def rigs(rows: list[Row]) -> Chart:
+def rigs(rows: list[Row]) -> Drawn:
     """Return success, time and error on small and weak rigs, and what `feasible` said of them."""
     names, panels = tuple(by(rows, "rig"))[::-1], Panels()
     y = Axis("", names=names)
@@ -217,17 +201,14 @@ def rigs(rows: list[Row]) -> Chart:
         for rig, these in by(list(filter(not_all, rows)), "rig").items()
     )
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
-    return Chart(
-        "rigs", "", "Sizing a rig: what small and weak ones reach",
-        "The default rig but for what a name says, and two others. Uneven friction; follow_2 at "
-        "40 mm/s, on the desk at 10. Crosses: the time that `feasible` had estimated.",
+    return Drawn(
+        panels,
         f"Not all runs ended well on {told or 'none'}. feasible was right (likely: more than half "
         f"of the runs end well) in {right} of {len(rows)} cases.",
-        "", panels,
-    )  # fmt: skip
+    )
 
 
-def bound(rows: list[Row]) -> Chart:
+def bound(rows: list[Row]) -> Drawn:
     """Return how fast parts can be moved: bounds, what a search finds, what the loop reaches."""
     panels, counts = Panels(), by(rows, "parts")
     one = [r | {"period": 1e3 * r["period_s"]} for r in counts[1]]
@@ -253,18 +234,12 @@ def bound(rows: list[Row]) -> Chart:
     second.points(own, "parts", "rest_mm_s", Look("found, the solver's cycle", FAINT, "s", ":"))
     second.points(own, "parts", "loop_mm_s", Look("closed loop", PEER, "D", "--"))
     gain = ", ".join(f"{r['free_mm_s'] / r['rest_mm_s']:.1f} by {parts(r['parts'])}" for r in best)
-    return Chart(
-        "bound", "", "How fast parts can be moved",
-        "Mean speed of scattered parts, half of them to the left, half to the right, anywhere "
-        "across. Found: the best steady cycle of a global search with the rig's limits, with the "
-        "plate at rest between cycles and without; not exhaustive. Bounds: of one part on a plate "
-        "that shakes along a line (proof: docs/model.md). Closed loop: until half of all ways are "
-        "done.",
+    return Drawn(
+        panels,
         f"Best cycle found with rest [mm/s]: {listed(best, 'rest_mm_s')}; closed loop: "
         f"{listed(own, 'loop_mm_s')}. Without rest cycles are found that are faster by a factor of "
         f"{gain}.",
-        "", panels,
-    )  # fmt: skip
+    )
 
 
 def listed(rows: Iterable[Row], key: str) -> str:
@@ -272,7 +247,7 @@ def listed(rows: Iterable[Row], key: str) -> str:
     return ", ".join(f"{r[key]:.0f} by {parts(r['parts'])}" for r in rows)
 
 
-def crowds(rows: list[Row]) -> Chart:
+def crowds(rows: list[Row]) -> Drawn:
     """Return how long a sort takes, and how many parts it loses, against their number."""
     panels = Panels()
     panel = panels.add(
@@ -282,15 +257,12 @@ def crowds(rows: list[Row]) -> Chart:
     note = ENDED + ", {dropped} parts dropped"
     panel.points(rows, "parts", "time_s", Look("sort", line="-"), hollow=not_all, note=note)
     dropped = sum(r["dropped"] for r in rows)
-    return Chart(
-        "crowds", "", "Sizing a rig: how many parts it sorts",
-        "Half of them to the left, half to the right, on the default rig. Medians over the seeds, "
-        "in a clean world.",
+    return Drawn(
+        panels,
         f"{' / '.join(shown(n) for n in by(rows, 'parts'))} parts are sorted in "
         f"{medians(rows, 'time_s')} s, "
         f"{dropped or 'none'} dropped.",
-        "", panels,
-    )  # fmt: skip
+    )
 
 
 def not_all(row: Row) -> bool:

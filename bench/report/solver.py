@@ -6,7 +6,7 @@ import numpy as np
 
 from harness import shown
 from report.axis import Axis
-from report.chart import Chart, Data, Sheet, column, parts
+from report.chart import Data, Drawn, Sheet, column, parts
 from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
 LEAST_ERROR = 1e-11
@@ -25,7 +25,7 @@ def solver_rows(data: Data) -> Sheet:
     return Sheet.of(data["solver"]["samples"], heads)
 
 
-def solver(rows: list[Row]) -> Chart:
+def solver(rows: list[Row]) -> Drawn:
     """Return error against time of single requests on the averaged map, with peers."""
     looks = {
         "RotationSolver": Look("A: RotationSolver", SECOND, "s"),
@@ -56,18 +56,13 @@ def solver(rows: list[Row]) -> Chart:
     lead = "; ".join(
         f"{parts(n)} {told(n, 'SinusoidSolver')} (scipy {told(n, 'scipy lm')})" for n in counts
     )
-    return Chart(
-        "solver", "b", "Solvers on the averaged map: error against time",
-        "Random requests up to 0.2 mu mg from a cold start, each a point, and their medians, "
-        "judged on samples that no solver has used. Points above the line were not met: with few "
-        "harmonics some cannot be.",
-        f"Within 1e-4 mu mg, Method B: {lead}.",
-        "Method B, sinusoids: Method A stops at 1e-3 mu mg.",
+    return Drawn(
         panels,
-    )  # fmt: skip
+        f"Within 1e-4 mu mg, Method B: {lead}.",
+    )
 
 
-def options(rows: list[Row]) -> Chart:
+def options(rows: list[Row]) -> Drawn:
     """Return what the simulator misses against the time of a solve, for all options and scipy."""
     looks = {
         ("B", "restarts"): Look("B: sinusoids, more and more restarts", OURS, "o", "-"),
@@ -95,22 +90,15 @@ def options(rows: list[Row]) -> Chart:
         return " / ".join(f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in mine)
 
     counts = " / ".join(str(n) for n in by(rows, "parts"))
-    return Chart(
-        "options", "b", "Solvers on the stick-slip cycle: error against time",
-        "What the loop solves, but from a cold start, with no slack and all parts at once: drifts "
-        "up to 5 mm/s along each axis, judged by the simulator. Lines join more and more restarts. "
-        "The paper's averaged map leaves a part's swing within a cycle out, and misses more than "
-        "is asked.",
+    return Drawn(
+        panels,
         f"With {counts} parts Method B misses {told('B', '3 restarts')}, Method A "
         f"{told('A', '1 restarts')}, scipy by its own differences "
         f"{told('scipy, own differences', '3 restarts')}.",
-        "Method B: 3 restarts are near the front; in the loop it has 40, and (e) shows what "
-        "they buy.",
-        panels,
-    )  # fmt: skip
+    )
 
 
-def steering(rows: list[Row]) -> Chart:
+def steering(rows: list[Row]) -> Drawn:
     """Return time and missed displacement against the number of parts."""
     groups = by(rows, "method")
     counts = tuple(sorted(by(rows, "parts")))
@@ -129,12 +117,9 @@ def steering(rows: list[Row]) -> Chart:
     missed = {(r["method"], r["parts"]): r["missed_percent"] for r in rows}
     less = ", ".join(str(n) for n in counts if missed["sinusoids", n] < missed["rotations", n])
     cold = {r["parts"]: r["cold_percent"] for r in groups["sinusoids"]}
-    return Chart(
-        "steering", "b", "Steering: time and misses by the number of parts",
-        "Random steady drifts up to 5 mm/s along each axis, all parts at once and with no slack, "
-        "met on the stick-slip cycle map; the truth is plate_sim's. Real tasks ask for less.",
+    return Drawn(
+        panels,
         f"From a cold start {' / '.join(str(n) for n in counts)} parts miss "
         f"{' / '.join(f'{cold[n]:.1f}' for n in counts)} % by Method B.",
         f"Method B: it misses less with {less} parts.",
-        panels,
-    )  # fmt: skip
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from maps.grid import Grid, StabilityMap
 from maps.stability import borders, nearness
 from report.axis import Axis, edges
-from report.chart import Chart, Data, Sheet
+from report.chart import Data, Drawn, Sheet
 from report.panels import PEER, Look, Panels, Row, by
 
 MOST_NAMED = 14
@@ -25,17 +25,18 @@ def rows_of(data: Data, one: StabilityMap) -> Sheet:
     return Sheet.of([{key: r[key] for key in heads} for r in mine], heads)
 
 
-def chart_of(rows: list[Row], one: StabilityMap) -> Chart:
+def words_of(one: StabilityMap) -> dict[str, str]:
+    """Return the words of one map's chart."""
+    reading = f"Colour: {one.z_label}. Black: where it passes {one.level:g}. "
+    return {"title": one.title, "reading": f"{reading}Dashed: {one.line_label}. {one.note}"}
+
+
+def chart_of(rows: list[Row], one: StabilityMap) -> Drawn:
     """Return the chart of one map."""
     panels, grids = Panels(), [Grid.of(mine) for mine in by(rows, "panel").values()]
     for grid in grids:
         add_panel(panels, one, grid)
-    return Chart(
-        f"stability_{one.key}", "", one.title,
-        f"Colour: {one.z_label}. Black: where it passes {one.level:g}. Dashed: {one.line_label}. "
-        f"{one.note}",
-        f"{one.finding} {nearness(one, grids)}", "", panels,
-    )  # fmt: skip
+    return Drawn(panels, f"{one.finding} {nearness(one, grids)}")
 
 
 def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:

@@ -6,7 +6,7 @@ from harness import rounded
 from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from report.axis import Axis
-from report.chart import Chart, Data, Sheet, column, table
+from report.chart import Data, Drawn, Sheet, column, table
 from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
 LEAST_MM = 1e-12
@@ -52,7 +52,7 @@ def sim_rows(data: Data) -> Sheet:
     return Sheet.of(rows, kinds | error.columns | kinds | heads)
 
 
-def sim(rows: list[Row]) -> Chart:
+def sim(rows: list[Row]) -> Drawn:
     """Return error against speed of the simulator: parts alone, and parts that collide."""
     panels, cases = Panels(), by(rows, "case")
     speed = Axis("simulated time per core time [s/s]", log=True)
@@ -66,18 +66,14 @@ def sim(rows: list[Row]) -> Chart:
                 panel.mark(row["speed"], row[error])
     lead = ", ".join(f"{r['lead']:.0f}" for r in cases["lead"] if r["lead"])
     counts = ", ".join(str(r["parts"]) for r in cases["lead"])
-    return Chart(
-        "sim", "c", "Simulator: error against speed, beside its peers",
-        "Each point is a setting (tolerance or step). Parts alone are judged in scenes whose "
-        "answer is known, discs that collide by how deep they overlap, a body that turns against "
-        "scipy. Down and to the right is better.",
+    return Drawn(
+        panels,
         f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
         f"ways, and to an error of {min(column(cases['travel'], 'error_mm')):.0e} mm where that is "
         "wanted.",
         f"Points by events at a tolerance of {DEFAULT_TOLERANCE}; the world's model of parts in "
         f"steps of {1e3 * STEP:g} ms, at an overlap that no camera sees.",
-        panels,
-    )  # fmt: skip
+    )
 
 
 def is_default(row: Row) -> bool:
@@ -102,7 +98,7 @@ def cost_rows(data: Data) -> Sheet:
     return Sheet.of(rows, {"case": "case"} | stages.columns | heads)
 
 
-def cost(rows: list[Row]) -> Chart:
+def cost(rows: list[Row]) -> Drawn:
     """Return the cost of every stage, and of every model of the simulator, by parts."""
     stages, models = by(rows, "case")["stages"], by(rows, "case")["simulator"]
     counts = column(stages, "parts")
@@ -130,14 +126,12 @@ def cost(rows: list[Row]) -> Chart:
         second.points(models, "parts", key, Look(*look))
     second.rule("real time", y=1)
     last = stages[-1]
-    return Chart(
-        "cost", "g", "Cost against the number of parts",
-        "Cores of the nodes, without ROS. The stages between image and setpoints have to fit into "
-        "one cycle of the plate; camera and simulator stand in for the machine.",
+    return Drawn(
+        panels,
         f"{last['parts']} parts: {last['answer']:.1f} ms from image to setpoints, "
         f"{100 * last['answer'] / last['period']:.0f} % of a cycle of {last['period']:.0f} ms; "
-        f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.", "", panels,
-    )  # fmt: skip
+        f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.",
+    )
 
 
 def span(rows: list[Row], key: str) -> str:
@@ -145,7 +139,7 @@ def span(rows: list[Row], key: str) -> str:
     return f"{min(column(rows, key)):.2g} to {max(column(rows, key)):.2g}"
 
 
-def vision(rows: list[Row]) -> Chart:
+def vision(rows: list[Row]) -> Drawn:
     """Return error against time of finding discs, a panel for each scene."""
     colours, methods = (OURS, PEER, SECOND, THIRD, "#8a6d00", LIMIT), list(by(rows, "method"))
     looks = {
@@ -162,17 +156,12 @@ def vision(rows: list[Row]) -> Chart:
         panel.kinds(mine, "method", "loop_ms", "rms_px", looks, hollow=is_wrong, note=note)
         panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]
-    return Chart(
-        "vision", "d", "Vision: error against time, beside its peers",
-        "Images of 640 x 480 px by the simulated camera with noise; 1 px is about 1 mm. Hollow: "
-        "parts are missed or invented, so no front goes there.",
+    return Drawn(
+        panels,
         f"Ours: {span(ours, 'rms_px')} px in {span(ours, 'loop_ms')} ms in a loop of its own, in "
         f"{span(ours, 'turns_ms')} ms in turns with the peers; no disc missed or invented, also "
         "where they touch.",
-        "plate_vision.detect: the most exact in every scene. Contours are faster where discs "
-        "touch, but cannot part them, and err four to six times as much.",
-        panels,
-    )  # fmt: skip
+    )
 
 
 def is_wrong(row: Row) -> bool:

@@ -195,9 +195,7 @@ def touching(
         any_part(types, rng)  # by which the scenes stay what they have always been
         for _ in range(count - 1):
             base = group[0] if around else group[-1]
-            part = attached(
-                any_part(types, rng), base, group, (heading - bend, heading + bend), rng
-            )
+            part = attached(any_part(types, rng), base, group, heading, bend, rng)
             if part is None:
                 break
             group.append(part)

@@ -55,10 +55,11 @@ def measure(quick: bool) -> Result:
     return Result([Table("learning", title, columns, rows, note)])
 
 
-def hung(rig: Rig) -> Rig:
-    """Return the rig on its flexures."""
+def hung(rig: Rig, frequency: float = HZ) -> Rig:
+    """Return the rig on flexures of a natural frequency [Hz], its motors unequal, its centre of
+    mass off the middle."""
     mass = mass_matrix(rig.plate.mass_kg, 0.075, (0.01, -0.005))
-    damping, stiffness = modal_matrices(mass, np.full(3, HZ), np.full(3, DAMPING))
+    damping, stiffness = modal_matrices(mass, np.full(3, frequency), np.full(3, DAMPING))
     gain = (1 + MISMATCH, 1 - MISMATCH) * 2
     return replace(
         rig, suspension=Suspension(mass, damping, stiffness, (0, 0, 1), gain, BANDWIDTH_HZ)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, race
+from harness import Result, Table, missing, optional, race
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import (
     Contacts,
@@ -149,7 +149,7 @@ def measure(quick: bool) -> Result:
         "meet, and pymunk's parts do not turn with the plate: so they err where parts do."
     )
     title = "What a plate cycle costs, by what the scene has"
-    return Result([Table("model", title, columns, rows, note)])
+    return Result([Table("model", title, columns, rows, note)], missing(PYMUNK))
 
 
 def scene_rows(scene: Scene, seconds: float) -> list[dict[str, Any]]:
@@ -157,7 +157,7 @@ def scene_rows(scene: Scene, seconds: float) -> list[dict[str, Any]]:
     truth = scene.truth()
     ends = {MODEL: scene.run(1), JUDGE: scene.judge(1)}
     runs: dict[str, Callable[[], object]] = {MODEL: scene.run, JUDGE: scene.judge}
-    if scene.kind in ("apart", "touching"):
+    if optional(PYMUNK) and scene.kind in ("apart", "touching"):
         ends[PYMUNK] = scene.in_pymunk(1).run()
         runs[PYMUNK] = scene.in_pymunk().run
     timed = race(runs, seconds)

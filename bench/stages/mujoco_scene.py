@@ -12,7 +12,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from harness import peer
 from plate_core import PlateCycle
 
 MASS, GRAVITY = 0.02, 9.81
@@ -63,7 +62,8 @@ class MujocoScene:
         mu: float, velocity: np.ndarray | None = None, radius: float = 0.0,
         half: np.ndarray | None = None,
     ) -> None:  # fmt: skip
-        mujoco = peer("mujoco")
+        import mujoco
+
         meets, size = int(radius > 0), radius or POINT_M
         parts = [PART.format(x=x, y=y, radius=size, meets=meets) for x, y in position]
         walls = []

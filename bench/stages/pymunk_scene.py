@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from harness import peer
 from plate_core import PlateCycle
 
 MASS = 0.02
@@ -33,7 +32,9 @@ class PymunkScene:
         friction_accel: float, velocity: np.ndarray | None = None, radius: float = 0.0,
         offset: float = 0.5,
     ) -> None:  # fmt: skip
-        self.dt, pymunk = dt, peer("pymunk")
+        import pymunk
+
+        self.dt = dt
         self.space = pymunk.Space()
         self.plate = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         self.space.add(self.plate)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, race
+from harness import Result, Table, missing, optional, race
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import WorldState, run_cycle
 from plate_sim.friction import TOLERANCE
@@ -73,6 +73,7 @@ def measure(quick: bool) -> Result:
             ),
             tray_table(quick),
         ],
+        missing(PYMUNK, "mujoco"),
     )  # fmt: skip
 
 
@@ -96,91 +97,70 @@ def peer_travel(scene: Scene, dt: float, offset: float) -> np.ndarray:
     return np.asarray(peer_scene(scene, dt, SPAN, offset).run() - scene.position)
 
 
-@dataclass(frozen=True)
-class Case:
-    """One method at one setting: its errors [m], and a run of `span` [s] to time."""
-
-    method: str
-    setting: str
-    errors: list[float]
-    run: Callable[[], object]
-    span: float
+Setting = tuple[str, str, list[float], Callable[[], object], float]
+"""Method, its setting, its errors [m], and a run of so many seconds to time."""
 
 
 def error_rows(quick: bool) -> list[dict[str, Any]]:
     """Error of the travel of one part after 1 s, and speed, by setting."""
-    steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
-    tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
-    repeats = 2 if quick else 5
     rows = []
     for gamma, exact in EXACT_M.items():
-        scene = alike(gamma, 1)
-        cases = [by_events(scene, tolerance, exact) for tolerance in tolerances]
-        for step_ms in steps_ms:
-            cases.append(in_steps(scene, step_ms, exact, repeats))
-            cases.append(in_pymunk(scene, step_ms, exact, repeats))
-            if step_ms >= MUJOCO_LEAST_MS:
-                cases.append(in_mujoco(scene, step_ms, exact))
-        for case in cases:
-            timed = race({"": case.run}, 0.1 if quick else 0.4)
+        for method, setting, errors, run, span in settings(alike(gamma, 1), exact, quick):
+            timed = race({"": run}, 0.1 if quick else 0.4)
             rows.append(
                 {
-                    "method": case.method, "gamma": gamma, "setting": case.setting,
-                    "error_mm": 1e3 * rms(case.errors),
-                    "error_percent": 100 * rms(case.errors) / exact,
-                    "speed": case.span / timed.median(""),
+                    "method": method, "gamma": gamma, "setting": setting,
+                    "error_mm": 1e3 * rms(errors), "error_percent": 100 * rms(errors) / exact,
+                    "speed": span / timed.median(""),
                 }
             )  # fmt: skip
     return rows
 
 
-def by_events(scene: Scene, tolerance: float, exact: float) -> Case:
-    """Return plate_sim's integrator by events."""
-    error = scene.travel(tolerance)[0, 0] - exact
-    return Case(EVENTS, f"{tolerance:g} m", [error], lambda: scene.travel(tolerance), SPAN)
-
-
-def in_steps(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
-    """Return plate_sim's model of parts."""
-    first = step_count(step_ms)
-    steps = [1 / FREQUENCY / (first + i) for i in range(repeats)]
-    errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
-    return Case(STEPS, f"{step_ms:g} ms", errors, partial(scene.travel_in_steps, steps[0]), SPAN)
-
-
-def in_pymunk(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
-    """Return pymunk, which may take the plate's velocity where it serves it best."""
-    first = CYCLES * step_count(step_ms)
-    errors = [
-        [peer_travel(scene, SPAN / (first + 3 * i), offset)[0, 0] - exact for i in range(repeats)]
-        for offset in (0.5, 1.0)
-    ]
-    run = peer_scene(scene, 1e-3 * step_ms, PEER_SPAN).run
-    return Case(PYMUNK, f"{step_ms:g} ms", min(errors, key=rms), run, PEER_SPAN)
-
-
-def in_mujoco(scene: Scene, step_ms: float, exact: float) -> Case:
-    """Return MuJoCo, in the plate's frame under a shaken gravity."""
-    long, short = (
-        MujocoScene(scene.cycle, 1e-3 * step_ms, span, scene.position, MU)
-        for span in (SPAN, PEER_SPAN)
-    )
-    error = long.run()[0, 0] - scene.position[0, 0] - exact
-    return Case(MUJOCO, f"{step_ms:g} ms", [error], short.run, PEER_SPAN)
+def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
+    """Yield every method at each of its settings, judged by the exact travel [m]."""
+    steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
+    tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
+    repeats = range(2 if quick else 5)
+    for tolerance in tolerances:
+        run = partial(scene.travel, tolerance)
+        yield EVENTS, f"{tolerance:g} m", [run()[0, 0] - exact], run, SPAN
+    for step_ms in steps_ms:
+        name, dt, count = f"{step_ms:g} ms", 1e-3 * step_ms, step_count(step_ms)
+        steps = [1 / FREQUENCY / (count + i) for i in repeats]
+        errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
+        yield STEPS, name, errors, partial(scene.travel_in_steps, steps[0]), SPAN
+        if optional(PYMUNK):  # it may take the plate's velocity where it serves it best
+            spans = [SPAN / (CYCLES * count + 3 * i) for i in repeats]
+            both = [
+                [peer_travel(scene, span, offset)[0, 0] - exact for span in spans]
+                for offset in (0.5, 1.0)
+            ]
+            peer = peer_scene(scene, dt, PEER_SPAN)
+            yield PYMUNK, name, min(both, key=rms), peer.run, PEER_SPAN
+        if optional("mujoco") and step_ms >= MUJOCO_LEAST_MS:
+            long, short = (
+                MujocoScene(scene.cycle, dt, span, scene.position, MU) for span in (SPAN, PEER_SPAN)
+            )
+            error = long.run()[0, 0] - scene.position[0, 0] - exact
+            yield MUJOCO, name, [error], short.run, PEER_SPAN
 
 
 def speed_rows(quick: bool) -> list[dict[str, Any]]:
     """Speed at the peer's error by number of parts, which move all ways."""
-    rows = []
-    for count in (1, 10, 100):
-        scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
-        truth = scene.travel(1e-11)
-        error = min(rms(peer_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))
-        ours = partial(scene.travel, loosest(scene, truth, error))
-        run = peer_scene(scene, dt, PEER_SPAN)
-        timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
-        rows.append({"parts": count, "lead": SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)})
-    return rows
+    counts, there = (1, 10, 100), optional(PYMUNK)
+    return [{"parts": count, "lead": lead(count, quick) if there else None} for count in counts]
+
+
+def lead(count: int, quick: bool) -> float:
+    """How many times as fast we are as pymunk, at its error."""
+    scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
+    truth = scene.travel(1e-11)
+    error = min(rms(peer_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))
+    ours = partial(scene.travel, loosest(scene, truth, error))
+    run = peer_scene(scene, dt, PEER_SPAN)
+    timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
+    return SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)
 
 
 def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> float:
@@ -203,11 +183,12 @@ def cost_rows(quick: bool) -> list[dict[str, Any]]:
         contestants: dict[str, Callable[[], object]] = {
             EVENTS: partial(scene.travel, TOLERANCE),
             STEPS: partial(run_world, scene.cycle, scene.position),
-            PYMUNK: peer_scene(scene, 1e-3, PEER_SPAN).run,
         }
+        if optional(PYMUNK):
+            contestants[PYMUNK] = peer_scene(scene, 1e-3, PEER_SPAN).run
         spans = {EVENTS: SPAN, STEPS: 3 / FREQUENCY, PYMUNK: PEER_SPAN}
         timed = race(contestants, 0.3 if quick else 1.5)
-        rows.append({"parts": count} | {n: span / timed.median(n) for n, span in spans.items()})
+        rows.append({"parts": count} | {n: spans[n] / timed.median(n) for n in contestants})
     return rows
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import LEAST_ROUNDS, Table, cpu_time, peer
+from harness import LEAST_ROUNDS, Table, cpu_time, optional
 from plate_core import load_rig
 from plate_sim import BodyTrajectory, Contacts, simulate_bodies
 from plate_sim.friction import disc
@@ -77,9 +77,10 @@ class PymunkTray(PymunkScene):
     """The tray in pymunk."""
 
     def __init__(self, tray: Scene, dt: float) -> None:
+        import pymunk
+
         super().__init__(tray.cycle, dt, SPAN, tray.position, MU_G, tray.velocity, RADIUS)
         self.space.collision_slop = SLOP
-        pymunk = peer("pymunk")
         x, y = HALF + THICK
         for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             ends = [(i * x + k * j * x, j * y + k * i * y) for k in (-1, 1)]
@@ -138,8 +139,10 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
         ),
     }  # fmt: skip
     cases = [(OURS, n) for n in dict.fromkeys((*steps, own))]
-    cases += [(PYMUNK, n) for n in steps[::2]]
-    cases += [(MUJOCO, n) for n in steps[:1] if len(tray.position) <= MUJOCO_MOST]
+    cases += [(PYMUNK, n) for n in steps[::2] if optional(PYMUNK)]
+    cases += [
+        (MUJOCO, n) for n in steps[:1] if optional("mujoco") and len(tray.position) <= MUJOCO_MOST
+    ]
 
     def trace(name: str, n: int) -> np.ndarray:
         return our_trace(tray, n) if name == OURS else np.asarray(build[name](n).trace())

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time, peer
+from harness import Result, Table, cpu_time, missing, optional
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
@@ -61,7 +61,7 @@ def measure(quick: bool) -> Result:
         "one after the other, with each image, so that each finds the caches full of "
         "what the others left."
     )
-    return Result([Table("vision", title, columns, rows, note)])
+    return Result([Table("vision", title, columns, rows, note)], missing("skimage"))
 
 
 def make_finders(rig: Rig) -> dict[str, Finder]:
@@ -111,7 +111,7 @@ def make_finders(rig: Rig) -> dict[str, Finder]:
         tops = (depth > 0.6 * radius).astype(np.uint8)
         return np.asarray(cv2.connectedComponentsWithStats(tops)[3][1:])
 
-    inner, skimage = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0, peer("skimage.measure")
+    inner, skimage = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0, optional("skimage.measure")
 
     def regions(image: np.ndarray) -> np.ndarray:
         parts = skimage.regionprops(skimage.label((image < THRESHOLD) & inner))
@@ -123,7 +123,7 @@ def make_finders(rig: Rig) -> dict[str, Finder]:
         "SimpleBlobDetector": blobs,
         "HoughCircles": hough,
         "distance transform": peaks,
-        "skimage regionprops": regions,
+        **({"skimage regionprops": regions} if skimage else {}),
     }
 
 

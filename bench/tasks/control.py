@@ -5,6 +5,8 @@ The whole loop: image noise, friction uneven by 10 %.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from harness import Cache, Result, Table
 from plate_bringup.loop import Setup
 from plate_core import load_rig
@@ -41,7 +43,7 @@ def measure(quick: bool) -> Result:
         for method, efforts in EFFORTS.items():
             for effort in efforts[::2] if quick else efforts:
                 words = {key: str(n) for key, n in effort.items()}
-                settings = {"method": method, **UNEVEN, **words}
+                settings: Mapping[str, str] = {"method": method, **UNEVEN, **words}
                 loops = [(Setup(scenario, seed), settings, rig) for seed in seeds]
                 cases[scenario, method, str(effort)] = loops
                 rows.append({"scenario": scenario, "method": method, "default": not effort})

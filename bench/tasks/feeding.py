@@ -105,7 +105,7 @@ def measure(quick: bool) -> Result:
         for method in METHODS
     }
     found = by_case(run_case, work, Cache.of(__name__))
-    rows = [row(*kept, runs) for (*kept, _), runs in found.items()]
+    rows = [row(changed, case, method, runs) for (changed, case, method, _), runs in found.items()]
     note = (
         f"{time_s:g} s of production from an almost empty plate, seeds {seeds[0]} to {seeds[-1]}; "
         "means over the runs, errors over all picks' median, 95 % and worst. Waiting: since the "
