@@ -66,9 +66,12 @@ def resumed(
 
 
 def by_case(
-    run: Callable[..., Any], cases: Mapping[Any, Sequence[tuple]], cache: Cache
+    run: Callable[..., Any],
+    cases: Mapping[Any, Sequence[tuple]],
+    cache: Cache,
+    workers: int | None = None,
 ) -> dict[Any, list[Any]]:
-    """Return run(*item) of every item of every case, by case, on all cores.
+    """Return run(*item) of every item of every case, by case, on all cores if not told.
 
     Parameters
     ----------
@@ -78,6 +81,6 @@ def by_case(
         What the case is, its text being the key in the cache -> arguments of its runs.
     """
     work = {f"{case} {k}": item for case, items in cases.items() for k, item in enumerate(items)}
-    with processes() as pool:
+    with processes(workers) as pool:
         found = iter(resumed(pool, run, work, cache))
     return {case: [next(found) for _ in items] for case, items in cases.items()}

@@ -15,6 +15,7 @@ from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, Status, average_force
 from stages.scenes import targets
 from stages.solver import TOLERANCE
+from tasks.runs import median
 
 SEED = 30_000
 """First seed of the requests; the number of parts and harmonics is added."""
@@ -47,29 +48,24 @@ def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
     solver = SinusoidSolver(rig, harmonics=number)
     thorough = SinusoidSolver(rig, harmonics=number, restarts=TEN_TIMES)
     rng = np.random.default_rng(SEED + 100 * parts + number)
-    solved = more = proven = wrong = 0
-    times, shares = [], []
+    answers, more, wrong, times = [], 0, 0, []
     for position, force in targets(rig, parts, count, rng):
         solver.reset()
         began = cpu_time()
         answer = solver.solve(position, force)
         times.append(1e3 * (cpu_time() - began))
+        answers.append(answer)
         error = np.max(np.abs(average_force(answer.cycle, position) - force))
-        solved += answer.success
         wrong += answer.success and bool(error > TOLERANCE)
-        proven += answer.status is Status.UNREACHABLE
         if not answer.success:
-            shares.append(answer.fraction)
             thorough.reset()
             more += thorough.solve(position, force).success
-    chosen = solver.harmonics(2 * parts)
+    solved = sum(answer.success for answer in answers)
+    proven = sum(answer.status is Status.UNREACHABLE for answer in answers)
     return {
-        "parts": parts,
-        "harmonics": number or f"({chosen})",
-        "solved": 100 * solved / count,
-        "more": 100 * (solved + more) / count,
-        "proven": 100 * proven / count,
-        "wrong": int(wrong),
-        "share": float(np.median(shares)) if shares else None,
-        "median_ms": float(np.median(times)),
-    }
+        "parts": parts, "harmonics": number or f"({solver.harmonics(2 * parts)})",
+        "solved": 100 * solved / count, "more": 100 * (solved + more) / count,
+        "proven": 100 * proven / count, "wrong": int(wrong),
+        "share": median([answer.fraction for answer in answers if not answer.success]),
+        "median_ms": median(times),
+    }  # fmt: skip

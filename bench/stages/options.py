@@ -72,31 +72,25 @@ def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
     """Run all contestants with one number of parts; the first request is not counted."""
     rng = np.random.default_rng(SEED + parts)
     runners = contestants(rig, parts)
-    ms: dict[tuple[str, str], list[float]] = {key: [] for key in runners}
-    missed: dict[tuple[str, str], list[float]] = {key: [] for key in runners}
-    asked = []
-    for index in range(count + 1):
-        goal = request(rig, parts, rng)
-        asked.append(float(np.mean((goal.displacement / period_of(parts)) ** 2)))
+    goals = [request(rig, parts, rng) for _ in range(count + 1)]
+    asked = [np.mean((goal.displacement / period_of(parts)) ** 2) for goal in goals[1:]]
+    found: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in runners}
+    for goal in goals:
         for key, run in runners.items():
             began = cpu_time()
             cycle = run(goal)
-            seconds = cpu_time() - began
-            if index:
-                ms[key].append(1e3 * seconds)
-                missed[key].append(miss(rig, goal, cycle))
-    del asked[0]
-    return [
-        {
-            "parts": parts, "method": key[0], "option": key[1],
-            "default": is_default(*key),
-            "median_ms": float(np.median(ms[key])), "p99_ms": float(np.percentile(ms[key], 99)),
-            "missed_percent": 100 * float(np.sqrt(np.mean(missed[key]) / np.mean(asked))),
-            "worst_percent": 100 * float(np.sqrt(np.max(np.divide(missed[key], asked)))),
-            "runs": count,
-        }
-        for key in runners
-    ]  # fmt: skip
+            found[key].append((1e3 * (cpu_time() - began), miss(rig, goal, cycle)))
+    rows = []
+    for (method, option), pairs in found.items():
+        ms, missed = np.array(pairs[1:]).T
+        rows.append({
+            "parts": parts, "method": method, "option": option, "runs": count,
+            "default": is_default(method, option),
+            "median_ms": np.median(ms), "p99_ms": np.percentile(ms, 99),
+            "missed_percent": 100 * np.sqrt(np.mean(missed) / np.mean(asked)),
+            "worst_percent": 100 * np.sqrt(np.max(missed / asked)),
+        })  # fmt: skip
+    return rows
 
 
 def is_default(method: str, option: str) -> bool:

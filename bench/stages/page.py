@@ -47,20 +47,14 @@ def measure(quick: bool) -> Result:
     with TemporaryDirectory() as logs:
         found, shares = measured(quick, Path(logs))
     rows = [row(name, found[name], shares[name]) for name in CONDITIONS]
-    without = rows[0]
-    return Result(
-        [
-            Table(
-                "page", f"Scenario {SCENARIO}, image to setpoints, by who looks on",
-                {
-                    "browsers": "who looks on", "median": "median [ms]", "p99": "99 % [ms]",
-                    "ratio": "ratio of medians", "held": "repeated cycles", "late": "late cycles",
-                    "images": "images", "cpu": "page: share of a core [%]",
-                },
-                [{**r, "ratio": r["median"] / without["median"]} for r in rows],
-            ),
-        ],
-    )  # fmt: skip
+    columns = {
+        "browsers": "who looks on", "median": "median [ms]", "p99": "99 % [ms]",
+        "ratio": "ratio of medians", "held": "repeated cycles", "late": "late cycles",
+        "images": "images", "cpu": "page: share of a core [%]",
+    }  # fmt: skip
+    compared = [{**r, "ratio": r["median"] / rows[0]["median"]} for r in rows]
+    title = f"Scenario {SCENARIO}, image to setpoints, by who looks on"
+    return Result([Table("page", title, columns, compared)])
 
 
 def row(name: str, tasks: list[Any], share: list[float]) -> dict[str, Any]:

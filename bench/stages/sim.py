@@ -40,51 +40,31 @@ SPACING_M = 0.02
 
 def measure(quick: bool) -> Result:
     """Measure error by setting, speed at the peer's error, colliding discs, and cost."""
-    return Result(
-        [
-            Table(
-                "error",
-                "Error of one part's travel after 1 s, and speed",
-                {
-                    "method": "method", "gamma": "peak accel / mu g", "setting": "setting",
-                    "error_mm": "error [mm]", "error_percent": "error [%]",
-                    "speed": "simulated s per s",
-                },
-                error_rows(quick),
-                "In steps: root mean square over neighbouring steps, as the error of a single one "
-                "depends on where the steps fall.",
-            ),
-            Table(
-                "speed",
-                f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
-                {"parts": "parts", "lead": "times as fast as pymunk"},
-                speed_rows(quick),
-                "Error: root mean square over the parts.",
-            ),
-            Table(
-                "cost",
-                "Cost by number of parts, 20 mu g, default settings",
-                {
-                    "parts": "parts", EVENTS: "by events [s/s]", STEPS: "in steps [s/s]",
-                    PYMUNK: "pymunk, 1 ms [s/s]",
-                },
-                cost_rows(quick),
-                f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
-            ),
-            tray_table(quick),
-        ],
-        missing(PYMUNK, "mujoco"),
+    error = Table(
+        "error", "Error of one part's travel after 1 s, and speed",
+        {"method": "method", "gamma": "peak accel / mu g", "setting": "setting",
+         "error_mm": "error [mm]", "error_percent": "error [%]", "speed": "simulated s per s"},
+        error_rows(quick),
+        "In steps: root mean square over neighbouring steps, as the error of a single one depends "
+        "on where the steps fall.",
     )  # fmt: skip
+    speed = Table(
+        "speed", f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
+        {"parts": "parts", "lead": "times as fast as pymunk"},
+        speed_rows(quick), "Error: root mean square over the parts.",
+    )  # fmt: skip
+    cost = Table(
+        "cost", "Cost by number of parts, 20 mu g, default settings",
+        {"parts": "parts", EVENTS: "by events [s/s]", STEPS: "in steps [s/s]",
+         PYMUNK: "pymunk, 1 ms [s/s]"},
+        cost_rows(quick), f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
+    )  # fmt: skip
+    return Result([error, speed, cost, tray_table(quick)], missing(PYMUNK, "mujoco"))
 
 
 def rms(values: Any) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def step_count(step_ms: float) -> int:
-    """Steps in one cycle, as near to the wanted step as they fit."""
-    return max(1, round(1e3 / FREQUENCY / step_ms))
 
 
 def peer_scene(scene: Scene, dt: float, span: float, offset: float = 0.5) -> PymunkScene:
@@ -126,7 +106,8 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
         run = partial(scene.travel, tolerance)
         yield EVENTS, f"{tolerance:g} m", [run()[0, 0] - exact], run, SPAN
     for step_ms in steps_ms:
-        name, dt, count = f"{step_ms:g} ms", 1e-3 * step_ms, step_count(step_ms)
+        name, dt = f"{step_ms:g} ms", 1e-3 * step_ms
+        count = max(1, round(1 / FREQUENCY / dt))  # in a cycle, as near as they fit
         steps = [1 / FREQUENCY / (count + i) for i in repeats]
         errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
         yield STEPS, name, errors, partial(scene.travel_in_steps, steps[0]), SPAN

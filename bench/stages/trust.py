@@ -61,6 +61,9 @@ WORLDS: tuple[dict[str, float], ...] = (
 )  # fmt: skip
 """Laws of friction in which tasks are run; loop and planner believe the first."""
 
+LEFT = ("effect", "formula", "assumed", "size")
+"""What is told of what is left out."""
+
 DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
 """Of a steel part [kg/m3]; of an aluminium plate [Pa], [kg/m3], [-]."""
 
@@ -84,40 +87,23 @@ PRESLIDING_M = 1e-6
 def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate what is left out."""
     there = [method for peer, method in PEERS if optional(peer)]
-    return Result(
-        [
-            Table(
-                "creep",
-                "Drift in the plate of a part that friction holds",
-                {
-                    "method": "method", "step_ms": "step [ms]",
-                    **{scene: f"{scene} [um]" for scene in RIDES},
-                },
-                creep_rows([*OURS, *there], 0.5 if quick else CREEP_S),
-                f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and "
-                "solimp.",
-            ),
-            Table(
-                "left_out",
-                "What is not modelled, and how large it is",
-                {
-                    "effect": "effect", "formula": "formula", "assumed": "assumed", "size": "size",
-                },
-                left_out(load_rig()),
-                "The default rig: `config/rig.yaml`.",
-            ),
-            Table(
-                "worlds",
-                "Tasks under laws of friction that the loop does not know",
-                {
-                    "world": "world", "scenario": "scenario", "runs": "runs", "good": "done",
-                    "dropped": "parts lost", "time_s": "time, median [s]",
-                },
-                world_rows(1 if quick else 3),
-                "Seeds 0, 1, 2, Method B.",
-            ),
-        ], missing("pymunk", "mujoco"),
+    creep = Table(
+        "creep", "Drift in the plate of a part that friction holds",
+        {"method": "method", "step_ms": "step [ms]", **{one: f"{one} [um]" for one in RIDES}},
+        creep_rows([*OURS, *there], 0.5 if quick else CREEP_S),
+        f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and solimp.",
     )  # fmt: skip
+    effects = Table(
+        "left_out", "What is not modelled, and how large it is", dict(zip(LEFT, LEFT, strict=True)),
+        left_out(load_rig()), "The default rig: `config/rig.yaml`.",
+    )  # fmt: skip
+    worlds = Table(
+        "worlds", "Tasks under laws of friction that the loop does not know",
+        {"world": "world", "scenario": "scenario", "runs": "runs", "good": "done",
+         "dropped": "parts lost", "time_s": "time, median [s]"},
+        world_rows(1 if quick else 3), "Seeds 0, 1, 2, Method B.",
+    )  # fmt: skip
+    return Result([creep, effects, worlds], missing("pymunk", "mujoco"))
 
 
 def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:
@@ -254,7 +240,7 @@ def left_out(rig: Rig) -> list[dict[str, str]]:
         ("wear of a part", "k m g s t/(H A)", "k = 1e-4, H = 1 GPa, an hour",
          f"{1e6 * WEAR * m * g * s * 3600 / (HARDNESS * area):.2f} um"),
     ]  # fmt: skip
-    return [dict(zip(("effect", "formula", "assumed", "size"), row, strict=True)) for row in rows]
+    return [dict(zip(LEFT, row, strict=True)) for row in rows]
 
 
 def percent(share: float) -> str:

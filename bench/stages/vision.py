@@ -174,7 +174,7 @@ def scene_rows(
 def timed(
     finders: dict[str, Finder], images: list[np.ndarray], rounds: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the times (rounds * images,) [s] of every method: in a loop of its own, and in turns
+    """Return the times (rounds, images) [s] of every method: in a loop of its own, and in turns
     with the others."""
 
     def seconds(find: Finder, image: np.ndarray) -> float:
@@ -182,19 +182,16 @@ def timed(
         find(image)
         return cpu_time() - began
 
-    loop: dict[str, list[float]] = {name: [] for name in finders}
-    turns: dict[str, list[float]] = {name: [] for name in finders}
-    for _ in range(rounds):
+    loop = {name: np.empty((rounds, len(images))) for name in finders}
+    turns = {name: np.empty((rounds, len(images))) for name in finders}
+    for k in range(rounds):
         for name, find in finders.items():
             find(images[0])
-            loop[name] += [seconds(find, image) for image in images]
-        for image in images:
+            loop[name][k] = [seconds(find, image) for image in images]
+        for i, image in enumerate(images):
             for name, find in finders.items():
-                turns[name].append(seconds(find, image))
-    return (
-        {name: np.array(times) for name, times in loop.items()},
-        {name: np.array(times) for name, times in turns.items()},
-    )
+                turns[name][k, i] = seconds(find, image)
+    return loop, turns
 
 
 def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np.ndarray:

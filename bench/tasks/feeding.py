@@ -136,13 +136,11 @@ def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any
 def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Sum up the runs of a case."""
 
-    def mean(values: list[float]) -> float:
-        there = [v for v in values if v is not None and np.isfinite(v)]
-        return float(np.mean(there)) if there else np.nan
+    def finite(values: list[float]) -> list[float]:
+        return [v for v in values if v is not None and np.isfinite(v)] or [np.nan]
 
-    def most(values: list[float]) -> float:
-        there = [v for v in values if v is not None and np.isfinite(v)]
-        return max(there, default=np.nan)
+    def mean(values: list[float]) -> float:
+        return float(np.mean(finite(values)))
 
     return {
         "changed": changed, "kind": case.kind, "fill": case.fill,
@@ -153,14 +151,14 @@ def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> di
         "parts_per_min": mean([r["parts_per_min"] for r in runs]),
         "least_per_min": min(r["parts_per_min"] for r in runs),
         "waiting": 100 * mean([r["waiting"] for r in runs]),
-        "most_waiting": 100 * most([r["waiting"] for r in runs]),
+        "most_waiting": 100 * max(finite([r["waiting"] for r in runs])),
         "first_s": mean([r["first_s"] for r in runs]),
         "failed": sum(r["failed"] for r in runs), "lost": sum(r["lost"] for r in runs),
         "error_mm": mean([r["error_mm"][0] for r in runs]),
         "error_95_mm": mean([r["error_mm"][1] for r in runs]),
-        "error_most_mm": most([r["error_mm"][2] for r in runs]),
+        "error_most_mm": max(finite([r["error_mm"][2] for r in runs])),
         "turn_95_deg": mean([r["error_deg"][1] for r in runs]),
-        "turn_most_deg": most([r["error_deg"][2] for r in runs]),
+        "turn_most_deg": max(finite([r["error_deg"][2] for r in runs])),
         "cpu": 100 * mean([r["cpu"] for r in runs]) if method == "ours" else None,
     }  # fmt: skip
 
