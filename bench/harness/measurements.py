@@ -61,14 +61,14 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
             + f"] {name:12s} ",
             end="", flush=True,
         )  # fmt: skip
-        start, code = time.perf_counter(), code_of(MEASUREMENTS[name])
+        code = code_of(MEASUREMENTS[name])
         try:
             module = importlib.import_module(MEASUREMENTS[name])
             about = f"{module.__doc__}".partition("\n")[0].removesuffix(".")
             print(f"{about} ... ", end="", flush=True)
             if quiet:
                 await_quiet()
-                start = time.perf_counter()
+            start = time.perf_counter()
             result = module.measure(quick)
         except Exception:  # whatever it is, the others are still measured
             print("failed", flush=True)

@@ -66,11 +66,9 @@ def resumed(
 
 
 def by_case(
-    run: Callable[..., Any],
-    cases: Mapping[Any, Sequence[tuple]],
-    cache: Cache,
+    run: Callable[..., Any], cases: Mapping[Any, Sequence[tuple]], cache: Cache,
     workers: int | None = None,
-) -> dict[Any, list[Any]]:
+) -> dict[Any, list[Any]]:  # fmt: skip
     """Return run(*item) of every item of every case, by case, on all cores if not told.
 
     Parameters

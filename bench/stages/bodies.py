@@ -7,7 +7,6 @@ midpoints of many cells; as peers the same equations with fewer cells and looser
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -40,7 +39,18 @@ OURS, PEER = "bodies", "scipy RK45"
 
 def measure(quick: bool) -> Result:
     """Run the disc at several settings of both."""
-    rows = disc_rows(quick)
+    truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
+    cases = [(OURS, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
+    for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
+        run = partial(by_scipy, PEER_CELLS, "RK45", tolerance)
+        cases.append((PEER, f"rtol {tolerance:g}", run))
+    rows = [
+        {
+            "method": method, "setting": setting, "error_mm": 1e3 * apart(run(), truth),
+            "speed": CYCLES / FREQUENCY / race({"": run}, 0.1).median(""),
+        }
+        for method, setting, run in cases
+    ]  # fmt: skip
     title = f"Centre and rim of the disc after {CYCLES / FREQUENCY:g} s"
     columns = {
         "method": "method", "setting": "setting", "error_mm": "error [mm]",
@@ -51,22 +61,6 @@ def measure(quick: bool) -> Result:
         "with 1152 cells."
     )
     return Result([Table("bodies", title, columns, rows, note)])
-
-
-def disc_rows(quick: bool) -> list[dict[str, Any]]:
-    """Return error and speed of the disc at several settings."""
-    truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
-    cases = [(OURS, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
-    for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
-        run = partial(by_scipy, PEER_CELLS, "RK45", tolerance)
-        cases.append((PEER, f"rtol {tolerance:g}", run))
-    return [
-        {
-            "method": method, "setting": setting, "error_mm": 1e3 * apart(run(), truth),
-            "speed": CYCLES / FREQUENCY / race({"": run}, 0.1).median(""),
-        }
-        for method, setting, run in cases
-    ]  # fmt: skip
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:

@@ -316,13 +316,9 @@ def draw(
 
 
 def shine(
-    paint: np.ndarray,
-    cover: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    part: Part,
+    paint: np.ndarray, cover: np.ndarray, x: np.ndarray, y: np.ndarray, part: Part,
     rng: np.random.Generator,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the colours (h, w, 3) of a part with a white spot of 2 to 5 % of its area on it."""
     rows, columns = np.nonzero(cover > 0.99)
     spot = rng.integers(len(rows))

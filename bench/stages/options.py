@@ -49,9 +49,8 @@ Contestant = Callable[[Goal], PlateCycle]
 def measure(quick: bool) -> Result:
     """Let all methods meet the same requests, in turns."""
     rig = load_rig()
-    rows = []
-    for parts, count in ({2: 2, 10: 1} if quick else CASES).items():
-        rows += rows_of(rig, parts, count)
+    cases = {2: 2, 10: 1} if quick else CASES
+    rows = [row for parts, count in cases.items() for row in rows_of(rig, parts, count)]
     title = f"Random drifts up to {1e3 * DRIFT:g} mm/s along each axis, from a cold start"
     columns = {
         "parts": "parts M", "method": "method", "option": "option",

@@ -43,7 +43,7 @@ GOAL_PERCENT = (98, 99)
 OURS, TAUGHT = METHODS = "find_patches", "find_types"
 
 SEEN = np.dtype([("x_px", "f8"), ("y_px", "f8"), ("label", "U32"), ("whole", "?")])
-"""What a method says of a part; the label is empty if it knows no types."""
+"""What is read of a sighting; the label is empty if the method knows no types."""
 
 
 @dataclass
@@ -82,9 +82,8 @@ class Tally:
 def measure(quick: bool) -> Result:
     """Measure all kinds of scenes."""
     cv2.setNumThreads(1)
-    rows: list[dict[str, Any]] = []
-    for kind in kinds():
-        rows += kind_rows(kind, QUICK_SCENES if quick else SCENES)
+    count = QUICK_SCENES if quick else SCENES
+    rows = [row for kind in kinds() for row in kind_rows(kind, count)]
     title = (
         f"{PARTS} parts of any outline in hostile scenes, {SIZE_PX[0]} x {SIZE_PX[1]} px, "
         "the bare plate known"
@@ -162,12 +161,7 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
 
 
 def as_seen(found: list[Patch] | np.ndarray) -> np.ndarray:
-    """Return sightings (n,) SIGHTING, or patches, as (n,) SEEN."""
-    seen = np.zeros(len(found), SEEN)
+    """Return sightings (n,) as they are, patches as (n,) SEEN."""
     if isinstance(found, np.ndarray):
-        for name in SEEN.names or ():
-            seen[name] = found[name]
-        return seen
-    for k, patch in enumerate(found):
-        seen[k] = (*patch.centre_px, GROUP if patch.group else "", patch.whole)
-    return seen
+        return found
+    return np.array([(*p.centre_px, GROUP if p.group else "", p.whole) for p in found], SEEN)

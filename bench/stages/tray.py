@@ -107,21 +107,19 @@ def overlap(path: np.ndarray) -> float:
 
 def tray_table(quick: bool) -> Table:
     """Measure speed and overlap in the tray, by number of discs and step."""
+    columns = {
+        "parts": "parts", "method": "method", "step_ms": "step [ms]",
+        "speed": "simulated s per s", "overlap_um": "deepest overlap [um]",
+    }  # fmt: skip
+    counts = (10, 100) if quick else GRIDS
+    rows = [row for count in counts for row in disc_rows(shaken(count), quick)]
+    note = (
+        "1 s; discs are thrown together and come to rest in heaps. Overlap: deepest at any step. "
+        "Pymunk with 10 iterations and a slop of 0.01 mm."
+    )
     return Table(
-        "discs",
-        "Colliding discs in a shaken tray: speed, and overlap",
-        {
-            "parts": "parts", "method": "method", "step_ms": "step [ms]",
-            "speed": "simulated s per s", "overlap_um": "deepest overlap [um]",
-        },
-        [
-            row
-            for count in ((10, 100) if quick else GRIDS)
-            for row in disc_rows(shaken(count), quick)
-        ],
-        "1 s; discs are thrown together and come to rest in heaps. Overlap: deepest at any "
-        "step. Pymunk with 10 iterations and a slop of 0.01 mm.",
-    )  # fmt: skip
+        "discs", "Colliding discs in a shaken tray: speed, and overlap", columns, rows, note
+    )
 
 
 def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:

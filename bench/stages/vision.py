@@ -40,10 +40,8 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     cv2.setNumThreads(1)
     finders = make_finders(rig)
-    rows = []
-    for count in (10, 100):
-        for touching in (False, True):
-            rows += scene_rows(rig, finders, count, touching, quick)
+    scenes = [(count, touching) for count in (10, 100) for touching in (False, True)]
+    rows = [row for scene in scenes for row in scene_rows(rig, finders, *scene, quick)]
     title = f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise"
     columns = {
         "discs": "discs", "place": "place", "method": "method",

@@ -114,15 +114,13 @@ def measure(quick: bool) -> Result:
         "put back by the hopper; a rim would have kept the peer's. Window: 310 x 240 mm, of nuts "
         "and bars 300 x 220, where no side is given."
     )
-    columns = {"case": "", "ours": "part by part", "vibrated": "shaken in the plane",
-               "thrown": "thrown anew (idealised)"}  # fmt: skip
-    return Result(
-        [
-            Table("feeding", "A feeder in production", COLUMNS, rows, note),
-            Table("by_case", "Parts a minute, and share of time that the robot waits", columns,
-                  side_by_side(rows), note),
-        ],
-    )  # fmt: skip
+    columns = {
+        "case": "", "ours": "part by part", "vibrated": "shaken in the plane",
+        "thrown": "thrown anew (idealised)",
+    }  # fmt: skip
+    title = "Parts a minute, and share of time that the robot waits"
+    every = Table("feeding", "A feeder in production", COLUMNS, rows, note)
+    return Result([every, Table("by_case", title, columns, side_by_side(rows), note)])
 
 
 def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any]:

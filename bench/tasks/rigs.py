@@ -71,12 +71,9 @@ def measure(quick: bool) -> Result:
         f"Seeds {seeds[0]} to {seeds[-1]}, friction uneven by 10 % between parts and over the "
         "plate; time is simulated. A rig is the default one but for what its name says."
     )
-    return Result(
-        [
-            Table("rigs", "Small and weak rigs", COLUMNS, rows, note),
-            Table("by_rig", "Small and weak rigs", BY_RIG, by_rig(rows), note),
-        ],
-    )
+    title = "Small and weak rigs"
+    every = Table("rigs", title, COLUMNS, rows, note)
+    return Result([every, Table("by_rig", title, BY_RIG, by_rig(rows), note)])
 
 
 def rigs() -> dict[str, Rig]:
