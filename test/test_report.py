@@ -84,18 +84,20 @@ def chart():
     """A chart with a panel of every kind: points and a front, bars, a field with a line on it."""
     from report.axis import Axis
     from report.chart import Chart, Sheet
-    from report.panels import Panels
+    from report.panels import Look, Panels
 
     x, y, panels = Axis("x [m]", log=True), Axis("y [s]"), Panels()
     first = panels.add("points", x, y, "less less")
-    first.points("some", [1.0, 10.0, 100.0], [3.0, None, 1.0], marker="D", line="--")
+    some = [{"x": 1.0, "y": 3.0}, {"x": 10.0, "y": None}, {"x": 100.0, "y": 1.0}]
+    first.points(some, "x", "y", Look("some", marker="D", line="--"))
     first.rule("wanted", x=20.0)
     first.rule("limit", y=2.0)
     first.mark(1.0, 3.0)
     panels.add("bars", y, Axis("", names=("b", "a"))).bars("bars", [1.0, 2.0], ["a", "b"])
     field = panels.add("field", y, y)
-    field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success")
-    field.points("theory", [1.0, 3.0], [2.0, 5.0], marker="", line="-", in_front=False)
+    field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success", (0, 1))
+    theory = [{"x": 1.0, "y": 2.0}, {"x": 3.0, "y": 5.0}]
+    field.points(theory, "x", "y", Look("theory", marker="", line="-"), in_front=False)
     sheet = Sheet([{"x": 1}])
     return Chart("one", "a", "Title </script>", "reading", "finding", "why", panels, sheet)
 
@@ -289,10 +291,11 @@ def test_the_front_is_a_staircase_along_what_nobody_beats():
 
 def test_no_front_goes_through_what_does_not_count():
     from report.axis import Axis
-    from report.panels import Panels
+    from report.panels import Look, Panels
 
     panel = Panels().add("", Axis(""), Axis(""), "less less")
-    panel.points("", [1, 2, 3], [1, 3, 2], hollow=[True, False, False])
+    rows = [{"x": 1, "y": 1}, {"x": 2, "y": 3}, {"x": 3, "y": 2}]
+    panel.points(rows, "x", "y", Look(""), hollow=lambda row: row["x"] == 1)
     [front] = panel.front()
     assert list(zip(front.x, front.y, strict=True)) == [(2, 3), (3, 3), (3, 2)]
 

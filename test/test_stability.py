@@ -6,7 +6,7 @@ import pytest
 from harness import Cache
 from maps import gamma, harmonics, latency, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
-from maps.stability import MAPS, grids, nearness, sample
+from maps.stability import MAPS, grids, nearness
 from plate_core import PlateCycle, load_rig
 from plate_solver.rotations import Library
 
@@ -136,7 +136,7 @@ def test_the_chart_of_a_map_has_its_border_and_the_theory_in_every_panel(key):
     low, high = one.bounds
     z = [[low, low], [2 * one.level - low] * 2, [high, high]]
     found = [Grid(t, [1.0, 2.0], [1.0, 2.0, 3.0], z, [1.0, 2.0], [1.4, 1.6]) for t in ("a", "b")]
-    samples = [sample(one, grid) for grid in found]
+    samples = [{"map": key, **row} for grid in found for row in grid.rows]
     chart = chart_of(rows_of({"stability": {"samples": samples}}, one).rows, one)
     assert [panel.title for panel in chart.panels.list] == ["a", "b"]
     for panel in chart.panels.list:
@@ -152,9 +152,9 @@ def test_nearness_is_the_ratio_of_borders():
     one = MAPS["stick"]
     z = [[0.0], [2 * one.level], [2 * one.level]]
     grid = Grid("", [1.0], [1.0, 1.0001, 2.0], z, [0.5, 1.5], [1.25, 1.25])
-    assert nearness([sample(one, grid)]).startswith("Measured and predicted border differ by 25 %")
+    assert nearness(one, [grid]).startswith("Measured and predicted border differ by 25 %")
     grid = Grid("", [1.0], [1.0, 2.0], [[0.0], [0.0]], [0.5, 1.5], [1.25, 1.25])
-    assert nearness([sample(one, grid)]).startswith("No border")
+    assert nearness(one, [grid]).startswith("No border")
 
 
 def test_a_map_is_kept_and_not_measured_again(tmp_path):

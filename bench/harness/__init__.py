@@ -6,7 +6,7 @@ line.
 
 from harness.cache import Cache
 from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all, told
-from harness.pool import parallel, processes, resumed
+from harness.pool import by_case, parallel, processes, resumed
 from harness.race import LEAST_ROUNDS, Race, cpu_time, race
 from harness.result import (
     ROOT,
@@ -14,7 +14,7 @@ from harness.result import (
     Table,
     commit,
     folder_made,
-    missing_peer,
+    missing,
     optional,
     rounded,
     shown,
@@ -24,32 +24,8 @@ from harness.result import (
 from plate_core.intervals import of_median, of_share, share
 
 __all__ = [
-    "LEAST_ROUNDS",
-    "LONG",
-    "MEASUREMENTS",
-    "ROOT",
-    "Cache",
-    "Race",
-    "Result",
-    "Table",
-    "commit",
-    "cpu_time",
-    "folder_made",
-    "is_done",
-    "missing_peer",
-    "of_median",
-    "of_share",
-    "optional",
-    "parallel",
-    "processes",
-    "race",
-    "read",
-    "resumed",
-    "rounded",
-    "run_all",
-    "share",
-    "shown",
-    "text_table",
-    "told",
-    "write",
-]
+    "LEAST_ROUNDS", "LONG", "MEASUREMENTS", "ROOT", "Cache", "Race", "Result", "Table", "by_case",
+    "commit", "cpu_time", "folder_made", "is_done", "missing", "of_median", "of_share", "optional",
+    "parallel", "processes", "race", "read", "resumed", "rounded", "run_all", "share",
+    "shown", "text_table", "told", "write",
+]  # fmt: skip

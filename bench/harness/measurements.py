@@ -15,57 +15,23 @@ from typing import Any
 from harness.cache import code_of
 from harness.result import ROOT, write
 
-ABOUT = {
-    "stages": {
-        "sim": "Parts on a shaken plate: error and speed of the simulator",
-        "model": "The model of parts: cost and error by scene, beside the judge and pymunk",
-        "trust": "Creep beside the peers, what is left out, other laws of friction",
-        "bodies": "A disc that slides and turns: error and speed, beside scipy",
-        "force_map": "Average friction over a cycle: time and error",
-        "solver": "Plate motions for wanted average forces, from a cold start",
-        "rotations": "Method A: guaranteed forces, least time, closure",
-        "inversion": "Method B: what is solved, what is proven out of reach",
-        "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
-        "options": "Both methods with their options, and scipy, on the stick-slip cycle",
-        "vision": "Finding discs in an image: time, misses, error of the centres",
-        "classes": "Types of parts: names, centres and angles",
-        "shapes": "Parts of any outline in hostile scenes: recall, precision, centres, time",
-        "stages": "What each stage of the loop costs for one image",
-        "learning": "Learning the plate: error of realised harmonics",
-        "stop_latency": "From the emergency_stop call to the wire, under floods of messages",
-        "board": "The firmware on an emulated STM32F405: instructions a tick, longest steps",
-        "latency": "Image to motors in the real graph, beside one that only forwards",
-        "graph": "Faults, malformed messages, goals at random and minutes in the real graph",
-        "page": "The live page beside the graph: latency, processor time, targets that are dragged",
-    },
-    "maps": {
-        "stability": "Stability maps: where methods fail, and where theory says so",
-    },
-    "tasks": {
-        "tasks": "Every scenario over many seeds, and in worlds that are not as believed",
-        "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
-        "bound": "How fast 1 to 10 parts can be moved: bounds, global search, closed loop",
-        "rigs": "Small and weak rigs: success, time, error, and what `feasible` said",
-        "sizing": "Number of parts: time, parts dropped",
-        "sameness": "One seed, one answer: what changes a run, to the last bit",
-        "free_running": "Cameras that run free: error against rate, exposure, latency and scatter",
-        "drives": "Drives on a bus: error against latency, jitter and the drives' own loop",
-        "control": "The closed loop with more and less time for the solver",
-        "serial": "The serial path: a short task, and faults of the line",
-        "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",
-        "closed_loop": "Whole tasks in the closed loop, many seeds: the table of README",
-        "feeding": "A feeder in production beside peers that shake and look: speed, accuracy",
-        "feeding_hour": "An hour of production: parts lost, stops, memory",
-    },
-}
-"""Chapter of this folder -> its modules with `measure(quick)`, and what they are about."""
+CHAPTERS = {
+    "stages": (
+        "sim", "model", "trust", "bodies", "force_map", "solver", "rotations", "inversion",
+        "steering", "options", "vision", "classes", "shapes", "stages", "learning", "stop_latency",
+        "board", "latency", "graph", "page",
+    ),
+    "maps": ("stability",),
+    "tasks": (
+        "tasks", "tracking", "bound", "rigs", "sizing", "sameness", "free_running", "drives",
+        "control", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
+    ),
+}  # fmt: skip
+"""Chapter of this folder -> its modules with `measure(quick)`; the first line of each says what it
+is about."""
 
-MEASUREMENTS = {
-    name: (f"{chapter}.{name}", about)
-    for chapter, modules in ABOUT.items()
-    for name, about in modules.items()
-}
-"""Name -> module and what it is about."""
+MEASUREMENTS = {name: f"{chapter}.{name}" for chapter, names in CHAPTERS.items() for name in names}
+"""Name -> module."""
 
 LONG = {"feeding_hour", "sameness", "tasks"}
 """Hours: measured only by name."""
@@ -88,20 +54,22 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
     expected = [last_seconds(out, name, quick) for name in names]
     began = time.perf_counter()
     for number, name in enumerate(names, 1):
-        module, about = MEASUREMENTS[name]
         left = sum(expected[number - 1 :])
         print(
             f"[{number}/{len(names)}, {clock(time.perf_counter() - began)}"
             + (f", about {clock(left)} left" if left else "")
-            + f"] {name:12s} {about} ... ",
+            + f"] {name:12s} ",
             end="", flush=True,
         )  # fmt: skip
-        if quiet:
-            await_quiet()
-        start = time.perf_counter()
-        code = code_of(module)
+        code = code_of(MEASUREMENTS[name])
         try:
-            result = importlib.import_module(module).measure(quick)
+            module = importlib.import_module(MEASUREMENTS[name])
+            about = f"{module.__doc__}".partition("\n")[0].removesuffix(".")
+            print(f"{about} ... ", end="", flush=True)
+            if quiet:
+                await_quiet()
+            start = time.perf_counter()
+            result = module.measure(quick)
         except Exception:  # whatever it is, the others are still measured
             print("failed", flush=True)
             traceback.print_exc()
@@ -160,7 +128,7 @@ def clock(seconds: float) -> str:
 def is_done(folder: Path, name: str, quick: bool) -> bool:
     """Whether a measurement is there, at least as thorough as wanted, of the code as it is."""
     there = read(folder, [name]).get(name)
-    code = code_of(MEASUREMENTS[name][0])
+    code = code_of(MEASUREMENTS[name])
     return there is not None and there["quick"] <= quick and there.get("code") == code
 
 

@@ -63,3 +63,22 @@ def resumed(
     for key, value in zip(missing, fresh, strict=True):
         cache[key] = value
     return [cache[key] for key in work]
+
+
+def by_case(
+    run: Callable[..., Any], cases: Mapping[Any, Sequence[tuple]], cache: Cache,
+    workers: int | None = None,
+) -> dict[Any, list[Any]]:  # fmt: skip
+    """Return run(*item) of every item of every case, by case, on all cores if not told.
+
+    Parameters
+    ----------
+    run : callable
+        As of `resumed`.
+    cases : mapping to sequence of tuple
+        What the case is, its text being the key in the cache -> arguments of its runs.
+    """
+    work = {f"{case} {k}": item for case, items in cases.items() for k, item in enumerate(items)}
+    with processes(workers) as pool:
+        found = iter(resumed(pool, run, work, cache))
+    return {case: [next(found) for _ in items] for case, items in cases.items()}

@@ -35,6 +35,7 @@ class Table:
     columns : mapping of str to str
         Key of a row -> heading with unit.
     rows : list of dict
+        What has no column is not written.
     """
 
     key: str
@@ -61,9 +62,10 @@ def optional(name: str) -> Any:
         return None
 
 
-def missing_peer(name: str) -> str:
-    """Say how to get a peer that is not there."""
-    return f"{name}: peer not installed: pip install -r requirements-bench.txt"
+def missing(*peers: str) -> list[str]:
+    """Say of peers that are not there how to get them."""
+    lacking = [name for name in peers if optional(name) is None]
+    return [f"{n}: peer not installed: pip install -r requirements-bench.txt" for n in lacking]
 
 
 def rounded(value: Any, digits: int = 4) -> Any:
@@ -128,6 +130,8 @@ def write(
         "machine": machine(),
         **asdict(result),
     }
+    for table in content["tables"]:
+        table["rows"] = [{key: row.get(key) for key in table["columns"]} for row in table["rows"]]
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".draft")
     draft.write_text(json.dumps(rounded(content), indent=1) + "\n", encoding="utf-8")

@@ -129,13 +129,13 @@ class SerialLine:
             lambda: opened(self.emulator), lambda: self.emulator.now, seed=seed
         )
         self.operator = Operator(self.transport)
-        self.now, self.began, self.late, self.images = 0.0, 0.0, 0, 1
+        self.now, self.began = 0.0, 0.0
         self.troubles: Counter[str] = Counter()
         self.newest_trouble = ""
         self._rig, self._event, self._at = rig, event, at
         self._waiting: list[tuple[float, MotorTable]] = []
         self._segments: list[Segment] = []
-        self._ticks, self._table = 0, 0
+        self._ticks = 0
         self.transport.open()
 
     @property
@@ -166,10 +166,7 @@ class SerialLine:
             segment = self._segments.pop(0)
             motions.append(PlateMotion.of_motors(self._rig, segment.times, segment.motors))
             if segment.end - self.now >= SHORTEST_S:
-                self.late += 0 < segment.table == self._table
                 self.now = self.began = segment.end
-                self._table = segment.table
-                self.images += 1
                 return motions
 
     def settle(self) -> None:
@@ -215,8 +212,6 @@ class Outcome:
     ----------
     phase, text : str
         Of the planner; what the driver last said was wrong.
-    time_s : float
-        Of the device's clock [s].
     dropped : int
         Parts.
     verdict : Verdict
@@ -225,21 +220,16 @@ class Outcome:
         Whether the motors were off or held at home a while after the end.
     retries, troubles
         Of the driver.
-    late, images : int
-        Cycles that were played again since the next one was late, and images.
     enables : int
         Times that the operator has enabled.
     """
 
     phase: str
     text: str
-    time_s: float
     dropped: int
     verdict: Verdict
     resting: bool
     retries: int
-    late: int
-    images: int
     troubles: dict[str, int]
     enables: int
 
@@ -251,13 +241,11 @@ def serial_run(
     rig = load_rig()
     line = SerialLine(rig, setup.seed, schedule or FaultSchedule(), event, at)
     *_, last = run(setup, rig, line)
-    time_s = line.emulator.now
     line.settle()
     told = f" ({line.newest_trouble})" if line.newest_trouble else ""
     return Outcome(
-        last.progress.phase, last.progress.text + told, time_s, last.world.dropped,
-        line.judge.verdict(), line.resting, line.transport.retries,
-        line.late, line.images, dict(line.troubles), line.operator.enables,
+        last.progress.phase, last.progress.text + told, last.world.dropped, line.judge.verdict(),
+        line.resting, line.transport.retries, dict(line.troubles), line.operator.enables,
     )  # fmt: skip
 
 
@@ -334,15 +322,11 @@ class Judge:
     def _corners(self, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray) -> float:
         """Greatest acceleration of the plate's corners [m/s2]."""
         cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        worst = 0.0
-        for x, y in self.rig.plate.half * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]):
-            ax, ay = cos * x - sin * y, sin * x + cos * y
-            size = np.hypot(
-                accel[:, 0] - accel[:, 2] * ay - twist[:, 2] ** 2 * ax,
-                accel[:, 1] + accel[:, 2] * ax - twist[:, 2] ** 2 * ay,
-            )
-            worst = max(worst, float(np.max(size)))
-        return worst
+        x, y = (self.rig.plate.half * [[1, 1], [1, -1], [-1, 1], [-1, -1]]).T[:, :, None]
+        arm = np.array([cos * x - sin * y, sin * x + cos * y])
+        across = np.array([-arm[1], arm[0]])
+        corner = accel.T[:2, None] + accel[:, 2] * across - twist[:, 2] ** 2 * arm
+        return float(np.max(np.hypot(*corner)))
 
     def _forces(self, accel: np.ndarray) -> np.ndarray:
         """Forces (n, 4) [N] of least norm that accelerate the plate."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 Numbers = Sequence[float] | np.ndarray
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,27 @@ class Grid:
     z: list[list[float]]
     line_x: list[float] = field(default_factory=list)
     line_y: list[float] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, rows: Sequence[Row]) -> Grid:
+        """Return the grid of its `rows`."""
+        cells = [r for r in rows if r["case"] == "measured"]
+        line = [r for r in rows if r["case"] == "theory"]
+        x, y = (list(dict.fromkeys(r[key] for r in cells)) for key in "xy")
+        z = np.reshape([r["z"] for r in cells], (len(y), len(x))).tolist()
+        return cls(rows[0]["panel"] or "", x, y, z, *([r[key] for r in line] for key in "xy"))
+
+    @property
+    def rows(self) -> list[Row]:
+        """A row for each cell and each point of theory's line: `panel`, `case`, `x`, `y`, `z`."""
+        cells = [(x, y, z) for y, row in zip(self.y, self.z, strict=True)
+                 for x, z in zip(self.x, row, strict=True)]  # fmt: skip
+        line = [(x, y, None) for x, y in zip(self.line_x, self.line_y, strict=True)]
+        return [
+            {"panel": self.title, "case": case, "x": x, "y": y, "z": z}
+            for case, places in (("measured", cells), ("theory", line))
+            for x, y, z in places
+        ]
 
 
 def grid(

@@ -103,13 +103,9 @@ class LinearLoop:
             velocity = self._after(cycle, loop.home, velocity, 1.0, 1.0)[1]
 
     def _after(
-        self,
-        cycle: PlateCycle,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        friction: float,
+        self, cycle: PlateCycle, position: np.ndarray, velocity: np.ndarray, friction: float,
         share: float,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Return place and velocity after a share of the cycle, as the solver foresees them."""
         steps = max(1, round(share * self.period / PREDICTION_STEP))
         t = (np.arange(steps) + 0.5) * share * self.period / steps

@@ -1,9 +1,8 @@
-"""Stability maps: where methods fail, over two parameters each, and where theory says they do."""
+"""Stability maps: where methods fail, and where theory says so."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
@@ -23,9 +22,8 @@ def measure(quick: bool) -> Result:
     samples, told = [], []
     for one in MAPS.values():
         found = grids(one, quick, Cache.of(f"maps.{one.key}"))
-        mine = [sample(one, grid) for grid in found]
-        samples += mine
-        told.append(f"{one.title}. {nearness(mine)}")
+        samples += [{"map": one.key, **row} for grid in found for row in grid.rows]
+        told.append(f"{one.title}. {nearness(one, found)}")
     return Result([], told, samples)
 
 
@@ -35,22 +33,6 @@ def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
     if key not in cache:
         cache[key] = rounded([asdict(grid) for grid in one.measure(quick)])
     return [Grid(**grid) for grid in cache[key]]
-
-
-def sample(one: StabilityMap, grid: Grid) -> dict[str, Any]:
-    """Return all that a chart of a map needs.
-
-    Keys: `key`; `panel`; `x`, `y` and `z`, a row for each y; `line_x` and
-    `line_y`, the theory's line; `observed` and `predicted`, y of the border for each x, None where
-    there is none.
-    """
-    observed, predicted = borders(one, grid)
-    return {
-        "key": one.key,
-        **{("panel" if key == "title" else key): value for key, value in asdict(grid).items()},
-        "observed": [None if np.isnan(y) else y for y in observed],
-        "predicted": [None if np.isnan(y) else y for y in predicted],
-    }
 
 
 def borders(one: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
@@ -65,14 +47,10 @@ def borders(one: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
     return observed, predicted.tolist()
 
 
-def nearness(samples: list[dict[str, Any]]) -> str:
+def nearness(one: StabilityMap, found: list[Grid]) -> str:
     """Say how near the measured borders of a map's grids are to the predicted ones."""
-    pairs = [
-        (o, p)
-        for one in samples
-        for o, p in zip(one["observed"], one["predicted"], strict=True)
-        if o is not None and p is not None
-    ]
+    places = [pair for grid in found for pair in zip(*borders(one, grid), strict=True)]
+    pairs = [pair for pair in places if np.all(np.isfinite(pair))]
     if not pairs:
         return "No border is measured where one is predicted."
     off = np.abs(np.log([o / p for o, p in pairs]))

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from maps.grid import Grid, StabilityMap, grid
 from plate_core import PlateCycle, Rig, load_rig
-from plate_core.rig import modal_matrices
 from plate_sim import PlateState, realise
 from plate_solver import Goal, RotationSolver, SinusoidSolver
-from stages.learning import hung
+from stages.learning import DAMPING, hung
 from stages.scenes import scatter
 
 METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 PARTS = (1, 2, 4, 6, 10)
 FREQUENCIES_HZ = np.geomspace(20, 320, 11)
-DAMPING = 0.03
 DRIFT = 0.01
 """Size of the requests [m/s]."""
 
@@ -31,15 +27,6 @@ SETTLED = 4.0
 
 LEVEL = 0.5
 """Error of the motion, over the motion, with which next to nothing of a request is left."""
-
-
-def hung_at(rig: Rig, frequency: float) -> Rig:
-    """Return the rig on flexures, its motors unequal, its centre of mass off the middle."""
-    real = hung(rig)
-    assert real.suspension is not None
-    every = np.full(3, frequency), np.full(3, DAMPING)
-    damping, stiffness = modal_matrices(real.suspension.mass, *every)
-    return replace(rig, suspension=replace(real.suspension, damping=damping, stiffness=stiffness))
 
 
 def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[PlateCycle]:
@@ -63,7 +50,7 @@ def lengths(rig: Rig) -> np.ndarray:
 
 def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
     """Return the error of the plate's velocity over the velocity, root mean squares, simulated."""
-    real, state = hung_at(rig, frequency), PlateState.at_rest()
+    real, state = hung(rig, frequency), PlateState.at_rest()
     settling = SETTLED / (DAMPING * 2 * np.pi * frequency)
     for _ in range(1 + int(np.ceil(settling / cycle.period))):
         motion, state = realise(real, state, cycle)

@@ -47,8 +47,8 @@ class Score:
         The same of parts that were not shown as examples.
     named, right : int
         Found parts that got a class, and those that got theirs.
-    centre_px, centre : list of float
-        Errors of centres [px], and in radii.
+    centre_px : list of float
+        Errors of centres [px].
     angle_deg : list of float
         Errors of angles, modulo symmetry, apart from one zero for each class of a picture.
     """
@@ -63,7 +63,6 @@ class Score:
     named: int = 0
     right: int = 0
     centre_px: list[float] = field(default_factory=list)
-    centre: list[float] = field(default_factory=list)
     angle_deg: list[float] = field(default_factory=list)
 
     def __iadd__(self, other: Score) -> Score:
@@ -82,7 +81,6 @@ class Score:
             "precision": percent(self.found, seen),
             "touching": percent(self.touching_found, self.touching),
             "centre_px": float(np.sqrt(np.mean(np.square(self.centre_px)))) if seen else None,
-            "centre": float(np.median(self.centre)) if self.centre else None,
             "angle_deg": float(np.median(self.angle_deg)) if self.angle_deg else None,
             "right": percent(self.right, self.named),
             "fresh": percent(self.fresh_found, self.fresh),
@@ -93,7 +91,7 @@ COLUMNS = {
     "method": "method", "pictures": "pictures", "parts": "parts", "found": "found",
     "false": "false", "recall": "recall [%]", "precision": "precision [%]",
     "touching": "recall, touching [%]", "centre_px": "centre RMS [px]",
-    "centre": "centre, median [radii]", "angle_deg": "angle, median [deg]",
+    "angle_deg": "angle, median [deg]",
     "right": "class right [%]", "fresh": "recall, not shown [%]",
 }  # fmt: skip
 """Keys of rows and their headings."""
@@ -156,7 +154,6 @@ def score(found: np.ndarray, photograph: Photograph, shown: np.ndarray | None = 
         named=int(named.sum()),
         right=int((found["label"][i] == parts["label"][j]).sum()),
         centre_px=gap.tolist(),
-        centre=(gap / parts["radius_px"][j]).tolist(),
         angle_deg=angle_errors(found[i], parts[j], bool(named.any())),
     )
 

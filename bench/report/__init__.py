@@ -7,30 +7,25 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import yaml
+
 from maps.stability import MAPS
 from plate_core import PlateError
-from report.chart import Chart, Data, Row, Sheet, table
+from report.chart import Chart, Data, Drawn, Sheet, table
 from report.documents import fill_documents, names
 from report.feeding import feeding
-from report.forces import (
-    force_map,
-    force_map_rows,
-    inversion,
-    learning,
-    rotations,
-    rotations_rows,
-)  # fmt: skip
+from report.forces import force_map, inversion, learning, rotations
 from report.loop import bound, cameras, control, crowds, drives, rigs, tracking
 from report.model import model
 from report.page import write_report
+from report.panels import Row
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows, steering
-from report.stability import chart_of, rows_of
+from report.stability import chart_of, rows_of, words_of
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
 __all__ = [
@@ -42,35 +37,37 @@ class Entry(NamedTuple):
     """A chart: how it is drawn from its rows, and these from measurements."""
 
     key: str
-    draw: Callable[[list[Row]], Chart]
+    draw: Callable[[list[Row]], Drawn]
     rows: Callable[[Data], Sheet]
     sources: tuple[str, ...]
 
 
-def of_table(draw: Callable[[list[Row]], Chart], name: str, key: str = "") -> Entry:
-    """Return the entry of a chart whose rows are one table of a measurement."""
-    return Entry(name, draw, lambda data: table(data, name, key or name), (name,))
+def of_table(
+    draw: Callable[[list[Row]], Drawn], key: str, measurement: str = "", name: str = ""
+) -> Entry:
+    """Return the entry of a chart whose rows are one table of a measurement; both are called as the
+    chart is, if not told."""
+    source = measurement or key
+    return Entry(key, draw, lambda data: table(data, source, name or key), (source,))
 
 
 CHARTS: tuple[Entry, ...] = (
-    Entry("force_map", force_map, force_map_rows, ("force_map",)),
+    of_table(force_map, "force_map"),
     Entry("solver", solver, solver_rows, ("solver",)),
     of_table(options, "options"),
     of_table(steering, "steering"),
-    Entry("rotations", rotations, rotations_rows, ("rotations",)),
-    of_table(inversion, "inversion", "fate"),
+    of_table(rotations, "rotations"),
+    of_table(inversion, "inversion", name="fate"),
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
     of_table(model, "model"),
     of_table(vision, "vision"),
     of_table(control, "control"),
     of_table(tracking, "tracking"),
-    Entry(
-        "cameras", cameras, lambda data: table(data, "free_running", "cameras"), ("free_running",)
-    ),
+    of_table(cameras, "cameras", "free_running"),
     of_table(drives, "drives"),
     of_table(bound, "bound"),
     of_table(rigs, "rigs"),
-    Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),
+    of_table(crowds, "crowds", "sizing", "parts"),
     Entry("cost", cost, cost_rows, ("stages", "sim")),
     of_table(learning, "learning"),
     of_table(feeding, "feeding"),
@@ -80,6 +77,12 @@ CHARTS: tuple[Entry, ...] = (
     ),
 )
 """Every chart."""
+
+WORDS: dict[str, dict[str, str]] = {
+    **yaml.safe_load(Path(__file__).with_name("charts.yaml").read_text(encoding="utf-8")),
+    **{f"stability_{key}": words_of(one) for key, one in MAPS.items()},
+}
+"""Key of a chart -> its `title`, `reading`, and mostly `letter` and `default`."""
 
 
 def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> list[Chart]:
@@ -104,13 +107,23 @@ def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> lis
                 sheet = one.rows(data)
             else:
                 sheet = Sheet.read(folder / f"{one.key}.csv", columns.get(one.key, {}))
-            chart = one.draw(sheet.rows)
+            panels, finding, default = one.draw(sheet.rows)
         except PlateError as error:
             print(f"left out chart {one.key}: {error}", file=sys.stderr)
         except KeyError as key:
             print(f"left out chart {one.key}: of older code, its rows lack {key}", file=sys.stderr)
         else:
-            charts.append(replace(chart, sheet=sheet, sources=one.sources))
+            words = {"letter": "", "default": default} | WORDS[one.key]
+            charts.append(
+                Chart(
+                    one.key,
+                    **words,
+                    finding=finding,
+                    panels=panels,
+                    sheet=sheet,
+                    sources=one.sources,
+                )
+            )
             old += [one.key] * (not measured)
     if old:
         print(f"not measured here, drawn from {folder}: {', '.join(old)}", file=sys.stderr)

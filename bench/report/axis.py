@@ -21,9 +21,6 @@ LEAST_TICKS, MOST_TICKS = 3, 8
 STEPS = ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7))
 """Numbers within a decade, from few to many."""
 
-LETTER = 0.6
-"""Width of a letter [its size]."""
-
 
 @dataclass(frozen=True)
 class Axis:
@@ -36,6 +33,8 @@ class Axis:
     ticks : tuple of float
         Where there is a number; anywhere if empty.
     limits : (low, high), optional
+    least : float, optional
+        Numbers below this are rounding, and drawn here.
     """
 
     label: str
@@ -43,6 +42,11 @@ class Axis:
     names: tuple[str, ...] = ()
     ticks: tuple[float, ...] = ()
     limits: tuple[float, float] | None = None
+    least: float | None = None
+
+    def drawn(self, value: Any) -> Any:
+        """Return where a number, or a name of the axis, is drawn; None: nowhere."""
+        return value if None in (value, self.least) else max(value, self.least)
 
     def place(self, value: float) -> float:
         """Return where plotly puts ends of ranges: at the exponent, on a log axis."""

@@ -8,16 +8,32 @@ from csv import DictReader, DictWriter
 from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
 from plate_core import PlateError
-from report.panels import Panels
+from report.panels import Panels, Row
 
-Row = dict[str, Any]
 Data = Mapping[str, Mapping[str, Any]]
 """Measurements by name, as in their JSON files."""
+
+
+class Drawn(NamedTuple):
+    """What is drawn of rows.
+
+    Attributes
+    ----------
+    panels : Panels
+    finding : str
+        What comes out, with numbers.
+    default : str
+        What we take and why, where that depends on them.
+    """
+
+    panels: Panels
+    finding: str
+    default: str = ""
 
 
 @dataclass(frozen=True)
@@ -140,19 +156,9 @@ def table(data: Data, name: str, key: str) -> Sheet:
     return Sheet.of(found[0]["rows"], found[0]["columns"])
 
 
-def by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
-    """Return groups of rows with the same value, or values, in the order in which they come."""
-    found: dict[Any, list[Row]] = {}
-    for row in rows:
-        values = tuple(row[key] for key in keys)
-        found.setdefault(values[0] if len(keys) == 1 else values, []).append(row)
-    return found
-
-
-def column(rows: Sequence[Row], key: str, least: float | None = None) -> list[Any]:
-    """Return the values of a column; numbers below `least` are drawn there."""
-    values = [row[key] for row in rows]
-    return values if least is None else [max(value, least) for value in values]
+def column(rows: Sequence[Row], key: str) -> list[Any]:
+    """Return the values of a column."""
+    return [row[key] for row in rows]
 
 
 def parts(count: Any) -> str:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from report.axis import Axis
-from report.chart import Chart, Row, by, column
-from report.panels import OURS, PEER, SECOND, Panels
+from report.chart import Drawn
+from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
-METHODS = {
-    "ours": ("ours, part by part", OURS, "o"),
-    "vibrated": ("peer: shakes in the plane, looks", PEER, "s"),
-    "thrown": ("idealised peer: all parts lie anew", SECOND, "D"),
+LOOKS = {
+    "ours": Look("ours, part by part", OURS, "o"),
+    "vibrated": Look("peer: shakes in the plane, looks", PEER, "s"),
+    "thrown": Look("idealised peer: all parts lie anew", SECOND, "D"),
 }
-"""Feeder -> name, colour, marker."""
+LINES = {method: look._replace(line="-") for method, look in LOOKS.items()}
 
 CHANGED = {
     "fill": ("parts on the plate", (5, 10, 20, 40)),
@@ -24,32 +24,23 @@ ROBOT_S, GOAL = 2.0, 2.0
 """The robot's cycle [s] of most cases, and what waiting is wanted with it at most [%]."""
 
 
-def feeding(rows: list[Row]) -> Chart:
+def feeding(rows: list[Row]) -> Drawn:
     """Return parts a minute against accuracy, and waiting against what is changed."""
-    panels = Panels()
+    panels, cases = Panels(), [r | {"case": case(r)} for r in rows]
     speed = panels.add(
         "Speed and accuracy, robot of 2 s", Axis("parts a minute"),
         Axis("pose error at the grip, 95 % [mm]", log=True),
     )  # fmt: skip
-    for method, mine in by(rows, "method").items():
-        name, colour, marker = METHODS[method]
-        cases = [r for r in mine if r["error_95_mm"] is not None and r["cycle_s"] == ROBOT_S]
-        speed.points(
-            name, column(cases, "parts_per_min"), column(cases, "error_95_mm"), colour, marker,
-            notes=[case(r) for r in cases],
-        )  # fmt: skip
+    usual = [r for r in cases if r["error_95_mm"] is not None and r["cycle_s"] == ROBOT_S]
+    speed.kinds(usual, "method", "parts_per_min", "error_95_mm", LOOKS, note="{case}")
     for key, (label, ticks) in CHANGED.items():
         panel = panels.add(
             f"Waiting against {label.split(' [')[0]}", Axis(label, log=True, ticks=ticks),
             Axis("robot waits [% of the time]"),
         )  # fmt: skip
-        changed = key.split("_")[0]
-        for method, mine in by([r for r in rows if r["changed"] == changed], "method").items():
-            name, colour, marker = METHODS[method]
-            panel.points(
-                name, column(mine, key), column(mine, "waiting"), colour, marker, "-",
-                notes=[f"{case(r)}; worst run {r['most_waiting']:.1f} %" for r in mine],
-            )  # fmt: skip
+        mine = [r for r in cases if r["changed"] == key.split("_")[0]]
+        note = "{case}; worst run {most_waiting:.1f} %"
+        panel.kinds(mine, "method", key, "waiting", LINES, note=note)
         panel.rule("goal", y=GOAL)
     small = [{**r, "kind": "discs in a window of 100 mm"} for r in rows if r["window_mm"]]
     kinds = by([*(r for r in rows if r["changed"] == "kind"), *small], "kind")
@@ -61,16 +52,11 @@ def feeding(rows: list[Row]) -> Chart:
         for kind, these in kinds.items()
     )
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
-    return Chart(
-        "feeding", "", "A feeder: parts a minute against accuracy of the pose",
-        "Simulated production of a minute a run, with a hopper and a robot: 20 discs, clearance "
-        "6 mm, a robot of 2 s, and one thing changed at a time. The peers shake all parts, look, "
-        "and pick all that lie ready; the idealised one (thrown) lays them out evenly at random in "
-        "0.6 s, which no feeder does. Bars are to lie within 5 degrees of one angle.",
+    return Drawn(
+        panels,
         f"Parts a minute with a robot of 2 s, 30 at most: {told}. Ours lost {lost or 'none'} over "
         "an edge.",
-        "", panels,
-    )  # fmt: skip
+    )
 
 
 def case(row: Row) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from harness import shown
 from report.axis import Axis
-from report.chart import Chart, Data, Row, Sheet, by, column, table
-from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Panels
+from report.chart import Drawn, column
+from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
 LEAST_ERROR = 1e-11
 """Errors below this [mu mg] are rounding, and drawn here."""
@@ -18,22 +18,7 @@ COLOURS = (PEER, SECOND, THIRD, "#8a6d00", LIMIT)
 """Of peers."""
 
 
-def force_map_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name."""
-    rows = [
-        {"case": case} | {key: r[value] for key, value in (("method", "method"), ("us", time),
-                                                         ("median", "median"), ("p99", "p99"))}
-        for case, name, time in (("many", "batched", "us"), ("one", "methods", "one_us"))
-        for r in table(data, "force_map", name).rows if r.get("harmonics", 2) == 2
-    ]  # fmt: skip
-    heads = {
-        "case": "case", "method": "method", "us": "time of one force [µs]",
-        "median": "median error [mu mg]", "p99": "worst 1 % [mu mg]",
-    }  # fmt: skip
-    return Sheet.of(rows, heads)
-
-
-def force_map(rows: list[Row]) -> Chart:
+def force_map(rows: list[Row]) -> Drawn:
     """Return time and error of every way to the averaged force."""
     panels, groups = Panels(), by(rows, "case")
     for case, title, name in (
@@ -44,55 +29,31 @@ def force_map(rows: list[Row]) -> Chart:
         limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
         panel = panels.add(
             title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
-            Axis("error, worst 1 % of cases [mu mg]", log=True), "less less",
+            Axis("error, worst 1 % of cases [mu mg]", log=True, least=LEAST_ERROR), "less less",
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]
         for r, colour, marker in zip([best, *others], (OURS, *COLOURS), "osD^vx", strict=False):
-            panel.points(
-                r["method"], [r["us"]], [max(r["p99"], LEAST_ERROR)], colour, marker,
-                notes=[f"median error {shown(r['median'])}"],
-            )  # fmt: skip
+            look = Look(r["method"], colour, marker)
+            panel.points([r], "us", "p99", look, note="median error {median:.3g}")
         panel.rule("wanted", y=WANTED)
         panel.mark(best["us"], best["p99"])
     best, quad = (
         next(r for r in groups["one"] if r["method"].startswith(name))
         for name in ("average_force", "quad")
     )
-    return Chart(
-        "force_map", "a", "Force map: error against time",
-        "The averaged friction of a part under a plate motion, random cases; the truth is scipy's "
-        "quad with its tolerances at 1e-10.",
+    return Drawn(
+        panels,
         f"The error of the worst 1 % is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
         f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad; equal steps are "
         f"faster but miss {WANTED:g} by a factor of a hundred and more where the surface almost "
         "stands still, as where a search ends.",
         "average_force for judging, forces inside the search: the fastest that keep the worst "
         f"1 % below {WANTED:g} mu mg.",
-        panels,
-    )  # fmt: skip
+    )
 
 
-def rotations_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name."""
-    rows: list[Row] = [
-        {"case": "force", "label": f"{r['centres']}, {r['method']}", "value": r["p10"],
-         "ours": r["method"] == "least time" and r["centres"] == "library"}
-        for r in table(data, "rotations", "guaranteed").rows
-    ]  # fmt: skip
-    rows += [
-        {"case": "force", "label": f"realised, {r['closure']}", "value": r["p10"], "ours": True}
-        for r in table(data, "rotations", "realised").rows
-    ]
-    rows += [
-        {"case": "time", "label": r["method"], "value": r["milliseconds"],
-         "ours": r["method"].startswith("ours")}
-        for r in table(data, "rotations", "times").rows
-    ]  # fmt: skip
-    return Sheet.of(rows, {"value": "value [mu mg or ms]"})
-
-
-def rotations(rows: list[Row]) -> Chart:
+def rotations(rows: list[Row]) -> Drawn:
     """Return forces and times of Method A, with its peers."""
     panels = Panels()
     for case, title, unit in (
@@ -108,19 +69,15 @@ def rotations(rows: list[Row]) -> Chart:
             panel.bars(name, column(kind, "value"), column(kind, "label"), colour, labels)
     value = {r["label"]: r["value"] for r in rows}
     ours, svd = value["library, least time"], value["24 on a grid, SVD"]
-    return Chart(
-        "rotations", "b", "Method A: forces and time of its linear problem",
-        "Guaranteed: the force in any direction that takes one cycle of time; realised: what "
-        "closed motions within the rig's limits give.",
+    return Drawn(
+        panels,
         f"A library of centres with least time guarantees {ours:.3f} mu mg for ten parts, the "
         f"paper's SVD weights on 24 centres {svd:.4f}; ours takes "
         f"{shown(value['ours, cold'])} ms, HiGHS {shown(value['scipy linprog (HiGHS)'])} ms.",
-        "Library, least time, closed as a sequence.",
-        panels,
-    )  # fmt: skip
+    )
 
 
-def inversion(rows: list[Row]) -> Chart:
+def inversion(rows: list[Row]) -> Drawn:
     """Return what becomes of requests, and the time that it takes."""
     names = [f"{r['parts']} parts, N = {r['harmonics']}" for r in rows]
     y = Axis("", names=tuple(names[::-1]))
@@ -136,35 +93,30 @@ def inversion(rows: list[Row]) -> Chart:
     rest = [100 - r["more"] - r["proven"] for r in rows]
     left.bars("in part only", rest, names, "#cccccc")
     right = panels.add("Time", Axis("median time of a cold solve [ms]", log=True), y)
-    right.points("median time", column(rows, "median_ms"), names, THIRD)
+    named = [r | {"name": name} for r, name in zip(rows, names, strict=True)]
+    right.points(named, "median_ms", "name", Look("median time", THIRD))
     free = [r for r in rows if "(" in str(r["harmonics"])]
     least = min(r["share"] for r in free if r["share"] is not None)
     told = ", ".join(f"{r['solved']:.0f} % of {r['parts']} parts" for r in free)
-    return Chart(
-        "inversion", "b", "Method B: what can be solved",
-        "N is the number of harmonics; in brackets: as many as the solver chooses.",
+    return Drawn(
+        panels,
         f"Met with as many harmonics as the solver chooses: {told}; of "
         f"the rest at least a share of {least:.2f} in the median.",
-        "As many harmonics as the solver chooses.", panels,
-    )  # fmt: skip
+    )
 
 
-def learning(rows: list[Row]) -> Chart:
+def learning(rows: list[Row]) -> Drawn:
     """Return the error of realised harmonics against the number of experiments."""
-    x = column(rows, "iteration")
-    panels = Panels()
+    panels, ticks = Panels(), tuple(column(rows, "iteration"))
     panel = panels.add(
-        "Error of realised harmonics", Axis("experiments", ticks=tuple(x)),
-        Axis("error [%]", log=True),
-    )  # fmt: skip
-    panel.points("largest of the cycles", x, column(rows, "most"), SECOND, "s", "--")
-    panel.points("median", x, column(rows, "median"), OURS, "o", "-")
+        "Error of realised harmonics", Axis("experiments", ticks=ticks), Axis("error [%]", log=True)
+    )
+    panel.points(rows, "iteration", "most", Look("largest of the cycles", SECOND, "s", "--"))
+    panel.points(rows, "iteration", "median", Look("median", OURS, "o", "-"))
     panel.rule("2 %", y=2, colour=LIMIT)
     first, last = rows[0], rows[-1]
-    return Chart(
-        "learning", "", "Learning the plate",
-        "A plate on flexures, 35 Hz, damping 3 %, motors 15 % apart: error of the harmonics of "
-        "cycles not used for learning; three experiments are the calibration.",
+    return Drawn(
+        panels,
         f"The largest error falls from {first['most']:.0f} % to {last['most']:.2f} % in "
-        f"{last['iteration']} experiments.", "", panels,
-    )  # fmt: skip
+        f"{last['iteration']} experiments.",
+    )

@@ -6,6 +6,7 @@ from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import pandas as pd
@@ -17,16 +18,7 @@ from report.panels import PANEL_PX
 
 STYLE = Path(__file__).with_suffix(".css")
 
-ABOUT = """<header><h1>One vibrating plate, many parts: speed against accuracy</h1>
-<p>A flat plate shakes in its own plane; friction carries the parts on it, and the right motion
-sends each part its own way. A camera sees the parts, and before the next cycle of the plate (0.05
-to 0.2 s) a motion must be found. So every stage has a time and an error: this page shows one
-against the other, ours beside the best others, and how both grow with the number of parts.</p>
-<p class="soft">Method A of the paper strings rotations of the plate about chosen centres together,
-Method B, our default, superposes sinusoids. Forces are given in mu mg, the sliding friction of one
-part. Times are of one core. A hollow mark says that not all runs ended well. Point at a mark to see
-what it is; drag to zoom, double-click to zoom out; the names above a chart switch its marks on and
-off.</p>"""
+PAGE = Path(__file__).with_suffix(".html")
 
 
 def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
@@ -48,23 +40,14 @@ def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
         f"<td>{escape(one.finding)}</td></tr>"
         for one in charts
     )
-    parts = [
-        '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        "<title>Vibrating plate: speed against accuracy</title>",
-        f"<style>{STYLE.read_text(encoding='utf-8')}</style>",
-        f"<script>{get_plotlyjs()}</script>",
-        ABOUT,
-        warning(facts),
-        *(f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)),
-        f'</header><nav><a href="#summary">Summary</a>{links}</nav>',
-        f'<main><section id="summary"><h2>Summary</h2><table class="words">{rows}</table>',
-        "</section>",
-        *(section(one, facts) for one in charts),
-        "</main>\n</html>\n",
-    ]
+    told = [f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)]
+    text = Template(PAGE.read_text(encoding="utf-8")).substitute(
+        style=STYLE.read_text(encoding="utf-8"), script=get_plotlyjs(), warning=warning(facts),
+        machines="\n".join(told), links=links, rows=rows,
+        sections="\n".join(section(one, facts) for one in charts),
+    )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(parts), encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
 def warning(facts: Data) -> str:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from typing import Any, NamedTuple
 
 from plotly import graph_objects as go
 from plotly.subplots import make_subplots
 
-from report.axis import LETTER, Axis, edges
+from report.axis import Axis, edges
+
+Row = dict[str, Any]
 
 OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
     "#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#767676", "#b02a37",
@@ -40,6 +42,43 @@ LABEL_PX, TITLE_PX, LINE_PX = 95, 36, 28
 
 WORDS_PX = 13
 """Size of words; others are one larger."""
+
+LETTER = 0.6
+"""Width of a letter [its size]."""
+
+
+class Look(NamedTuple):
+    """How points of one kind are told from others.
+
+    Attributes
+    ----------
+    name : str
+        In the key.
+    colour : str
+    marker : str
+        A key of `SYMBOLS`; empty: a line only.
+    line : str
+        A key of `DASHES`; empty: points only.
+    """
+
+    name: str
+    colour: str = OURS
+    marker: str = "o"
+    line: str = ""
+
+
+def by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
+    """Return groups of rows with the same value, or values, in the order in which they come."""
+    found: dict[Any, list[Row]] = {}
+    for row in rows:
+        values = tuple(row[key] for key in keys)
+        found.setdefault(values[0] if len(keys) == 1 else values, []).append(row)
+    return found
+
+
+def nowhere(_: Row) -> bool:
+    """Hold of no row."""
+    return False
 
 
 class Panels:
@@ -118,7 +157,12 @@ class Panels:
                     trace.legendgroup, trace.showlegend = trace.name, trace.name not in named
                     named.add(trace.name)
                 figure.add_trace(trace, row, column)
-            panel.draw_rules(figure, "" if not number else str(number + 1), named)
+            for rule in panel.rules:
+                panel_of = {"row": row, "col": column, "showlegend": rule.name not in named}
+                line = {"color": rule.colour, "width": 1.2, "dash": "dash"}
+                draw = figure.add_hline if rule.x is None else figure.add_vline
+                draw(rule.y if rule.x is None else rule.x, line=line, name=rule.name, **panel_of)
+                named.add(rule.name)
             figure.update_xaxes(panel.x.settings(panel.places("x")), row=row, col=column)
             figure.update_yaxes(panel.y.settings(panel.places("y")), row=row, col=column)
         figure.update_layout(
@@ -142,7 +186,7 @@ class Panels:
 class Rule(NamedTuple):
     """A straight line across a panel, at one x or one y, and what it means."""
 
-    text: str
+    name: str
     x: float | None
     y: float | None
     colour: str
@@ -154,37 +198,35 @@ class Panel:
     def __init__(self, title: str, x: Axis, y: Axis, better: str) -> None:
         self.title, self.x, self.y, self.better = title, x, y, better
         self.traces: list[Any] = []
-        self.field: tuple[str, tuple[float | None, float | None]] | None = None
+        self.field: tuple[str, tuple[float, float]] | None = None
         self._counted: list[tuple[float, float]] = []
-        self._rules: list[Rule] = []
+        self.rules: list[Rule] = []
 
     def points(
-        self, name: str, x: Sequence[Any], y: Sequence[Any], colour: str = OURS, marker: str = "o",
-        line: str = "", *, hollow: Sequence[bool] = (), notes: Sequence[str] = (),
-        in_front: bool = True,
+        self, rows: Sequence[Row], x: str, y: str, look: Look, *,
+        hollow: Callable[[Row], bool] = nowhere, note: str = "", in_front: bool = True,
     ) -> None:  # fmt: skip
-        """Draw points of one kind, joined by a line or not.
+        """Draw a point of one kind for each row.
 
         Parameters
         ----------
-        x, y : sequences of the same length
-            Numbers, or names of the axis. None: no point there.
-        marker : str
-            A key of `SYMBOLS`; empty: a line only.
-        line : str
-            A key of `DASHES`; empty: points only.
-        hollow : sequence of bool
-            Points that do not count (parts missed, speed not kept): no front touches them.
-        notes : sequence of str
-            What the page shows of each point under the pointer.
+        x, y : str
+            Columns of numbers, or of names of the axis. None: no point there.
+        hollow : callable
+            Tells rows that do not count (parts missed, speed not kept): no front touches them.
+        note : str
+            What the page shows of each point under the pointer: text with columns in braces.
         in_front : bool
             Whether the points take part in the Pareto front.
         """
-        empty = list(hollow) or [False] * len(x)
+        at = [(self.x.drawn(row[x]), self.y.drawn(row[y])) for row in rows]
+        empty = [hollow(row) for row in rows]
+        name, colour, marker, line = look
         there = (("lines", line), ("markers", marker))
         self.traces.append(
             go.Scatter(
-                x=list(x), y=list(y), name=name, mode="+".join(word for word, on in there if on),
+                x=[place[0] for place in at], y=[place[1] for place in at], name=name,
+                mode="+".join(word for word, on in there if on),
                 line={"color": colour, "width": 2, "dash": DASHES.get(line, "solid")},
                 marker={
                     "symbol": SYMBOLS.get(marker, "circle"), "size": 8,
@@ -192,14 +234,22 @@ class Panel:
                     "line": {"color": colour, "width": 2 if marker == "x" or any(empty) else 1},
                 },
                 cliponaxis=False,
-                customdata=list(notes) or [""] * len(x),
+                customdata=[note.format(**row) for row in rows],
                 hovertemplate=f"<b>{name}</b><br>%{{customdata}}<br>x: %{{x}}<br>y: %{{y}}"
                 "<extra></extra>",
             )
         )  # fmt: skip
         if in_front:
-            pairs = zip(x, y, empty, strict=True)
-            self._counted += [(a, b) for a, b, out in pairs if None not in (a, b) and not out]
+            self._counted += [
+                place for place, out in zip(at, empty, strict=True) if None not in place and not out
+            ]
+
+    def kinds(
+        self, rows: Sequence[Row], key: str, x: str, y: str, looks: Mapping[Any, Look], **more: Any
+    ) -> None:
+        """Draw the points of every kind, which a column tells; `more` is as of `points`."""
+        for kind, mine in by(rows, key).items():
+            self.points(mine, x, y, looks[kind], **more)
 
     def bars(
         self, name: str, length: Sequence[float], names: Sequence[str], colour: str = OURS,
@@ -216,7 +266,7 @@ class Panel:
 
     def heat(
         self, x: Sequence[float], y: Sequence[float], z: Sequence[Sequence[float | None]],
-        label: str, limits: tuple[float | None, float | None] = (None, None),
+        label: str, limits: tuple[float, float],
     ) -> None:  # fmt: skip
         """Draw values z (m, n) over a grid as colours; x (n,) and y (m,) are cells' middles."""
         self.field = label, limits
@@ -233,7 +283,7 @@ class Panel:
         """Draw a ring round our default."""
         self.traces.append(
             go.Scatter(
-                x=[x], y=[y], name=DEFAULT, mode="markers", hoverinfo="skip",
+                x=[x], y=[self.y.drawn(y)], name=DEFAULT, mode="markers", hoverinfo="skip",
                 marker={"symbol": "circle-open", "size": 17, "color": INK, "line": {"width": 2}},
             )
         )  # fmt: skip
@@ -242,32 +292,17 @@ class Panel:
         self, text: str, x: float | None = None, y: float | None = None, colour: str = FAINT
     ) -> None:
         """Draw a straight line across, at one x or one y."""
-        self._rules.append(Rule(text, x, y, colour))
+        self.rules.append(Rule(text, x, y, colour))
 
     @property
     def names(self) -> list[str]:
         """What stands in the key."""
-        return [each.name for each in self.all if each.name] + [rule.text for rule in self._rules]
+        return [each.name for each in [*self.all, *self.rules] if each.name]
 
     @property
     def all(self) -> list[Any]:
         """All that is drawn: what was added, and the Pareto front."""
         return [*self.traces, *self.front()]
-
-    def draw_rules(self, figure: go.Figure, number: str, named: set[str]) -> None:
-        """Draw all lines across into the figure's pair of axes with a number; those that are not
-        yet named stand in the key."""
-        for rule in self._rules:
-            place: dict[str, Any] = {}
-            for axis, value in (("x", rule.x), ("y", rule.y)):
-                low, high = (0, 1) if value is None else (value, value)
-                whole = " domain" * (value is None)
-                place |= {f"{axis}0": low, f"{axis}1": high, f"{axis}ref": axis + number + whole}
-            figure.add_shape(
-                type="line", name=rule.text, showlegend=rule.text not in named,
-                line={"color": rule.colour, "width": 1.2, "dash": "dash"}, **place,
-            )  # fmt: skip
-            named.add(rule.text)
 
     def front(self) -> list[go.Scatter]:
         """Return the Pareto front, if the panel has one."""
@@ -281,7 +316,7 @@ class Panel:
     def places(self, which: str) -> list[float]:
         """Return all numbers along one axis."""
         found = [value for trace in self.traces for value in trace[which]]
-        found += [getattr(rule, which) for rule in self._rules]
+        found += [getattr(rule, which) for rule in self.rules]
         return [v for v in found if isinstance(v, int | float) and isfinite(v)]
 
 

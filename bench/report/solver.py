@@ -6,8 +6,8 @@ import numpy as np
 
 from harness import shown
 from report.axis import Axis
-from report.chart import Chart, Data, Row, Sheet, by, column, parts
-from report.panels import OURS, PEER, SECOND, Panels
+from report.chart import Data, Drawn, Sheet, column, parts
+from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
 LEAST_ERROR = 1e-11
 """Errors below this [mu mg] are rounding, and drawn here."""
@@ -15,8 +15,8 @@ LEAST_ERROR = 1e-11
 WANTED = 1e-4
 """Error of a force that counts as met [mu mg]."""
 
-METHODS = {"sinusoids": (OURS, "B: sinusoids"), "rotations": (SECOND, "A: rotations")}
-"""Colour and name of both methods."""
+METHODS = {"sinusoids": Look("B: sinusoids", OURS), "rotations": Look("A: rotations", SECOND)}
+"""Both methods."""
 
 
 def solver_rows(data: Data) -> Sheet:
@@ -25,27 +25,27 @@ def solver_rows(data: Data) -> Sheet:
     return Sheet.of(data["solver"]["samples"], heads)
 
 
-def solver(rows: list[Row]) -> Chart:
+def solver(rows: list[Row]) -> Drawn:
     """Return error against time of single requests on the averaged map, with peers."""
-    looks = (
-        ("RotationSolver", SECOND, "s", "A: RotationSolver"),
-        ("scipy lm", PEER, "x", "scipy least_squares (lm)"),
-        ("SinusoidSolver", OURS, "o", "B: SinusoidSolver"),
-    )
+    looks = {
+        "RotationSolver": Look("A: RotationSolver", SECOND, "s"),
+        "scipy lm": Look("scipy least_squares (lm)", PEER, "x"),
+        "SinusoidSolver": Look("B: SinusoidSolver", OURS, "o"),
+    }
     groups, panels = by(rows, "parts", "method"), Panels()
     counts = sorted(by(rows, "parts"))
     for count in counts:
         panel = panels.add(
             parts(count), Axis("time of one cold solve [ms]", log=True),
-            Axis("largest error of a force [mu mg]", log=True), "less less",
+            Axis("largest error of a force [mu mg]", log=True, least=LEAST_ERROR), "less less",
         )  # fmt: skip
-        for method, colour, marker, name in looks:
+        for method, look in looks.items():
             mine = groups[count, method]
-            x, y = column(mine, "ms"), column(mine, "error", LEAST_ERROR)
-            panel.points(name, x, y, colour, marker, in_front=False)
-            typical = float(np.median(x)), float(np.median(y))
-            panel.points(f"{name}, median", typical[:1], typical[1:], colour, "D")
-        panel.mark(*typical)
+            panel.points(mine, "ms", "error", look, in_front=False)
+            typical = {key: float(np.median(column(mine, key))) for key in ("ms", "error")}
+            median = Look(f"{look.name}, median", look.colour, "D")
+            panel.points([typical], "ms", "error", median)
+        panel.mark(typical["ms"], typical["error"])
         panel.rule("wanted", y=WANTED)
 
     def told(count: int, method: str) -> str:
@@ -56,39 +56,31 @@ def solver(rows: list[Row]) -> Chart:
     lead = "; ".join(
         f"{parts(n)} {told(n, 'SinusoidSolver')} (scipy {told(n, 'scipy lm')})" for n in counts
     )
-    return Chart(
-        "solver", "b", "Solvers on the averaged map: error against time",
-        "Random requests up to 0.2 mu mg from a cold start, each a point, and their medians, "
-        "judged on samples that no solver has used. Points above the line were not met: with few "
-        "harmonics some cannot be.",
-        f"Within 1e-4 mu mg, Method B: {lead}.",
-        "Method B, sinusoids: Method A stops at 1e-3 mu mg.",
+    return Drawn(
         panels,
-    )  # fmt: skip
-
-
-def options(rows: list[Row]) -> Chart:
-    """Return what the simulator misses against the time of a solve, for all options and scipy."""
-    looks = (
-        ("B", "restarts", OURS, "o", "-", "B: sinusoids, more and more restarts"),
-        ("A", "restarts", SECOND, "s", "-", "A: rotations, more and more restarts"),
-        ("B", "paper", OURS, "v", "", "B on the paper's map"),
-        ("A", "paper", SECOND, "^", "", "A on the paper's map"),
-        ("scipy, our derivatives", "", PEER, "D", "-", "scipy, our derivatives"),
-        ("scipy, own differences", "", PEER, "x", "--", "scipy, own differences"),
+        f"Within 1e-4 mu mg, Method B: {lead}.",
     )
+
+
+def options(rows: list[Row]) -> Drawn:
+    """Return what the simulator misses against the time of a solve, for all options and scipy."""
+    looks = {
+        ("B", "restarts"): Look("B: sinusoids, more and more restarts", OURS, "o", "-"),
+        ("A", "restarts"): Look("A: rotations, more and more restarts", SECOND, "s", "-"),
+        ("B", "paper"): Look("B on the paper's map", OURS, "v"),
+        ("A", "paper"): Look("A on the paper's map", SECOND, "^"),
+        ("scipy, our derivatives", ""): Look("scipy, our derivatives", PEER, "D", "-"),
+        ("scipy, own differences", ""): Look("scipy, own differences", PEER, "x", "--"),
+    }
     panels = Panels()
     for count, these in by(rows, "parts").items():
         panel = panels.add(
             parts(count), Axis("median time of a cold solve [ms]", log=True),
             Axis("drift missed in the simulator, RMS [%]", log=True), "less less",
         )  # fmt: skip
-        for method, option, colour, marker, line, name in looks:
+        for (method, option), look in looks.items():
             mine = [r for r in these if r["method"] == method and option in r["option"]]
-            panel.points(
-                name, column(mine, "median_ms"), column(mine, "missed_percent"), colour, marker,
-                line, notes=column(mine, "option"),
-            )  # fmt: skip
+            panel.points(mine, "median_ms", "missed_percent", look, note="{option}")
         for r in these:
             if r["default"] and r["method"] == "B":
                 panel.mark(r["median_ms"], r["missed_percent"])
@@ -98,48 +90,36 @@ def options(rows: list[Row]) -> Chart:
         return " / ".join(f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in mine)
 
     counts = " / ".join(str(n) for n in by(rows, "parts"))
-    return Chart(
-        "options", "b", "Solvers on the stick-slip cycle: error against time",
-        "What the loop solves, but from a cold start, with no slack and all parts at once: drifts "
-        "up to 5 mm/s along each axis, judged by the simulator. Lines join more and more restarts. "
-        "The paper's averaged map leaves a part's swing within a cycle out, and misses more than "
-        "is asked.",
+    return Drawn(
+        panels,
         f"With {counts} parts Method B misses {told('B', '3 restarts')}, Method A "
         f"{told('A', '1 restarts')}, scipy by its own differences "
         f"{told('scipy, own differences', '3 restarts')}.",
-        "Method B: 3 restarts are near the front; in the loop it has 40, and (e) shows what "
-        "they buy.",
-        panels,
-    )  # fmt: skip
+    )
 
 
-def steering(rows: list[Row]) -> Chart:
+def steering(rows: list[Row]) -> Drawn:
     """Return time and missed displacement against the number of parts."""
     groups = by(rows, "method")
     counts = tuple(sorted(by(rows, "parts")))
     panels = Panels()
-    for title, axis, full, empty, name, other in (
-        ("Time", Axis("median time of a solve [ms]", log=True), "warm_ms", "cold_ms",
-         "warm start", "cold start"),
+    for title, axis, *starts in (
+        ("Time", Axis("median time of a solve [ms]", log=True), "warm_ms", "cold_ms"),
         ("What is missed", Axis("displacement missed, RMS [% of asked]"), "missed_percent",
-         "cold_percent", "warm start", "cold start"),
+         "cold_percent"),
     ):  # fmt: skip
         panel = panels.add(title, Axis("parts", ticks=counts), axis)
-        for method, (colour, told) in METHODS.items():
-            mine = groups[method]
-            x = column(mine, "parts")
-            panel.points(f"{told}, {name}", x, column(mine, full), colour, "o", "-")
-            panel.points(f"{told}, {other}", x, column(mine, empty), colour, "s", ":")
+        for method, look in METHODS.items():
+            for start, key, marker, line in zip(("warm", "cold"), starts, "os", "-:", strict=True):
+                name = f"{look.name}, {start} start"
+                panel.points(groups[method], "parts", key, Look(name, look.colour, marker, line))
     panel.rule("good enough", y=15)
     missed = {(r["method"], r["parts"]): r["missed_percent"] for r in rows}
     less = ", ".join(str(n) for n in counts if missed["sinusoids", n] < missed["rotations", n])
     cold = {r["parts"]: r["cold_percent"] for r in groups["sinusoids"]}
-    return Chart(
-        "steering", "b", "Steering: time and misses by the number of parts",
-        "Random steady drifts up to 5 mm/s along each axis, all parts at once and with no slack, "
-        "met on the stick-slip cycle map; the truth is plate_sim's. Real tasks ask for less.",
+    return Drawn(
+        panels,
         f"From a cold start {' / '.join(str(n) for n in counts)} parts miss "
         f"{' / '.join(f'{cold[n]:.1f}' for n in counts)} % by Method B.",
         f"Method B: it misses less with {less} parts.",
-        panels,
-    )  # fmt: skip
+    )

@@ -3,78 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from maps.grid import Grid, StabilityMap
-from maps.stability import nearness, sample
+from maps.stability import borders, nearness
 from report.axis import Axis, edges
-from report.chart import Chart, Data, Row, Sheet, by, column
-from report.panels import PEER, Panels
+from report.chart import Data, Drawn, Sheet
+from report.panels import PEER, Look, Panels, Row, by
 
 MOST_NAMED = 14
 """As many whole numbers on an axis are all named."""
 
-Line = list[tuple[float, float]]
-
 
 def rows_of(data: Data, one: StabilityMap) -> Sheet:
     """Return the cells of one map's grids, and the points of theory's line."""
-    rows = [
-        {"panel": s["panel"], "case": case, "x": x, "y": y, "z": z}
-        for s in data["stability"]["samples"]
-        if s["key"] == one.key
-        for case, points in (
-            ("measured", [(x, y, z) for y, row in zip(s["y"], s["z"], strict=True)
-                          for x, z in zip(s["x"], row, strict=True)]),
-            ("theory", [(x, y, None) for x, y in zip(s["line_x"], s["line_y"], strict=True)]),
-        )
-        for x, y, z in points
-    ]  # fmt: skip
-    heads = {"x": one.x_label, "y": one.y_label, "z": one.z_label}
-    return Sheet.of(rows, {"panel": "panel", "case": "case"} | heads)
+    heads = {
+        "panel": "panel", "case": "case", "x": one.x_label, "y": one.y_label, "z": one.z_label,
+    }  # fmt: skip
+    mine = [r for r in data["stability"]["samples"] if r["map"] == one.key]
+    return Sheet.of([{key: r[key] for key in heads} for r in mine], heads)
 
 
-def chart_of(rows: list[Row], one: StabilityMap) -> Chart:
+def words_of(one: StabilityMap) -> dict[str, str]:
+    """Return the words of one map's chart."""
+    reading = f"Colour: {one.z_label}. Black: where it passes {one.level:g}. "
+    return {"title": one.title, "reading": f"{reading}Dashed: {one.line_label}. {one.note}"}
+
+
+def chart_of(rows: list[Row], one: StabilityMap) -> Drawn:
     """Return the chart of one map."""
-    panels, samples = Panels(), []
-    for title, mine in by(rows, "panel").items():
-        cells = [r for r in mine if r["case"] == "measured"]
-        line = [r for r in mine if r["case"] == "theory"]
-        found = Grid(
-            title or "", list(by(cells, "x")), list(by(cells, "y")),
-            [column(row, "z") for row in by(cells, "y").values()],
-            column(line, "x"), column(line, "y"),
-        )  # fmt: skip
-        samples.append(sample(one, found))
-        add_panel(panels, one, samples[-1])
-    return Chart(
-        f"stability_{one.key}", "", one.title,
-        f"Colour: {one.z_label}. Black: where it passes {one.level:g}. Dashed: {one.line_label}. "
-        f"{one.note}",
-        f"{one.finding} {nearness(samples)}", "", panels,
-    )  # fmt: skip
+    panels, grids = Panels(), [Grid.of(mine) for mine in by(rows, "panel").values()]
+    for grid in grids:
+        add_panel(panels, one, grid)
+    return Drawn(panels, f"{one.finding} {nearness(one, grids)}")
 
 
-def add_panel(panels: Panels, one: StabilityMap, sample: dict[str, Any]) -> None:
+def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
     """Add one grid with its lines."""
-    x = sample["x"]
-    panel = panels.add(
-        sample["panel"], axis(one, "x", one.x_label, x), axis(one, "y", one.y_label, sample["y"])
+    x, y = axis(one, "x", one.x_label, grid.x), axis(one, "y", one.y_label, grid.y)
+    panel = panels.add(grid.title, x, y)
+    panel.heat(
+        grid.x, grid.y, np.clip(np.array(grid.z, float), *one.bounds), one.z_label, one.bounds
     )
-    low, high = one.bounds
-    z = [[None if v is None else float(np.clip(v, low, high)) for v in row] for row in sample["z"]]
-    panel.heat(x, sample["y"], z, one.z_label, one.bounds)
+    observed, _ = borders(one, grid)
     lines = {
-        "measured border": ([(a, b) for a, b in zip(x, sample["observed"], strict=True) if b], "-"),
-        "theory": (list(zip(sample["line_x"], sample["line_y"], strict=True)), "--"),
+        Look("measured border", "black", "", "-"): (grid.x, observed),
+        Look("theory", PEER, "", "--"): (grid.line_x, grid.line_y),
     }
-    for name, (line, dash) in lines.items():
-        corners = steps(line, x, "x" in one.log) if one.steps else line
-        colour = PEER if name == "theory" else "black"
-        along, up = [a for a, _ in corners], [b for _, b in corners]
-        panel.points(name, along, up, colour, "", dash, in_front=False)
+    for look, places in lines.items():
+        line = [{"x": a, "y": b} for a, b in zip(*places, strict=True) if np.isfinite(b)]
+        corners = steps(line, grid.x, "x" in one.log) if one.steps else line
+        panel.points(corners, "x", "y", look)
 
 
 def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> Axis:
@@ -86,8 +66,7 @@ def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> A
     )
 
 
-def steps(line: Line, x: Sequence[float], log: bool) -> Line:
+def steps(line: list[Row], x: Sequence[float], log: bool) -> list[Row]:
     """Return the line as steps, level across each cell."""
     ends = edges(x, log)
-    number = {value: k for k, value in enumerate(x)}
-    return [(ends[number[a] + side], b) for a, b in line for side in (0, 1)]
+    return [r | {"x": ends[x.index(r["x"]) + side]} for r in line for side in (0, 1)]

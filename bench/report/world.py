@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-
 from harness import rounded
 from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
 from report.axis import Axis
-from report.chart import Chart, Data, Row, Sheet, by, column, table
-from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, THIRD, Panels
+from report.chart import Data, Drawn, Sheet, column, table
+from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
 LEAST_MM = 1e-12
 """Errors below this [mm] are rounding, and drawn here."""
@@ -18,11 +16,21 @@ DEFAULT_TOLERANCE = f"{TOLERANCE:g} m"
 """Setting of the simulator that is our default."""
 
 SIMULATORS = {
-    "by events": (OURS, "o"), "in steps": (SECOND, "s"), "plate_sim": (OURS, "o"),
-    "pymunk": (PEER, "D"), "MuJoCo": (THIRD, "^"), "bodies": (SECOND, "s"),
-    "scipy RK45": (FAINT, "x"),
+    "by events": Look("points, by events", OURS), "in steps": Look("points, in steps", SECOND, "s"),
+    "plate_sim": Look("discs, ours", OURS), "bodies": Look("bodies that turn, ours", SECOND, "s"),
+    "pymunk": Look("pymunk", PEER, "D"), "MuJoCo": Look("MuJoCo", THIRD, "^"),
+    "scipy RK45": Look("scipy", FAINT, "x"),
 }  # fmt: skip
-"""Colour and marker of our integrators and the peers."""
+"""Our integrators and the peers."""
+
+SIMULATED = (
+    ("travel", "gamma", "1 part, shaken at {} mu g", "error of the travel after 1 s [mm]",
+     "error_mm", LEAST_MM, "-"),
+    ("discs", "parts", "{} discs that collide", "deepest overlap [µm]", "overlap_um", 0.01, ""),
+    ("body", "case", "1 {} that slides and turns, 0.2 s", "error of centre or rim [mm]",
+     "error_mm", None, "-"),
+)  # fmt: skip
+"""Case, what tells its panels apart, their title, label, column, least number, and line."""
 
 
 def sim_rows(data: Data) -> Sheet:
@@ -34,8 +42,7 @@ def sim_rows(data: Data) -> Sheet:
         | {key: r[key] for key in ("method", "parts", "step_ms", "overlap_um", "speed")}
         for r in discs.rows
     ]
-    if "bodies" in data:
-        rows += [{"case": "body"} | r for r in table(data, "bodies", "bodies").rows]
+    rows += [{"case": "body"} | r for r in table(data, "bodies", "bodies").rows]
     rows += [
         {"case": "lead", "parts": r["parts"], "lead": r["lead"]}
         for r in table(data, "sim", "speed").rows
@@ -45,66 +52,37 @@ def sim_rows(data: Data) -> Sheet:
     return Sheet.of(rows, kinds | error.columns | kinds | heads)
 
 
-def sim(rows: list[Row]) -> Chart:
+def sim(rows: list[Row]) -> Drawn:
     """Return error against speed of the simulator: parts alone, and parts that collide."""
-    names = {
-        "by events": "points, by events", "in steps": "points, in steps",
-        "plate_sim": "discs, ours",
-        "bodies": "bodies that turn, ours", "scipy RK45": "scipy",
-    }  # fmt: skip
     panels, cases = Panels(), by(rows, "case")
-    for gamma, mine in sorted(by(cases["travel"], "gamma").items()):
-        speed_panel(
-            panels, f"1 part, shaken at {gamma} mu g", "error of the travel after 1 s [mm]", names,
-            [r | {"error": max(r["error_mm"], LEAST_MM)} for r in mine], "-",
-            lambda r: r["method"] == "by events" and r["setting"] == DEFAULT_TOLERANCE,
-        )  # fmt: skip
-    for count, mine in sorted(by(cases["discs"], "parts").items()):
-        speed_panel(
-            panels, f"{count} discs that collide", "deepest overlap [µm]", names,
-            [r | {"error": max(r["overlap_um"], 0.01)} for r in mine], "",
-            lambda r: r["method"] == "plate_sim" and r["step_ms"] <= 1.01e3 * STEP,
-        )  # fmt: skip
-    if "body" in cases:
-        speed_panel(
-            panels, "1 body that slides and turns, 0.2 s", "error of centre or rim [mm]",
-            names, [r | {"error": r["error_mm"]} for r in cases["body"]], "-",
-            lambda r: r["setting"] == f"{1e3 * STEP:g} ms",
-        )  # fmt: skip
+    speed = Axis("simulated time per core time [s/s]", log=True)
+    for case, key, title, label, error, least, line in SIMULATED:
+        looks = {method: look._replace(line=line) for method, look in SIMULATORS.items()}
+        for value, mine in sorted(by(cases[case], key).items()):
+            y = Axis(label, log=True, least=least)
+            panel = panels.add(title.format(value), speed, y, "more less")
+            panel.kinds(mine, "method", "speed", error, looks, note="{setting}")
+            for row in filter(is_default, mine):
+                panel.mark(row["speed"], row[error])
     lead = ", ".join(f"{r['lead']:.0f}" for r in cases["lead"] if r["lead"])
     counts = ", ".join(str(r["parts"]) for r in cases["lead"])
-    return Chart(
-        "sim", "c", "Simulator: error against speed, beside its peers",
-        "Each point is a setting (tolerance or step). Parts alone are judged in scenes whose "
-        "answer is known, discs that collide by how deep they overlap, a body that turns against "
-        "scipy. Down and to the right is better.",
+    return Drawn(
+        panels,
         f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
         f"ways, and to an error of {min(column(cases['travel'], 'error_mm')):.0e} mm where that is "
         "wanted.",
         f"Points by events at a tolerance of {DEFAULT_TOLERANCE}; the world's model of parts in "
         f"steps of {1e3 * STEP:g} ms, at an overlap that no camera sees.",
-        panels,
-    )  # fmt: skip
-
-
-def speed_panel(
-    panels: Panels, title: str, label: str, names: Mapping[str, str], rows: list[Row], line: str,
-    is_default: Callable[[Row], bool],
-) -> None:  # fmt: skip
-    """Add a panel of `error` against `speed` by method; our default has a mark."""
-    panel = panels.add(
-        title,
-        Axis("simulated time per core time [s/s]", log=True),
-        Axis(label, log=True),
-        "more less",
     )
-    for method, mine in by(rows, "method").items():
-        panel.points(
-            names.get(method, method), column(mine, "speed"), column(mine, "error"),
-            *SIMULATORS[method], line, notes=column(mine, "setting"),
-        )  # fmt: skip
-    for row in filter(is_default, rows):
-        panel.mark(row["speed"], row["error"])
+
+
+def is_default(row: Row) -> bool:
+    """Whether a setting of the simulator is our default."""
+    if row["case"] == "discs":
+        return bool(row["method"] == "plate_sim" and row["step_ms"] <= 1.01e3 * STEP)
+    return row["setting"] == (
+        DEFAULT_TOLERANCE if row["case"] == "travel" else f"{1e3 * STEP:g} ms"
+    )
 
 
 def cost_rows(data: Data) -> Sheet:
@@ -120,7 +98,7 @@ def cost_rows(data: Data) -> Sheet:
     return Sheet.of(rows, {"case": "case"} | stages.columns | heads)
 
 
-def cost(rows: list[Row]) -> Chart:
+def cost(rows: list[Row]) -> Drawn:
     """Return the cost of every stage, and of every model of the simulator, by parts."""
     stages, models = by(rows, "case")["stages"], by(rows, "case")["simulator"]
     counts = column(stages, "parts")
@@ -129,35 +107,31 @@ def cost(rows: list[Row]) -> Chart:
         "Every stage, one image", Axis("parts on the plate", ticks=tuple(counts)),
         Axis("median time for one image [ms]", log=True),
     )  # fmt: skip
-    for key, name, colour, marker, line in (
+    for key, *look in (
         ("solver", "solver", OURS, "o", "-"), ("vision", "vision", PEER, "s", "-"),
         ("driver", "driver", SECOND, "D", "-"), ("planner", "planner", THIRD, "^", "-"),
         ("simulator", "simulator", FAINT, "v", ":"), ("camera", "camera", FAINT, "x", "--"),
         ("answer", "image to setpoints", "#111111", "", "-"),
         ("period", "one cycle: the limit", LIMIT, "", "-"),
     ):  # fmt: skip
-        first.points(name, counts, column(stages, key), colour, marker, line)
+        first.points(stages, "parts", key, Look(*look))
     second = panels.add(
-        "The simulator", Axis("parts", log=True),
-        Axis("core time for 1 s [s]", log=True),
-    )  # fmt: skip
-    for key, name, colour, marker in (
-        ("by events", "points, by events", OURS, "o"), ("in steps", "parts, in steps", SECOND, "s"),
-        ("pymunk", "pymunk, 1 ms", PEER, "x"),
-    ):  # fmt: skip
-        there = [r for r in models if r.get(key)]
-        if there:
-            second.points(name, column(there, "parts"), column(there, key), colour, marker, "-")
+        "The simulator", Axis("parts", log=True), Axis("core time for 1 s [s]", log=True)
+    )
+    for key, *look in (
+        ("by events", "points, by events", OURS, "o", "-"),
+        ("in steps", "parts, in steps", SECOND, "s", "-"),
+        ("pymunk", "pymunk, 1 ms", PEER, "x", "-"),
+    ):
+        second.points(models, "parts", key, Look(*look))
     second.rule("real time", y=1)
     last = stages[-1]
-    return Chart(
-        "cost", "g", "Cost against the number of parts",
-        "Cores of the nodes, without ROS. The stages between image and setpoints have to fit into "
-        "one cycle of the plate; camera and simulator stand in for the machine.",
+    return Drawn(
+        panels,
         f"{last['parts']} parts: {last['answer']:.1f} ms from image to setpoints, "
         f"{100 * last['answer'] / last['period']:.0f} % of a cycle of {last['period']:.0f} ms; "
-        f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.", "", panels,
-    )  # fmt: skip
+        f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.",
+    )
 
 
 def span(rows: list[Row], key: str) -> str:
@@ -165,10 +139,12 @@ def span(rows: list[Row], key: str) -> str:
     return f"{min(column(rows, key)):.2g} to {max(column(rows, key)):.2g}"
 
 
-def vision(rows: list[Row]) -> Chart:
+def vision(rows: list[Row]) -> Drawn:
     """Return error against time of finding discs, a panel for each scene."""
-    methods, looks = list(by(rows, "method")), list("osD^vx")
-    colours = (OURS, PEER, SECOND, THIRD, "#8a6d00", LIMIT)
+    colours, methods = (OURS, PEER, SECOND, THIRD, "#8a6d00", LIMIT), list(by(rows, "method"))
+    looks = {
+        name: Look(name, *look) for name, *look in zip(methods, colours, "osD^vx", strict=False)
+    }
     scenes = by([r for r in rows if r["rms_px"] is not None], "place", "discs")
     panels = Panels()
     for (place, discs), mine in sorted(scenes.items()):
@@ -176,25 +152,18 @@ def vision(rows: list[Row]) -> Chart:
             f"{discs} discs, {place}", Axis("time for one image, in a loop [ms]", log=True),
             Axis("error of the centres, RMS [px]", log=True), "less less",
         )  # fmt: skip
-        for method, these in by(mine, "method").items():
-            wrong = [r["missed_percent"] + r["false_percent"] > 0 for r in these]
-            number = methods.index(method)
-            panel.points(
-                method, column(these, "loop_ms"), column(these, "rms_px"), colours[number],
-                looks[number], hollow=wrong,
-                notes=[f"missed {r['missed_percent']:.0f} %, invented {r['false_percent']:.0f} %"
-                       for r in these],
-            )  # fmt: skip
+        note = "missed {missed_percent:.0f} %, invented {false_percent:.0f} %"
+        panel.kinds(mine, "method", "loop_ms", "rms_px", looks, hollow=is_wrong, note=note)
         panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]
-    return Chart(
-        "vision", "d", "Vision: error against time, beside its peers",
-        "Images of 640 x 480 px by the simulated camera with noise; 1 px is about 1 mm. Hollow: "
-        "parts are missed or invented, so no front goes there.",
+    return Drawn(
+        panels,
         f"Ours: {span(ours, 'rms_px')} px in {span(ours, 'loop_ms')} ms in a loop of its own, in "
         f"{span(ours, 'turns_ms')} ms in turns with the peers; no disc missed or invented, also "
         "where they touch.",
-        "plate_vision.detect: the most exact in every scene. Contours are faster where discs "
-        "touch, but cannot part them, and err four to six times as much.",
-        panels,
-    )  # fmt: skip
+    )
+
+
+def is_wrong(row: Row) -> bool:
+    """Whether a method missed or invented parts."""
+    return row["missed_percent"] + row["false_percent"] > 0

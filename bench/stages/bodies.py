@@ -1,4 +1,4 @@
-"""A disc that slides and turns on a plate that shakes and turns: bodies beside scipy.
+"""A disc that slides and turns: error and speed, beside scipy.
 
 The truth is scipy's DOP853 at a tight tolerance, with friction integrated over the disc by
 midpoints of many cells; as peers the same equations with fewer cells and looser tolerances.
@@ -6,8 +6,7 @@ midpoints of many cells; as peers the same equations with fewer cells and looser
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -40,65 +39,49 @@ OURS, PEER = "bodies", "scipy RK45"
 
 def measure(quick: bool) -> Result:
     """Run the disc at several settings of both."""
-    rows = disc_rows(quick)
-    return Result(
-        [
-            Table(
-                "bodies",
-                f"Centre and rim of the disc after {CYCLES / FREQUENCY:g} s",
-                {
-                    "method": "method", "setting": "setting", "error_mm": "error [mm]",
-                    "speed": "simulated s per s",
-                },
-                rows,
-                "Error: how far centre or rim are off, whichever is more, against scipy's DOP853 "
-                "with 1152 cells.",
-            )
-        ],
-    )  # fmt: skip
-
-
-def disc_rows(quick: bool) -> list[dict[str, Any]]:
-    """Return error and speed of the disc at several settings."""
     truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
-    cases = [(OURS, f"{ms:g} ms", lambda ms=ms: by_steps(ms)) for ms in STEPS_MS]
+    cases = [(OURS, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
     for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
-        run = lambda t=tolerance: by_scipy(PEER_CELLS, "RK45", t)  # noqa: E731
+        run = partial(by_scipy, PEER_CELLS, "RK45", tolerance)
         cases.append((PEER, f"rtol {tolerance:g}", run))
-    return [
+    rows = [
         {
             "method": method, "setting": setting, "error_mm": 1e3 * apart(run(), truth),
             "speed": CYCLES / FREQUENCY / race({"": run}, 0.1).median(""),
         }
         for method, setting, run in cases
     ]  # fmt: skip
+    title = f"Centre and rim of the disc after {CYCLES / FREQUENCY:g} s"
+    columns = {
+        "method": "method", "setting": "setting", "error_mm": "error [mm]",
+        "speed": "simulated s per s",
+    }  # fmt: skip
+    note = (
+        "Error: how far centre or rim are off, whichever is more, against scipy's DOP853 "
+        "with 1152 cells."
+    )
+    return Result([Table("bodies", title, columns, rows, note)])
 
 
-@dataclass(frozen=True)
-class Pose:
-    """Where a disc is: place (2,) [m], angle [rad]."""
-
-    place: np.ndarray
-    angle: float
-
-
-def apart(one: Pose, other: Pose) -> float:
-    """Return how far the centres or the rims are apart, whichever is more [m]."""
-    centre = float(np.hypot(*(one.place - other.place)))
-    return max(centre, RADIUS * abs(one.angle - other.angle))
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Return how far the centres or the rims of two poses (3,) [m, m, rad] are apart, whichever is
+    more [m]."""
+    x, y, turn = one - other
+    return max(float(np.hypot(x, y)), RADIUS * abs(turn))
 
 
-def by_steps(step_ms: float) -> Pose:
-    """Run plate_sim's bodies in steps [ms]."""
+def by_steps(step_ms: float) -> np.ndarray:
+    """Run plate_sim's bodies in steps [ms]; returns the pose (3,) [m, m, rad] at the end."""
     run = simulate_bodies(
         exact_cycle(GAMMA, SPIN), disc(RADIUS), np.array([PLACE]), 0, np.array([SPEED]), TURN, MU,
         GRAVITY, CYCLES, 1, 1e-3 * step_ms,
     )  # fmt: skip
-    return Pose(run.position[-1, 0], float(run.angle[-1, 0]))
+    return np.append(run.position[-1, 0], run.angle[-1, 0])
 
 
-def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> Pose:
-    """Run the equations of motion with scipy, friction by midpoints of cells of equal area."""
+def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarray:
+    """Run the equations of motion with scipy, friction by midpoints of cells of equal area; returns
+    the same."""
     cycle = exact_cycle(GAMMA, SPIN)
     rings, each = cells
     ring = RADIUS * np.sqrt((np.arange(rings) + 0.5) / rings)
@@ -122,4 +105,4 @@ def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> Pose:
         slope, (0, end), start, method, [end], rtol=tolerance, atol=1e-3 * tolerance,
         max_step=0.1 / FREQUENCY,
     )  # fmt: skip
-    return Pose(found.y[:2, -1], float(found.y[2, -1]))
+    return np.asarray(found.y[:3, -1])

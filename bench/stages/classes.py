@@ -1,4 +1,4 @@
-"""Types of parts: named, placed and turned right.
+"""Types of parts: names, centres and angles.
 
 Parts of config/parts.yaml are drawn by counting sub-pixels, apart, in random turns, in colour; what
 they are is known. The types are those of the file: taught ones differ from them by 0.1 px.
@@ -57,22 +57,15 @@ def measure(quick: bool) -> Result:
     rows = []
     for number, (name, options) in enumerate(SCENES.items()):
         rows.append(_scene_row(types, name, options, number, 3 if quick else FRAMES))
-    return Result(
-        [
-            Table(
-                "classes",
-                f"Types of {COUNT} parts in {SIZE_PX[0]} x {SIZE_PX[1]} px",
-                {
-                    "scene": "scene", "frames": "images",
-                    "wrong_percent": "wrong type [%]", "unknown_percent": "unknown [%]",
-                    "rms_px": "centre RMS [px]", "angle_deg": "angle RMS [deg]",
-                    "angle_max_deg": "angle, worst [deg]",
-                },
-                rows,
-                "Nine types, 12 to 26 mm, apart.",
-            )
-        ],
-    )  # fmt: skip
+    title = f"Types of {COUNT} parts in {SIZE_PX[0]} x {SIZE_PX[1]} px"
+    columns = {
+        "scene": "scene", "frames": "images",
+        "wrong_percent": "wrong type [%]", "unknown_percent": "unknown [%]",
+        "rms_px": "centre RMS [px]", "angle_deg": "angle RMS [deg]",
+        "angle_max_deg": "angle, worst [deg]",
+    }  # fmt: skip
+    note = "Nine types, 12 to 26 mm, apart."
+    return Result([Table("classes", title, columns, rows, note)])
 
 
 def _scene_row(

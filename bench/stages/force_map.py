@@ -1,4 +1,4 @@
-"""The averaged force map beside scipy's quad, plain numba and numpy: random cases.
+"""Average friction over a cycle: time and error.
 
 The truth is quad itself, told where the surface almost stands still, to a tolerance of 1e-10.
 """
@@ -16,7 +16,7 @@ from numba import njit
 from scipy.integrate import quad
 
 from harness import Result, Table, race
-from plate_core import PlateCycle, load_rig
+from plate_core import load_rig
 from plate_solver import Limits, average_force
 from plate_solver.maps import (
     force_rules,
@@ -26,6 +26,9 @@ from plate_solver.maps import (
     triangular_forces,
 )
 from plate_solver.sinusoids import SinusoidBasis, SinusoidFamily, sinusoid_basis
+
+ForceMap = Callable[[np.ndarray], np.ndarray]
+"""Places (M, 2) [m] to forces (M, 2) [mu m g]."""
 
 NUMBER, PERIOD = 2, 0.05
 """Harmonics and period [s] of the motions: 2 x 2 x 3 = 12 parameters."""
@@ -43,34 +46,26 @@ def measure(quick: bool) -> Result:
     truth = np.array([exact_force(c, p) for c, p in cases])
     methods = evaluators(basis)
     error = {
-        name: np.max(np.abs([call(c, p[None])[0] for c, p in cases] - truth), axis=1)
-        for name, call in methods.items()
+        name: np.max(np.abs([of(c)(p[None])[0] for c, p in cases] - truth), axis=1)
+        for name, of in methods.items()
     }
     seconds = 0.5 if quick else 3.0
     place = rng.uniform(-rig.plate.half, rig.plate.half)[None]
-    one = race({name: partial(c, cases[0][0], place) for name, c in methods.items()}, seconds)
-    rows = [
-        {"method": name, "one_us": 1e6 * one.median(name), **worst(error[name])} for name in methods
-    ]
-    errors = {"median": "median error [mu m g]", "p99": "worst 1 % [mu m g]"}
-    return Result(
-        [
-            Table(
-                "batched", "Average forces of many motions at once",
-                {"method": "method", "us": "each [us]", **errors},
-                batch_rows(cases, truth, seconds),
-                f"{len(cases)} random motions and places in one call, from coefficients. The "
-                "closed form has 8 intervals; its error is that of triangles for sines.",
-            ),
-            Table(
-                "methods", "Average force of a cycle",
-                {"method": "method", "one_us": "1 part [us]", **errors},
-                rows,
-                f"{len(cases)} random motions and places, 12 parameters. step_forces takes twist "
-                "samples that are there already; average_force integrates the cycle's spline.",
-            )
-        ],
-    )  # fmt: skip
+    one = race({n: partial(of(cases[0][0]), place) for n, of in methods.items()}, seconds)
+    rows = batch_rows(cases, truth, seconds)
+    rows += [row("one", name, one.median(name), error[name]) for name in methods]
+    title = "Average forces of many motions at once, and of one cycle"
+    columns = {
+        "case": "case", "method": "method", "us": "time of one force [µs]",
+        "median": "median error [mu mg]", "p99": "worst 1 % [mu mg]",
+    }  # fmt: skip
+    note = (
+        f"{len(cases)} random motions of 12 parameters and places. Many: in one call, from "
+        "coefficients; the closed form has 8 intervals, its error is that of triangles for "
+        "sines. One: step_forces takes twist samples that are there already; average_force "
+        "integrates the cycle's spline."
+    )
+    return Result([Table("force_map", title, columns, rows, note)])
 
 
 @njit(cache=True, fastmath=True)
@@ -107,16 +102,18 @@ def batch_rows(
         ),
     }
     timed = race(calls, seconds)
-    rows = []
-    for name, call in calls.items():
-        error = np.max(np.abs(call() - truth), axis=1)
-        rows.append({"method": name, "us": 1e6 * timed.median(name) / len(cases), **worst(error)})
-    return rows
+    return [
+        row("many", name, timed.median(name) / len(cases), np.max(np.abs(call() - truth), axis=1))
+        for name, call in calls.items()
+    ]
 
 
-def worst(error: np.ndarray) -> dict[str, float]:
-    """Return the columns of an error (n,) [mu m g]."""
-    return {"median": float(np.median(error)), "p99": float(np.percentile(error, 99))}
+def row(case: str, method: str, seconds: float, error: np.ndarray) -> dict[str, Any]:
+    """Return a row of the time of one force [s] and of errors (n,) [mu m g]."""
+    return {
+        "case": case, "method": method, "us": 1e6 * seconds,
+        "median": float(np.median(error)), "p99": float(np.percentile(error, 99)),
+    }  # fmt: skip
 
 
 def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:
@@ -170,49 +167,41 @@ def adaptive(
     )
 
 
-def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]]:
-    """Return functions of coefficients (4, 3) and places (M, 2) to forces (M, 2) [mu m g].
-
-    The cycle and the samples are kept from call to call, so that only the map itself is timed.
-    """
-    kept: dict[int, PlateCycle] = {}
-    samples: dict[tuple[int, int], np.ndarray] = {}
-
-    def whole(coefficients: np.ndarray, position: np.ndarray) -> np.ndarray:
-        cycle = kept.get(id(coefficients))
-        if cycle is None:
-            cycle = kept[id(coefficients)] = basis.cycle(coefficients)
-        return average_force(cycle, position)
+def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray], ForceMap]]:
+    """Return what makes of coefficients (4, 3) a function of places, so that only the map itself is
+    timed."""
 
     def twist(coefficients: np.ndarray, n: int) -> np.ndarray:
-        key = (id(coefficients), n)
-        if key not in samples:
-            samples[key] = sinusoid_basis(NUMBER, PERIOD, False, n).twist @ coefficients
-        return samples[key]
+        return np.asarray(sinusoid_basis(NUMBER, PERIOD, False, n).twist @ coefficients)
 
-    def stepwise(n: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        equal = np.ones(n)
-        return lambda c, position: step_forces(
-            position, np.zeros_like(position), twist(c, n), equal
-        )[:, :2]
-
-    def plain(c: np.ndarray, position: np.ndarray) -> np.ndarray:
-        u = twist(c, 256)[:, None]
-        velocity = np.stack(
-            [u[..., 0] - u[..., 2] * position[:, 1], u[..., 1] + u[..., 2] * position[:, 0]], -1
-        )
-        speed = np.sqrt(np.sum(velocity**2, axis=2, keepdims=True))
-        return np.asarray(np.mean(velocity / speed, axis=0))
-
-    def adaptive_all(c: np.ndarray, position: np.ndarray) -> np.ndarray:
-        whole_cycle = [adaptive(c, p, 0.0, PERIOD, 1.5e-8 * PERIOD) for p in position]
-        return np.array(whole_cycle) / PERIOD
+    def stepwise(n: int, coefficients: np.ndarray) -> ForceMap:
+        return partial(by_steps, twist(coefficients, n), np.ones(n))
 
     return {
-        "average_force": whole,
-        "step_forces, n = 128": stepwise(128),
-        "step_forces, n = 512": stepwise(512),
-        "step_forces, n = 1024": stepwise(1024),
-        "numpy, n = 256": plain,
-        "quad (scipy)": adaptive_all,
+        "average_force": lambda c: partial(average_force, basis.cycle(c)),
+        **{f"step_forces, n = {n}": partial(stepwise, n) for n in (128, 512, 1024)},
+        "numpy, n = 256": lambda c: partial(by_numpy, twist(c, 256)),
+        "quad (scipy)": lambda c: partial(by_quad, c),
     }
+
+
+def by_steps(twist: np.ndarray, dt: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Average by our kernel for equal steps."""
+    return step_forces(position, np.zeros_like(position), twist, dt)[:, :2]
+
+
+def by_numpy(twist: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Average by numpy."""
+    u = twist[:, None]
+    velocity = np.stack(
+        [u[..., 0] - u[..., 2] * position[:, 1], u[..., 1] + u[..., 2] * position[:, 0]], -1
+    )
+    speed = np.sqrt(np.sum(velocity**2, axis=2, keepdims=True))
+    return np.asarray(np.mean(velocity / speed, axis=0))
+
+
+def by_quad(coefficients: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Average by scipy's quad, with its usual tolerance."""
+    return (
+        np.array([adaptive(coefficients, p, 0, PERIOD, 1.5e-8 * PERIOD) for p in position]) / PERIOD
+    )

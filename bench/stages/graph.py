@@ -1,5 +1,8 @@
-"""The real graph put to the test by programs of tools/: faults of nodes, malformed messages, goals
-at random, and minutes of sorting."""
+"""Faults, malformed messages, goals at random and minutes in the real graph.
+
+The real graph put to the test by programs of tools/: faults of nodes, malformed messages, goals
+at random, and minutes of sorting.
+"""
 
 from __future__ import annotations
 

@@ -82,7 +82,6 @@ class Kind:
     types: tuple[str, ...] = ()
     place: Callable[..., list[Part]] | None = None
     gap_px: float = 3.0
-    count: int = PARTS
     blur_px: tuple[float, float] = (0.6, 0.6)
     highlight: bool = False
     shadow: bool = False
@@ -134,96 +133,93 @@ def has_room(part: Part, others: list[Part], gap_px: float) -> bool:
     )
 
 
-def apart(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
-    """Scatter parts that lie wholly in the image, with a gap between any two."""
-    parts: list[Part] = []
+def scattered(
+    parts: list[Part], count: int, gap_px: float, drawn: Callable[[], Part]
+) -> list[Part]:
+    """Add parts as they are drawn, as far as there is room, until they are so many."""
     for _ in range(TRIES):
-        if len(parts) == kind.count:
+        if len(parts) >= count:
             break
-        part = any_part(types, rng)
-        room = part.reach_px + 4
-        part = moved(part, rng.uniform((room, room), np.array(SIZE_PX) - room))
-        if has_room(part, parts, kind.gap_px):
+        part = drawn()
+        if has_room(part, parts, gap_px):
             parts.append(part)
     return parts
+
+
+def apart(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
+    """Scatter parts that lie wholly in the image, with a gap between any two."""
+
+    def drawn() -> Part:
+        part = any_part(types, rng)
+        room = part.reach_px + 4
+        return moved(part, rng.uniform((room, room), np.array(SIZE_PX) - room))
+
+    return scattered([], PARTS, kind.gap_px, drawn)
 
 
 def at_the_border(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
     """Scatter parts, and eight more that the border of the image cuts."""
-    parts = apart(kind, types, rng)
     width, height = SIZE_PX
-    for _ in range(TRIES):
-        if len(parts) >= kind.count + 8:
-            break
+
+    def drawn() -> Part:
         part = any_part(types, rng)
         side, along, out = rng.integers(4), rng.uniform(0.1, 0.9), rng.uniform(-0.4, 0.4)
-        away = out * part.radius_px
-        part = moved(
-            part,
-            np.array(
-                [
-                    (along * width, away), (along * width, height - 1 - away),
-                    (away, along * height), (width - 1 - away, along * height),
-                ][side]
-            ),
-        )  # fmt: skip
-        if has_room(part, parts, kind.gap_px):
-            parts.append(part)
-    return parts
+        away, x, y = out * part.radius_px, along * width, along * height
+        places = (x, away), (x, height - 1 - away), (away, y), (width - 1 - away, y)
+        return moved(part, np.array(places[side]))
+
+    return scattered(apart(kind, types, rng), PARTS + 8, kind.gap_px, drawn)
 
 
 def chains(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
     """Rows of three to five parts, each of which touches the one before."""
-    return touching(kind, types, rng, np.deg2rad(40), (3, 6))
+    return touching(kind, types, rng, np.deg2rad(40), around=False)
 
 
 def clusters(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
     """Heaps of three to five parts that lie around the first of them."""
-    return touching(kind, types, rng, np.pi, (3, 6), around=True)
+    return touching(kind, types, rng, np.pi, around=True)
 
 
 def touching(
-    kind: Kind,
-    types: list[PartType],
-    rng: np.random.Generator,
-    bend: float,
-    size: tuple[int, int],
-    around: bool = False,
+    kind: Kind, types: list[PartType], rng: np.random.Generator, bend: float, around: bool
 ) -> list[Part]:
     """Scatter groups of parts that touch each other."""
     parts: list[Part] = []
     for _ in range(60):
-        if len(parts) >= kind.count:
+        if len(parts) >= PARTS:
             break
-        group: list[Part] = []
         heading = rng.uniform(0, 2 * np.pi)
-        first = moved(any_part(types, rng), rng.uniform((60, 60), np.array(SIZE_PX) - 60))
-        for _ in range(int(rng.integers(*size))):
-            part = any_part(types, rng)
-            if not group:
-                part = first
-            else:
-                base = group[0] if around else group[-1]
-                for _ in range(20):
-                    way = heading + rng.uniform(-bend, bend)
-                    part = pushed(part, base, way)
-                    if not any(overlap(part, other) for other in group if other is not base):
-                        break
-                else:
-                    break
+        group = [moved(any_part(types, rng), rng.uniform((60, 60), np.array(SIZE_PX) - 60))]
+        count = int(rng.integers(3, 6))
+        any_part(types, rng)  # by which the scenes stay what they have always been
+        for _ in range(count - 1):
+            base = group[0] if around else group[-1]
+            part = attached(any_part(types, rng), base, group, heading, bend, rng)
+            if part is None:
+                break
             group.append(part)
-        if all(
-            np.all(part.centre_px > part.reach_px + 3)
-            and np.all(part.centre_px < np.array(SIZE_PX) - part.reach_px - 3)
-            and all(
-                np.hypot(*(part.centre_px - other.centre_px))
-                > part.reach_px + other.reach_px + kind.gap_px
-                for other in parts
-            )
-            for part in group
-        ):
+        if all(seen_inside(part) and has_room(part, parts, kind.gap_px) for part in group):
             parts += group
     return parts
+
+
+def seen_inside(part: Part) -> bool:
+    """Whether a part, taken for a disc about its centre, is 3 px off the border of the image."""
+    room = part.reach_px + 3
+    return bool(np.all(part.centre_px > room) and np.all(part.centre_px < np.array(SIZE_PX) - room))
+
+
+def attached(
+    part: Part, base: Part, group: list[Part], heading: float, bend: float, rng: np.random.Generator
+) -> Part | None:
+    """Return a part that touches the base and none else of its group, pushed from a direction up to
+    `bend` off `heading` [rad]; None if none is found."""
+    for _ in range(20):
+        part = pushed(part, base, heading + rng.uniform(-bend, bend))
+        if not any(overlap(part, other) for other in group if other is not base):
+            return part
+    return None
 
 
 def pushed(part: Part, base: Part, way: float) -> Part:
@@ -320,13 +316,9 @@ def draw(
 
 
 def shine(
-    paint: np.ndarray,
-    cover: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    part: Part,
+    paint: np.ndarray, cover: np.ndarray, x: np.ndarray, y: np.ndarray, part: Part,
     rng: np.random.Generator,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the colours (h, w, 3) of a part with a white spot of 2 to 5 % of its area on it."""
     rows, columns = np.nonzero(cover > 0.99)
     spot = rng.integers(len(rows))

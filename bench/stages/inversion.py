@@ -1,4 +1,4 @@
-"""Method B's inversion of the average map: what becomes of requests.
+"""Method B: what is solved, what is proven out of reach.
 
 Requests are fresh: no seed here was used while the solver was made. All answers are judged by
 `average_force` on the finished cycle.
@@ -15,6 +15,7 @@ from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, Status, average_force
 from stages.scenes import targets
 from stages.solver import TOLERANCE
+from tasks.runs import median
 
 SEED = 30_000
 """First seed of the requests; the number of parts and harmonics is added."""
@@ -31,22 +32,15 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     fates = [fate(rig, parts, number, 3 if quick else 30) for parts, number in CASES]
     free = [fate(rig, parts, 0, 2 if quick else 15) for parts in (3, 4, 5, 6, 8)]
-    return Result(
-        [
-            Table(
-                "fate",
-                "What becomes of requests up to 0.2 mu m g",
-                {
-                    "parts": "parts M", "harmonics": "harmonics N", "solved": "solved [%]",
-                    "more": "by ten times the starts [%]", "proven": "proven out of reach [%]",
-                    "wrong": "wrong successes",
-                    "share": "share met of the rest, median", "median_ms": "median [ms]",
-                },
-                [*fates, *free],
-                "Harmonics: as asked for, or as the solver chooses (in brackets).",
-            ),
-        ]
-    )  # fmt: skip
+    title = "What becomes of requests up to 0.2 mu m g"
+    columns = {
+        "parts": "parts M", "harmonics": "harmonics N", "solved": "solved [%]",
+        "more": "by ten times the starts [%]", "proven": "proven out of reach [%]",
+        "wrong": "wrong successes",
+        "share": "share met of the rest, median", "median_ms": "median [ms]",
+    }  # fmt: skip
+    note = "Harmonics: as asked for, or as the solver chooses (in brackets)."
+    return Result([Table("fate", title, columns, [*fates, *free], note)])
 
 
 def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
@@ -54,29 +48,24 @@ def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
     solver = SinusoidSolver(rig, harmonics=number)
     thorough = SinusoidSolver(rig, harmonics=number, restarts=TEN_TIMES)
     rng = np.random.default_rng(SEED + 100 * parts + number)
-    solved = more = proven = wrong = 0
-    times, shares = [], []
+    answers, more, wrong, times = [], 0, 0, []
     for position, force in targets(rig, parts, count, rng):
         solver.reset()
         began = cpu_time()
         answer = solver.solve(position, force)
         times.append(1e3 * (cpu_time() - began))
+        answers.append(answer)
         error = np.max(np.abs(average_force(answer.cycle, position) - force))
-        solved += answer.success
         wrong += answer.success and bool(error > TOLERANCE)
-        proven += answer.status is Status.UNREACHABLE
         if not answer.success:
-            shares.append(answer.fraction)
             thorough.reset()
             more += thorough.solve(position, force).success
-    chosen = solver.harmonics(2 * parts)
+    solved = sum(answer.success for answer in answers)
+    proven = sum(answer.status is Status.UNREACHABLE for answer in answers)
     return {
-        "parts": parts,
-        "harmonics": number or f"({chosen})",
-        "solved": 100 * solved / count,
-        "more": 100 * (solved + more) / count,
-        "proven": 100 * proven / count,
-        "wrong": int(wrong),
-        "share": float(np.median(shares)) if shares else None,
-        "median_ms": float(np.median(times)),
-    }
+        "parts": parts, "harmonics": number or f"({solver.harmonics(2 * parts)})",
+        "solved": 100 * solved / count, "more": 100 * (solved + more) / count,
+        "proven": 100 * proven / count, "wrong": int(wrong),
+        "share": median([answer.fraction for answer in answers if not answer.success]),
+        "median_ms": median(times),
+    }  # fmt: skip

@@ -1,4 +1,4 @@
-"""From image to motors in the real graph, beside a graph of five processes that only forwards.
+"""Image to motors in the real graph, beside one that only forwards.
 
 Nodes in processes of their own, then all in one. Both graphs run at the same time and take turns:
 the forwarders' image comes half a cycle after the real one. Their messages have the real ones'
@@ -27,16 +27,13 @@ QUICK_S = 6.0
 def measure(quick: bool) -> Result:
     """Sort ten parts in real time, beside the forwarders."""
     apart, together = measured(quick, one_process=False), measured(quick, one_process=True)
-    return Result(
-        [
-            table("latency", "nodes in processes of their own", apart[0]),
-            table("latency_one_process", "all nodes in one process", together[0]),
-            Table(
-                "cpu", "Share of one core [%]", {"node": "processes", "cpu": "CPU"},
-                cpu(apart[1], "") + cpu(together[1], "second run, "),
-            ),
-        ],
-    )  # fmt: skip
+    shares = cpu(apart[1], "") + cpu(together[1], "second run, ")
+    tables = [
+        table("latency", "nodes in processes of their own", apart[0]),
+        table("latency_one_process", "all nodes in one process", together[0]),
+        Table("cpu", "Share of one core [%]", {"node": "processes", "cpu": "CPU"}, shares),
+    ]
+    return Result(tables)
 
 
 def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
@@ -62,17 +59,15 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
 
 def table(name: str, what: str, rows: list[dict[str, Any]]) -> Table:
     """Return the table of the stages."""
-    return Table(
-        name, f"Ten parts, {what}: when messages are published, after those they answer",
-        {
-            "stage": "stage", "median": "median [ms]", "p99": "99 % [ms]",
-            "beside": "forwarding: median [ms]", "beside_p99": "99 % [ms]",
-            "ratio": "ratio of medians", "ratio_p99": "of 99 %",
-            "more": "median more [ms]", "images": "images",
-        },
-        rows,
-        "camera: from stamp to published image; here it includes the simulation's picture.",
-    )  # fmt: skip
+    columns = {
+        "stage": "stage", "median": "median [ms]", "p99": "99 % [ms]",
+        "beside": "forwarding: median [ms]", "beside_p99": "99 % [ms]",
+        "ratio": "ratio of medians", "ratio_p99": "of 99 %",
+        "more": "median more [ms]", "images": "images",
+    }  # fmt: skip
+    title = f"Ten parts, {what}: when messages are published, after those they answer"
+    note = "camera: from stamp to published image; here it includes the simulation's picture."
+    return Table(name, title, columns, rows, note)
 
 
 def cpu(shares: dict[str, float], run: str) -> list[dict[str, Any]]:

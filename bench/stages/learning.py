@@ -1,4 +1,4 @@
-"""Learning the plate: error of the realised harmonics against the number of experiments.
+"""Learning the plate: error of realised harmonics.
 
 The simulated plate hangs at 35 Hz with 3 % damping, off-centre; its motors push 15 % too much or
 too little, with a bandwidth of 200 Hz; sensors are read every 10 ms, with noise. The cycles judged
@@ -45,25 +45,21 @@ def measure(quick: bool) -> Result:
     """Learn, and judge after each iteration."""
     rig = load_rig()
     rows = iterations(rig, 3 if quick else CYCLES)
-    return Result(
-        [
-            Table(
-                "learning",
-                "Error of the realised harmonics after each iteration",
-                {"iteration": "iteration", "median": "median [%]", "most": "largest [%]"},
-                rows,
-                f"{HZ:g} Hz, damping {100 * DAMPING:g} %, motors {100 * MISMATCH:g} % apart, "
-                f"accelerometers with {NOISE:g} m/s2 of noise every {1e3 * SAMPLE_S:g} ms. 1 to 3: "
-                "the calibration, x, y, theta; then the same with other phases, believed by 0.3.",
-            ),
-        ]
+    title = "Error of the realised harmonics after each iteration"
+    columns = {"iteration": "iteration", "median": "median [%]", "most": "largest [%]"}
+    note = (
+        f"{HZ:g} Hz, damping {100 * DAMPING:g} %, motors {100 * MISMATCH:g} % apart, "
+        f"accelerometers with {NOISE:g} m/s2 of noise every {1e3 * SAMPLE_S:g} ms. 1 to 3: "
+        "the calibration, x, y, theta; then the same with other phases, believed by 0.3."
     )
+    return Result([Table("learning", title, columns, rows, note)])
 
 
-def hung(rig: Rig) -> Rig:
-    """Return the rig on its flexures."""
+def hung(rig: Rig, frequency: float = HZ) -> Rig:
+    """Return the rig on flexures of a natural frequency [Hz], its motors unequal, its centre of
+    mass off the middle."""
     mass = mass_matrix(rig.plate.mass_kg, 0.075, (0.01, -0.005))
-    damping, stiffness = modal_matrices(mass, np.full(3, HZ), np.full(3, DAMPING))
+    damping, stiffness = modal_matrices(mass, np.full(3, frequency), np.full(3, DAMPING))
     gain = (1 + MISMATCH, 1 - MISMATCH) * 2
     return replace(
         rig, suspension=Suspension(mass, damping, stiffness, (0, 0, 1), gain, BANDWIDTH_HZ)

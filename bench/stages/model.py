@@ -1,4 +1,4 @@
-"""The simulator's one model of parts: no more is computed than a scene needs.
+"""The model of parts: cost and error by scene, beside the judge and pymunk.
 
 Scenes where nothing touches, parts touch, the plate turns, or hangs on flexures; for each number of
 parts the cost of a plate cycle and the error at its end. Beside it the judge (points, event by
@@ -7,13 +7,13 @@ event) and pymunk.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, missing_peer, optional, race
+from harness import Result, Table, missing, optional, race
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import (
     Contacts,
@@ -85,24 +85,27 @@ class Scene:
             Contacts(friction=RIMS if touching and turns else 0.0),
         )  # fmt: skip
 
+    def motions(self, cycles: int) -> Iterator[PlateCycle | PlateMotion]:
+        """Yield what the plate really does in each cycle."""
+        plate = PlateState.at_rest()
+        for _ in range(cycles):
+            if self.rig.suspension is None:
+                yield self.cycle
+            else:
+                motion, plate = realise(self.rig, plate, self.cycle)
+                yield motion
+
     def run(self, cycles: int = CYCLES, step: float = STEP) -> np.ndarray:
         """Return where the world puts the parts (M, 2) [m]."""
-        state, plate = self.state, PlateState.at_rest()
-        for _ in range(cycles):
-            motion: PlateCycle | PlateMotion = self.cycle
-            if self.rig.suspension is not None:
-                motion, plate = realise(self.rig, plate, self.cycle)
+        state = self.state
+        for motion in self.motions(cycles):
             state = run_cycle(state, motion, self.rig, step=step, contacts=self.contacts)
         return state.position
 
     def judge(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
         """Return where points that never meet end (M, 2) [m]."""
-        place, speed, plate = self.state.position, self.state.velocity, PlateState.at_rest()
-        friction = self.rig.friction
-        for _ in range(cycles):
-            motion: PlateCycle | PlateMotion = self.cycle
-            if self.rig.suspension is not None:
-                motion, plate = realise(self.rig, plate, self.cycle)
+        place, speed, friction = self.state.position, self.state.velocity, self.rig.friction
+        for motion in self.motions(cycles):
             run = simulate(motion, place, speed, friction.mu, friction.gravity, 1, 1, tolerance)
             place, speed = run.position[-1], run.velocity[-1]
         return place
@@ -113,11 +116,11 @@ class Scene:
             return self.judge(1, 1e-10)
         return self.run(1, step=FINE)
 
-    def in_pymunk(self, pymunk: Any, cycles: int = CYCLES) -> PymunkScene:
+    def in_pymunk(self, cycles: int = CYCLES) -> PymunkScene:
         """Build it in pymunk, which has no friction that turns a part on a plate that turns."""
         radius = self.rig.parts.radius_m if "touching" in self.kind else 0.0
         return PymunkScene(
-            pymunk, self.cycle, PEER_STEP, cycles * PERIOD, self.state.position,
+            self.cycle, PEER_STEP, cycles * PERIOD, self.state.position,
             self.rig.friction.accel, self.state.velocity, radius,
         )  # fmt: skip
 
@@ -133,10 +136,10 @@ def shaking(turn: float) -> PlateCycle:
 
 def measure(quick: bool) -> Result:
     """Measure cost and error by scene and number of parts."""
-    pymunk, rows = optional("pymunk"), []
+    rows = []
     for kind in KINDS:
         for count in COUNTS[::2] if quick else COUNTS:
-            rows += scene_rows(Scene.of(kind, count), pymunk, 0.1 if quick else 1.0)
+            rows += scene_rows(Scene.of(kind, count), 0.1 if quick else 1.0)
     columns = {
         "scene": "scene", "parts": "parts", "method": "method", "cpu_ms": "core [ms/cycle]",
         "error_um": "error [um]",
@@ -145,20 +148,18 @@ def measure(quick: bool) -> Result:
         "Error: root mean square over the parts after one cycle. The judge's points never turn nor "
         "meet, and pymunk's parts do not turn with the plate: so they err where parts do."
     )
-    return Result(
-        [Table("model", "What a plate cycle costs, by what the scene has", columns, rows, note)],
-        [] if pymunk else [missing_peer(PYMUNK)],
-    )
+    title = "What a plate cycle costs, by what the scene has"
+    return Result([Table("model", title, columns, rows, note)], missing(PYMUNK))
 
 
-def scene_rows(scene: Scene, pymunk: Any, seconds: float) -> list[dict[str, Any]]:
+def scene_rows(scene: Scene, seconds: float) -> list[dict[str, Any]]:
     """Return a row for every method."""
     truth = scene.truth()
     ends = {MODEL: scene.run(1), JUDGE: scene.judge(1)}
     runs: dict[str, Callable[[], object]] = {MODEL: scene.run, JUDGE: scene.judge}
-    if pymunk and scene.kind in ("apart", "touching"):
-        ends[PYMUNK] = scene.in_pymunk(pymunk, 1).run()
-        runs[PYMUNK] = scene.in_pymunk(pymunk).run
+    if optional(PYMUNK) and scene.kind in ("apart", "touching"):
+        ends[PYMUNK] = scene.in_pymunk(1).run()
+        runs[PYMUNK] = scene.in_pymunk().run
     timed = race(runs, seconds)
     return [
         {

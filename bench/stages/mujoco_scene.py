@@ -1,4 +1,4 @@
-"""The simulator's other peer: the same scenes in MuJoCo, where it is installed.
+"""The simulator's other peer: the same scenes in MuJoCo.
 
 A plate moved as a mocap body drags nothing. So the scene is the plate's frame, under a gravity that
 shakes. Parts on a plane err by several percent at every step, as a contact that slides also lifts
@@ -8,7 +8,7 @@ where the plate moves along one joint, else too strong across, by up to a root o
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -58,10 +58,12 @@ class MujocoScene:
     """
 
     def __init__(
-        self, mujoco: Any, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
+        self, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
         mu: float, velocity: np.ndarray | None = None, radius: float = 0.0,
         half: np.ndarray | None = None,
     ) -> None:  # fmt: skip
+        import mujoco
+
         meets, size = int(radius > 0), radius or POINT_M
         parts = [PART.format(x=x, y=y, radius=size, meets=meets) for x, y in position]
         walls = []
@@ -87,16 +89,17 @@ class MujocoScene:
 
     def run(self) -> np.ndarray:
         """Advance; returns positions (M, 2) [m], plate_home."""
-        for accel in self.shake:
-            self.model.opt.gravity[:2] = accel
-            self.advance(self.model, self.data)
-        return np.asarray(self.start + self.data.qpos.reshape(-1, 2) + self.moved)
+        for place in self.steps():
+            end = place
+        return np.asarray(self.start + end + self.moved)
 
     def trace(self) -> np.ndarray:
         """Advance; returns places after every step (k, M, 2), in the plate."""
-        path = np.empty((len(self.shake), *self.start.shape))
-        for k, accel in enumerate(self.shake):
+        return np.array([self.start + place for place in self.steps()])
+
+    def steps(self) -> Iterator[np.ndarray]:
+        """Advance; yields how far the parts are in the plate (M, 2) [m] after every step."""
+        for accel in self.shake:
             self.model.opt.gravity[:2] = accel
             self.advance(self.model, self.data)
-            path[k] = self.start + self.data.qpos.reshape(-1, 2)
-        return path
+            yield self.data.qpos.reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Both methods with their options, and scipy, on the same steering requests: error against time.
+"""Both methods with their options, and scipy, on the stick-slip cycle.
 
 Parts lie at rest; each is asked to drift its own way over one cycle, from a cold start and with no
 slack. `plate_sim` judges all answers. The peers are scipy's least squares on Method B's unknowns
@@ -49,59 +49,47 @@ Contestant = Callable[[Goal], PlateCycle]
 def measure(quick: bool) -> Result:
     """Let all methods meet the same requests, in turns."""
     rig = load_rig()
-    rows = []
-    for parts, count in ({2: 2, 10: 1} if quick else CASES).items():
-        rows += rows_of(rig, parts, count)
-    return Result(
-        [
-            Table(
-                "options",
-                f"Random drifts up to {1e3 * DRIFT:g} mm/s along each axis, from a cold start",
-                {
-                    "parts": "parts M", "method": "method", "option": "option",
-                    "default": "default", "median_ms": "median [ms]", "p99_ms": "99 % [ms]",
-                    "missed_percent": "missed, RMS [%]", "worst_percent": "worst request [%]",
-                    "runs": "requests",
-                },
-                rows,
-                "Missed: root mean square of asked minus simulated drift, over asked. Paper's map: "
-                "a force that would move a part from rest by what is asked, met on the averages "
-                "(5). scipy: least_squares(method='trf'), Method B's unknowns, prediction, limits "
-                "and most iterations.",
-            )
-        ],
-    )  # fmt: skip
+    cases = {2: 2, 10: 1} if quick else CASES
+    rows = [row for parts, count in cases.items() for row in rows_of(rig, parts, count)]
+    title = f"Random drifts up to {1e3 * DRIFT:g} mm/s along each axis, from a cold start"
+    columns = {
+        "parts": "parts M", "method": "method", "option": "option",
+        "default": "default", "median_ms": "median [ms]", "p99_ms": "99 % [ms]",
+        "missed_percent": "missed, RMS [%]", "worst_percent": "worst request [%]",
+        "runs": "requests",
+    }  # fmt: skip
+    note = (
+        "Missed: root mean square of asked minus simulated drift, over asked. Paper's map: "
+        "a force that would move a part from rest by what is asked, met on the averages "
+        "(5). scipy: least_squares(method='trf'), Method B's unknowns, prediction, limits "
+        "and most iterations."
+    )
+    return Result([Table("options", title, columns, rows, note)])
 
 
 def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
     """Run all contestants with one number of parts; the first request is not counted."""
     rng = np.random.default_rng(SEED + parts)
     runners = contestants(rig, parts)
-    ms: dict[tuple[str, str], list[float]] = {key: [] for key in runners}
-    missed: dict[tuple[str, str], list[float]] = {key: [] for key in runners}
-    asked = []
-    for index in range(count + 1):
-        goal = request(rig, parts, rng)
-        asked.append(float(np.mean((goal.displacement / period_of(parts)) ** 2)))
+    goals = [request(rig, parts, rng) for _ in range(count + 1)]
+    asked = [np.mean((goal.displacement / period_of(parts)) ** 2) for goal in goals[1:]]
+    found: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in runners}
+    for goal in goals:
         for key, run in runners.items():
             began = cpu_time()
             cycle = run(goal)
-            seconds = cpu_time() - began
-            if index:
-                ms[key].append(1e3 * seconds)
-                missed[key].append(miss(rig, goal, cycle))
-    del asked[0]
-    return [
-        {
-            "parts": parts, "method": key[0], "option": key[1],
-            "default": is_default(*key),
-            "median_ms": float(np.median(ms[key])), "p99_ms": float(np.percentile(ms[key], 99)),
-            "missed_percent": 100 * float(np.sqrt(np.mean(missed[key]) / np.mean(asked))),
-            "worst_percent": 100 * float(np.sqrt(np.max(np.divide(missed[key], asked)))),
-            "runs": count,
-        }
-        for key in runners
-    ]  # fmt: skip
+            found[key].append((1e3 * (cpu_time() - began), miss(rig, goal, cycle)))
+    rows = []
+    for (method, option), pairs in found.items():
+        ms, missed = np.array(pairs[1:]).T
+        rows.append({
+            "parts": parts, "method": method, "option": option, "runs": count,
+            "default": is_default(method, option),
+            "median_ms": np.median(ms), "p99_ms": np.percentile(ms, 99),
+            "missed_percent": 100 * np.sqrt(np.mean(missed) / np.mean(asked)),
+            "worst_percent": 100 * np.sqrt(np.max(missed / asked)),
+        })  # fmt: skip
+    return rows
 
 
 def is_default(method: str, option: str) -> bool:

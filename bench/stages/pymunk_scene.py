@@ -1,8 +1,6 @@
-"""The simulator's peer: the same scene in pymunk, where it is installed."""
+"""The simulator's peer: the same scene in pymunk."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -30,10 +28,12 @@ class PymunkScene:
     """
 
     def __init__(
-        self, pymunk: Any, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
+        self, cycle: PlateCycle, dt: float, span: float, position: np.ndarray,
         friction_accel: float, velocity: np.ndarray | None = None, radius: float = 0.0,
         offset: float = 0.5,
     ) -> None:  # fmt: skip
+        import pymunk
+
         self.dt = dt
         self.space = pymunk.Space()
         self.plate = pymunk.Body(body_type=pymunk.Body.KINEMATIC)

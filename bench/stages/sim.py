@@ -1,20 +1,20 @@
-"""The simulator beside its peers: error, speed, and cost as scenes grow."""
+"""Parts on a shaken plate: error and speed of the simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, missing_peer, optional, race
+from harness import Result, Table, missing, optional, race
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import WorldState, run_cycle
 from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
-from stages import mujoco_scene
+from stages.mujoco_scene import MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, all_ways
 from stages.tray import tray_table
@@ -40,45 +40,26 @@ SPACING_M = 0.02
 
 def measure(quick: bool) -> Result:
     """Measure error by setting, speed at the peer's error, colliding discs, and cost."""
-    peers = {PYMUNK: optional("pymunk"), MUJOCO: optional("mujoco")}
-    errors = error_rows(peers, quick)
-    speeds = speed_rows(peers[PYMUNK], quick)
-    cost = cost_rows(peers[PYMUNK], quick)
-    return Result(
-        [
-            Table(
-                "error",
-                "Error of one part's travel after 1 s, and speed",
-                {
-                    "method": "method", "gamma": "peak accel / mu g", "setting": "setting",
-                    "error_mm": "error [mm]", "error_percent": "error [%]",
-                    "speed": "simulated s per s",
-                },
-                errors,
-                "In steps: root mean square over neighbouring steps, as the error of a single one "
-                "depends on where the steps fall.",
-            ),
-            Table(
-                "speed",
-                f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
-                {"parts": "parts", "lead": "times as fast as pymunk"},
-                speeds,
-                "Error: root mean square over the parts.",
-            ),
-            Table(
-                "cost",
-                "Cost by number of parts, 20 mu g, default settings",
-                {
-                    "parts": "parts", EVENTS: "by events [s/s]", STEPS: "in steps [s/s]",
-                    PYMUNK: "pymunk, 1 ms [s/s]",
-                },
-                cost,
-                f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
-            ),
-            tray_table(peers[PYMUNK], peers[MUJOCO], quick),
-        ],
-        [missing_peer(name.lower()) for name, module in peers.items() if not module],
+    error = Table(
+        "error", "Error of one part's travel after 1 s, and speed",
+        {"method": "method", "gamma": "peak accel / mu g", "setting": "setting",
+         "error_mm": "error [mm]", "error_percent": "error [%]", "speed": "simulated s per s"},
+        error_rows(quick),
+        "In steps: root mean square over neighbouring steps, as the error of a single one depends "
+        "on where the steps fall.",
     )  # fmt: skip
+    speed = Table(
+        "speed", f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
+        {"parts": "parts", "lead": "times as fast as pymunk"},
+        speed_rows(quick), "Error: root mean square over the parts.",
+    )  # fmt: skip
+    cost = Table(
+        "cost", "Cost by number of parts, 20 mu g, default settings",
+        {"parts": "parts", EVENTS: "by events [s/s]", STEPS: "in steps [s/s]",
+         PYMUNK: "pymunk, 1 ms [s/s]"},
+        cost_rows(quick), f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
+    )  # fmt: skip
+    return Result([error, speed, cost, tray_table(quick)], missing(PYMUNK, "mujoco"))
 
 
 def rms(values: Any) -> float:
@@ -86,117 +67,81 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def step_count(step_ms: float) -> int:
-    """Steps in one cycle, as near to the wanted step as they fit."""
-    return max(1, round(1e3 / FREQUENCY / step_ms))
-
-
-def peer_scene(
-    pymunk: Any, scene: Scene, dt: float, span: float, offset: float = 0.5
-) -> PymunkScene:
+def peer_scene(scene: Scene, dt: float, span: float, offset: float = 0.5) -> PymunkScene:
     """Build the peer's scene; it may take the plate's velocity where it serves it best."""
-    return PymunkScene(
-        pymunk, scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset
-    )
+    return PymunkScene(scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset)
 
 
-def peer_travel(pymunk: Any, scene: Scene, dt: float, offset: float) -> np.ndarray:
+def peer_travel(scene: Scene, dt: float, offset: float) -> np.ndarray:
     """How far the peer's parts went in 1 s (M, 2) [m]."""
-    return np.asarray(peer_scene(pymunk, scene, dt, SPAN, offset).run() - scene.position)
+    return np.asarray(peer_scene(scene, dt, SPAN, offset).run() - scene.position)
 
 
-@dataclass(frozen=True)
-class Case:
-    """One method at one setting: its errors [m], and a run of `span` [s] to time."""
-
-    method: str
-    setting: str
-    errors: list[float]
-    run: Callable[[], object]
-    span: float
+Setting = tuple[str, str, list[float], Callable[[], object], float]
+"""Method, its setting, its errors [m], and a run of so many seconds to time."""
 
 
-def error_rows(peers: dict[str, Any], quick: bool) -> list[dict[str, Any]]:
+def error_rows(quick: bool) -> list[dict[str, Any]]:
     """Error of the travel of one part after 1 s, and speed, by setting."""
-    steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
-    tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
-    repeats = 2 if quick else 5
     rows = []
     for gamma, exact in EXACT_M.items():
-        scene = alike(gamma, 1)
-        cases = [by_events(scene, tolerance, exact) for tolerance in tolerances]
-        for step_ms in steps_ms:
-            cases.append(in_steps(scene, step_ms, exact, repeats))
-            if peers[PYMUNK]:
-                cases.append(in_pymunk(peers[PYMUNK], scene, step_ms, exact, repeats))
-            if peers[MUJOCO] and step_ms >= MUJOCO_LEAST_MS:
-                cases.append(in_mujoco(peers[MUJOCO], scene, step_ms, exact))
-        for case in cases:
-            timed = race({"": case.run}, 0.1 if quick else 0.4)
+        for method, setting, errors, run, span in settings(alike(gamma, 1), exact, quick):
+            timed = race({"": run}, 0.1 if quick else 0.4)
             rows.append(
                 {
-                    "method": case.method, "gamma": gamma, "setting": case.setting,
-                    "error_mm": 1e3 * rms(case.errors),
-                    "error_percent": 100 * rms(case.errors) / exact,
-                    "speed": case.span / timed.median(""),
+                    "method": method, "gamma": gamma, "setting": setting,
+                    "error_mm": 1e3 * rms(errors), "error_percent": 100 * rms(errors) / exact,
+                    "speed": span / timed.median(""),
                 }
             )  # fmt: skip
     return rows
 
 
-def by_events(scene: Scene, tolerance: float, exact: float) -> Case:
-    """Return plate_sim's integrator by events."""
-    error = scene.travel(tolerance)[0, 0] - exact
-    return Case(EVENTS, f"{tolerance:g} m", [error], lambda: scene.travel(tolerance), SPAN)
+def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
+    """Yield every method at each of its settings, judged by the exact travel [m]."""
+    steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
+    tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
+    repeats = range(2 if quick else 5)
+    for tolerance in tolerances:
+        run = partial(scene.travel, tolerance)
+        yield EVENTS, f"{tolerance:g} m", [run()[0, 0] - exact], run, SPAN
+    for step_ms in steps_ms:
+        name, dt = f"{step_ms:g} ms", 1e-3 * step_ms
+        count = max(1, round(1 / FREQUENCY / dt))  # in a cycle, as near as they fit
+        steps = [1 / FREQUENCY / (count + i) for i in repeats]
+        errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
+        yield STEPS, name, errors, partial(scene.travel_in_steps, steps[0]), SPAN
+        if optional(PYMUNK):  # it may take the plate's velocity where it serves it best
+            spans = [SPAN / (CYCLES * count + 3 * i) for i in repeats]
+            both = [
+                [peer_travel(scene, span, offset)[0, 0] - exact for span in spans]
+                for offset in (0.5, 1.0)
+            ]
+            peer = peer_scene(scene, dt, PEER_SPAN)
+            yield PYMUNK, name, min(both, key=rms), peer.run, PEER_SPAN
+        if optional("mujoco") and step_ms >= MUJOCO_LEAST_MS:
+            long, short = (
+                MujocoScene(scene.cycle, dt, span, scene.position, MU) for span in (SPAN, PEER_SPAN)
+            )
+            error = long.run()[0, 0] - scene.position[0, 0] - exact
+            yield MUJOCO, name, [error], short.run, PEER_SPAN
 
 
-def in_steps(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
-    """Return plate_sim's model of parts."""
-    first = step_count(step_ms)
-    steps = [1 / FREQUENCY / (first + i) for i in range(repeats)]
-    errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
-    return Case(STEPS, f"{step_ms:g} ms", errors, partial(scene.travel_in_steps, steps[0]), SPAN)
-
-
-def in_pymunk(pymunk: Any, scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
-    """Return pymunk, which may take the plate's velocity where it serves it best."""
-    first = CYCLES * step_count(step_ms)
-    errors = [
-        [
-            peer_travel(pymunk, scene, SPAN / (first + 3 * i), offset)[0, 0] - exact
-            for i in range(repeats)
-        ]
-        for offset in (0.5, 1.0)
-    ]
-    run = peer_scene(pymunk, scene, 1e-3 * step_ms, PEER_SPAN).run
-    return Case(PYMUNK, f"{step_ms:g} ms", min(errors, key=rms), run, PEER_SPAN)
-
-
-def in_mujoco(mujoco: Any, scene: Scene, step_ms: float, exact: float) -> Case:
-    """Return MuJoCo, in the plate's frame under a shaken gravity."""
-    long, short = (
-        mujoco_scene.MujocoScene(mujoco, scene.cycle, 1e-3 * step_ms, span, scene.position, MU)
-        for span in (SPAN, PEER_SPAN)
-    )
-    error = long.run()[0, 0] - scene.position[0, 0] - exact
-    return Case(MUJOCO, f"{step_ms:g} ms", [error], short.run, PEER_SPAN)
-
-
-def speed_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+def speed_rows(quick: bool) -> list[dict[str, Any]]:
     """Speed at the peer's error by number of parts, which move all ways."""
-    rows = []
-    for count in (1, 10, 100):
-        lead = None
-        if pymunk:
-            scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
-            truth = scene.travel(1e-11)
-            peer = min(rms(peer_travel(pymunk, scene, dt, offset) - truth) for offset in (0.5, 1.0))
-            ours = partial(scene.travel, loosest(scene, truth, peer))
-            run = peer_scene(pymunk, scene, dt, PEER_SPAN)
-            timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
-            lead = SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)
-        rows.append({"parts": count, "lead": lead})
-    return rows
+    counts, there = (1, 10, 100), optional(PYMUNK)
+    return [{"parts": count, "lead": lead(count, quick) if there else None} for count in counts]
+
+
+def lead(count: int, quick: bool) -> float:
+    """How many times as fast we are as pymunk, at its error."""
+    scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
+    truth = scene.travel(1e-11)
+    error = min(rms(peer_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))
+    ours = partial(scene.travel, loosest(scene, truth, error))
+    run = peer_scene(scene, dt, PEER_SPAN)
+    timed = race({"ours": ours, PYMUNK: run.run}, 0.3 if quick else 2.0)
+    return SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)
 
 
 def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> float:
@@ -207,7 +152,7 @@ def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> float:
     return float(tolerance)
 
 
-def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+def cost_rows(quick: bool) -> list[dict[str, Any]]:
     """Simulated seconds per second of every method, from 1 to 1000 parts."""
     rows = []
     for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
@@ -216,17 +161,15 @@ def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
         place = SPACING_M * (np.arange(side) - 0.5 * (side - 1))
         grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)[:count]
         scene = Scene(scene.cycle, grid, 0 * scene.velocity)
-        span = 3 / FREQUENCY
-        contestants: dict[str, Callable[[], object]] = {EVENTS: partial(scene.travel, TOLERANCE)}
-        contestants[STEPS] = partial(run_world, scene.cycle, scene.position)
-        if pymunk:
-            contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN).run
+        contestants: dict[str, Callable[[], object]] = {
+            EVENTS: partial(scene.travel, TOLERANCE),
+            STEPS: partial(run_world, scene.cycle, scene.position),
+        }
+        if optional(PYMUNK):
+            contestants[PYMUNK] = peer_scene(scene, 1e-3, PEER_SPAN).run
+        spans = {EVENTS: SPAN, STEPS: 3 / FREQUENCY, PYMUNK: PEER_SPAN}
         timed = race(contestants, 0.3 if quick else 1.5)
-        spans = {EVENTS: SPAN, PYMUNK: PEER_SPAN}
-        rows.append(
-            {"parts": count}
-            | {name: spans.get(name, span) / timed.median(name) for name in timed.times}
-        )
+        rows.append({"parts": count} | {n: spans[n] / timed.median(n) for n in contestants})
     return rows
 
 

@@ -1,4 +1,4 @@
-"""The averaged problem: our solvers from a cold start beside scipy.
+"""Plate motions for wanted average forces, from a cold start.
 
 Every answer, ours and the peer's, is judged by the force map on samples that neither has used.
 """

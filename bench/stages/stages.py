@@ -1,10 +1,11 @@
-"""What each stage costs for one image: a run of the closed loop, played again with a clock.
+"""What each stage of the loop costs for one image.
 
 The loop itself is `loop.run`; every stage then gets the same inputs once more.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import islice
 from typing import Any
 
@@ -46,22 +47,17 @@ def measure(quick: bool) -> Result:
         scenario = sorting(parts)
         moments = list(islice(run(Setup(scenario), rig), 15 if quick else IMAGES))
         rows.append(stages_row(rig, scenario, moments))
-    return Result(
-        [
-            Table(
-                "stages",
-                "Median time for one image, parts to be sorted, method sinusoids",
-                {
-                    "parts": "parts M",
-                    **{name: f"{label} [ms]" for name, label in STAGES.items()},
-                    "answer": "image to setpoints [ms]", "period": "cycle [ms]",
-                },
-                rows,
-                "Cores only, no ROS; the first images of a sort, when all parts move. Image to "
-                "setpoints: vision, planner, solver and driver; it has to fit into one cycle.",
-            )
-        ],
-    )  # fmt: skip
+    title = "Median time for one image, parts to be sorted, method sinusoids"
+    columns = {
+        "parts": "parts M",
+        **{name: f"{label} [ms]" for name, label in STAGES.items()},
+        "answer": "image to setpoints [ms]", "period": "cycle [ms]",
+    }  # fmt: skip
+    note = (
+        "Cores only, no ROS; the first images of a sort, when all parts move. Image to "
+        "setpoints: vision, planner, solver and driver; it has to fit into one cycle."
+    )
+    return Result([Table("stages", title, columns, rows, note)])
 
 
 def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str, Any]:
@@ -71,46 +67,28 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
     state = planner.start(planner.initial())
     grey = part_greys([part_class(name) for name in moments[0].world.ids])
     rng = np.random.default_rng(0)
-    clock = Clock()
+    seconds: dict[str, list[float]] = {name: [] for name in STAGES}
+
+    def timed(stage: str, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        began = cpu_time()
+        result = call(*arguments, **named)
+        seconds[stage].append(cpu_time() - began)
+        return result
+
     running = PlateCycle.rest(0.1)
     for moment in moments:
-        world = moment.world
-        clock.start()
-        camera.render(world.position, grey, rng, world.velocity)
-        clock.lap("camera")
-        tracker = observe(vision, tracker, moment.image, moment.time)
-        clock.lap("vision")
-        state, _, _ = planner.plan(state, tracker.parts, moment.time)
-        clock.lap("planner")
-        answer = controller.answer(moment.wanted, running)
-        clock.lap("solver")
-        table, _ = prepare(rig, answer.cycle, round(moment.time * 1e9), before=running)
-        clock.lap("driver")
-        run_cycle(world, running, rig)
-        clock.lap("simulator")
+        world, now = moment.world, round(moment.time * 1e9)
+        timed("camera", camera.render, world.position, grey, rng, world.velocity)
+        tracker = timed("vision", observe, vision, tracker, moment.image, moment.time)
+        state, _, _ = timed("planner", planner.plan, state, tracker.parts, moment.time)
+        answer = timed("solver", controller.answer, moment.wanted, running)
+        table, _ = timed("driver", prepare, rig, answer.cycle, now, before=running)
+        timed("simulator", run_cycle, world, running, rig)
         running = table.cycle
-    medians = {name: 1e3 * float(np.median(clock.seconds[name][FIRST:])) for name in STAGES}
+    medians = {name: 1e3 * float(np.median(seconds[name][FIRST:])) for name in STAGES}
     return {
         "parts": len(grey),
         **medians,
         "answer": sum(medians[name] for name in ("vision", "planner", "solver", "driver")),
         "period": 1e3 * float(np.median([m.answer.cycle.period for m in moments[FIRST:]])),
     }
-
-
-class Clock:
-    """A stop-watch that files each lap under a stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, list[float]] = {name: [] for name in STAGES}
-        self._began = 0.0
-
-    def start(self) -> None:
-        """Start the first lap."""
-        self._began = cpu_time()
-
-    def lap(self, name: str) -> None:
-        """End a lap and start the next."""
-        now = cpu_time()
-        self.seconds[name].append(now - self._began)
-        self._began = cpu_time()

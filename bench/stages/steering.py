@@ -1,4 +1,4 @@
-"""Steering: displacements asked of parts on the true stick-slip cycle, judged by the simulator.
+"""Plate motions for wanted displacements on the true stick-slip cycle.
 
 Each scene is a short closed loop without camera and planner: the controller answers where the
 parts are now, its cycle runs next, and `plate_sim` moves them. All want a random, steady drift.
@@ -37,42 +37,32 @@ def measure(quick: bool) -> Result:
         controller = Controller(rig, method)
         for parts in (2, 10) if quick else PARTS:
             rows.append(scenes_row(rig, controller, parts, 2 if quick else SCENES))
-    return Result(
-        [
-            Table(
-                "steering",
-                f"Random steady drifts up to {1e3 * DRIFT:g} mm/s along each axis",
-                {
-                    "method": "method", "parts": "parts M", "period_s": "period [s]",
-                    "cold_ms": "cold, median [ms]", "cold_p99_ms": "cold, 99 % [ms]",
-                    "cold_percent": "cold, missed [%]", "warm_ms": "warm, median [ms]",
-                    "warm_p99_ms": "warm, 99 % [ms]", "missed_percent": "warm, missed [%]",
-                    "predicted_percent": "predicted miss [%]", "met_percent": "cycles met [%]",
-                },
-                rows,
-                "Missed: root mean square of asked minus simulated displacement, over asked; "
-                "cold: the first cycle of a scene, warm: the others. "
-                "Predicted: as the solver's own map has it. "
-                f"Met: less than {100 * GOOD:g} % missed in a cycle. No peer is known that solves "
-                "this problem.",
-            )
-        ],
-    )  # fmt: skip
+    title = f"Random steady drifts up to {1e3 * DRIFT:g} mm/s along each axis"
+    columns = {
+        "method": "method", "parts": "parts M", "period_s": "period [s]",
+        "cold_ms": "cold, median [ms]", "cold_p99_ms": "cold, 99 % [ms]",
+        "cold_percent": "cold, missed [%]", "warm_ms": "warm, median [ms]",
+        "warm_p99_ms": "warm, 99 % [ms]", "missed_percent": "warm, missed [%]",
+        "predicted_percent": "predicted miss [%]", "met_percent": "cycles met [%]",
+    }  # fmt: skip
+    note = (
+        "Missed: root mean square of asked minus simulated displacement, over asked; "
+        "cold: the first cycle of a scene, warm: the others. "
+        "Predicted: as the solver's own map has it. "
+        f"Met: less than {100 * GOOD:g} % missed in a cycle. No peer is known that solves "
+        "this problem."
+    )
+    return Result([Table("steering", title, columns, rows, note)])
 
 
 def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict[str, Any]:
     """Run some scenes with one number of parts."""
     rng = np.random.default_rng(parts)
-    cold, warm, missed, asked, predicted, period = [], [], [], [], [], 0.0
-    for index in range(-1, count):  # the first one warms up
-        milliseconds, miss, own, ask, period = scene(rig, controller, scatter(rig, parts, rng), rng)
-        if index >= 0:
-            cold.append(milliseconds[0])
-            warm += milliseconds[1:]
-            missed.append(miss)
-            predicted.append(own)
-            asked.append(ask)
-    miss, own, ask = (np.array(scenes) for scenes in (missed, predicted, asked))
+    scenes, period = [], 0.0
+    for _ in range(count + 1):
+        found, period = scene(rig, controller, scatter(rig, parts, rng), rng)
+        scenes.append(found)
+    ms, miss, own, ask = np.swapaxes(scenes[1:], 0, 1)  # the first one has warmed up
 
     def percent(what: np.ndarray, of: np.ndarray) -> float:
         return 100 * float(np.sqrt(np.sum(what**2) / np.sum(of**2)))
@@ -81,11 +71,11 @@ def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict
         "method": controller.method,
         "parts": parts,
         "period_s": period,
-        "cold_ms": float(np.median(cold)),
-        "cold_p99_ms": float(np.percentile(cold, 99)),
+        "cold_ms": np.median(ms[:, 0]),
+        "cold_p99_ms": np.percentile(ms[:, 0], 99),
         "cold_percent": percent(miss[:, 0], ask[:, 0]),
-        "warm_ms": float(np.median(warm)),
-        "warm_p99_ms": float(np.percentile(warm, 99)),
+        "warm_ms": np.median(ms[:, 1:]),
+        "warm_p99_ms": np.percentile(ms[:, 1:], 99),
         "missed_percent": percent(miss[:, 1:], ask[:, 1:]),
         "predicted_percent": percent(own, ask),
         "met_percent": 100 * float(np.mean(miss <= GOOD * ask)),
@@ -94,16 +84,14 @@ def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict
 
 def scene(
     rig: Rig, controller: Controller, position: np.ndarray, rng: np.random.Generator
-) -> tuple[list[float], np.ndarray, np.ndarray, np.ndarray, float]:
+) -> tuple[np.ndarray, float]:
     """Steer parts (M, 2) [m] from rest.
 
     Returns
     -------
-    milliseconds : list of CYCLES floats
-        Time of each answer.
-    missed, predicted, asked : (CYCLES,)
-        Root mean square over parts and axes of the displacement [m]; missed in truth, and by the
-        solver's prediction.
+    found : (4, CYCLES)
+        Time of each answer [ms]; root mean square over parts and axes of the displacement [m] that
+        is missed in truth, that the solver foresaw to miss, and that was asked.
     period : float
         Of the last answer [s].
     """
@@ -126,5 +114,4 @@ def scene(
         if number < CYCLES:
             predicted.append(answer.error_m)
         position, velocity, running = run.position[-1], run.velocity[-1], answer.cycle
-    miss, own, ask = np.array([missed, predicted, asked])
-    return milliseconds[:CYCLES], miss, own, ask, running.period
+    return np.array([milliseconds[:CYCLES], missed, predicted, asked]), running.period

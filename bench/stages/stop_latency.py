@@ -1,4 +1,4 @@
-"""From the call of emergency_stop to the Stop frame on the wire, under floods of messages."""
+"""From the emergency_stop call to the wire, under floods of messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, missing_peer, optional
+from harness import Result, Table
 from plate_core.driver_status import DriverState
 from plate_core.serial_protocol import Reader, Stop, parse
 from plate_core.tasks import load_scenario
@@ -231,9 +231,8 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
 
 def measure(quick: bool) -> Result:
     """Measure all conditions; quick: a few stops of each."""
-    rclpy = optional("rclpy")
-    if rclpy is None:
-        return Result([], [missing_peer("rclpy")])
+    import rclpy
+
     os.environ["ROS_DOMAIN_ID"] = os.environ.get("ROS_DOMAIN_ID", "71")
     rclpy.init()
     rows: list[dict[str, Any]] = []
@@ -248,16 +247,14 @@ def measure(quick: bool) -> Result:
             })  # fmt: skip
     finally:
         rclpy.try_shutdown()
-    return Result(
-        [
-            Table(
-                "stops", "From the call of emergency_stop to the Stop frame on the wire",
-                {"condition": "while", "stops": "stops", "median_ms": "median [ms]",
-                 "worst_ms": "worst [ms]", "least_ms": "of which surely [ms]"},
-                rows,
-                "Over ROS, driver and device as processes of their own, the plate in motion. "
-                "Surely: until the judge's last look before, which waits for processors too. "
-                f"Allowed: {LONGEST_MS:g} ms.",
-            )
-        ],
-    )  # fmt: skip
+    title = "From the call of emergency_stop to the Stop frame on the wire"
+    columns = {
+        "condition": "while", "stops": "stops", "median_ms": "median [ms]",
+        "worst_ms": "worst [ms]", "least_ms": "of which surely [ms]",
+    }  # fmt: skip
+    note = (
+        "Over ROS, driver and device as processes of their own, the plate in motion. "
+        "Surely: until the judge's last look before, which waits for processors too. "
+        f"Allowed: {LONGEST_MS:g} ms."
+    )
+    return Result([Table("stops", title, columns, rows, note)])

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import LEAST_ROUNDS, Table, cpu_time
+from harness import LEAST_ROUNDS, Table, cpu_time, optional
 from plate_core import load_rig
 from plate_sim import BodyTrajectory, Contacts, simulate_bodies
 from plate_sim.friction import disc
@@ -41,6 +41,10 @@ REPEATS = 20
 
 GRIDS = {10: (5, 2), 100: (20, 5), 300: (30, 10)}
 """Columns and lines of the grid by number of discs."""
+
+
+MUJOCO_MOST = 100
+"""Discs that MuJoCo is given: with more it takes too long."""
 
 
 def shaken(count: int) -> Scene:
@@ -72,8 +76,10 @@ def our_trace(tray: Scene, steps: int) -> np.ndarray:
 class PymunkTray(PymunkScene):
     """The tray in pymunk."""
 
-    def __init__(self, pymunk: Any, tray: Scene, dt: float) -> None:
-        super().__init__(pymunk, tray.cycle, dt, SPAN, tray.position, MU_G, tray.velocity, RADIUS)
+    def __init__(self, tray: Scene, dt: float) -> None:
+        import pymunk
+
+        super().__init__(tray.cycle, dt, SPAN, tray.position, MU_G, tray.velocity, RADIUS)
         self.space.collision_slop = SLOP
         x, y = HALF + THICK
         for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1)):
@@ -99,26 +105,24 @@ def overlap(path: np.ndarray) -> float:
     return max(0.0, 2 * RADIUS - least, float(np.max(np.abs(path) - (HALF - RADIUS))))
 
 
-def tray_table(pymunk: Any, mujoco: Any, quick: bool) -> Table:
+def tray_table(quick: bool) -> Table:
     """Measure speed and overlap in the tray, by number of discs and step."""
+    columns = {
+        "parts": "parts", "method": "method", "step_ms": "step [ms]",
+        "speed": "simulated s per s", "overlap_um": "deepest overlap [um]",
+    }  # fmt: skip
+    counts = (10, 100) if quick else GRIDS
+    rows = [row for count in counts for row in disc_rows(shaken(count), quick)]
+    note = (
+        "1 s; discs are thrown together and come to rest in heaps. Overlap: deepest at any step. "
+        "Pymunk with 10 iterations and a slop of 0.01 mm."
+    )
     return Table(
-        "discs",
-        "Colliding discs in a shaken tray: speed, and overlap",
-        {
-            "parts": "parts", "method": "method", "step_ms": "step [ms]",
-            "speed": "simulated s per s", "overlap_um": "deepest overlap [um]",
-        },
-        [
-            row
-            for count in ((10, 100) if quick else GRIDS)
-            for row in disc_rows(shaken(count), pymunk, mujoco if count <= 100 else None, quick)
-        ],
-        "1 s; discs are thrown together and come to rest in heaps. Overlap: deepest at any "
-        "step. Pymunk with 10 iterations and a slop of 0.01 mm.",
-    )  # fmt: skip
+        "discs", "Colliding discs in a shaken tray: speed, and overlap", columns, rows, note
+    )
 
 
-def disc_rows(tray: Scene, pymunk: Any, mujoco: Any, quick: bool) -> list[dict[str, Any]]:
+def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
     """Speed and overlap of all methods, in steps of about 1, 1.5 and 0.2 ms, and of our own.
 
     They are timed in turns; the peers' scenes are built afresh, which is not timed.
@@ -126,15 +130,17 @@ def disc_rows(tray: Scene, pymunk: Any, mujoco: Any, quick: bool) -> list[dict[s
     steps = (33, 22) if quick else (33, 22, 167)
     own = round(tray.cycle.period / STEP)
     build: dict[str, Callable[[int], Any]] = {
-        PYMUNK: lambda n: PymunkTray(pymunk, tray, tray.cycle.period / n),
+        PYMUNK: lambda n: PymunkTray(tray, tray.cycle.period / n),
         MUJOCO: lambda n: MujocoScene(
-            mujoco, tray.cycle, tray.cycle.period / n, SPAN, tray.position, MU, tray.velocity,
+            tray.cycle, tray.cycle.period / n, SPAN, tray.position, MU, tray.velocity,
             RADIUS, HALF,
         ),
     }  # fmt: skip
     cases = [(OURS, n) for n in dict.fromkeys((*steps, own))]
-    cases += [(PYMUNK, n) for n in steps[::2] if pymunk]
-    cases += [(MUJOCO, n) for n in steps[:1] if mujoco]
+    cases += [(PYMUNK, n) for n in steps[::2] if optional(PYMUNK)]
+    cases += [
+        (MUJOCO, n) for n in steps[:1] if optional("mujoco") and len(tray.position) <= MUJOCO_MOST
+    ]
 
     def trace(name: str, n: int) -> np.ndarray:
         return our_trace(tray, n) if name == OURS else np.asarray(build[name](n).trace())

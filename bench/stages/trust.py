@@ -1,5 +1,8 @@
-"""How far the simulator can be believed: creep of parts that should ride, beside the peers; the
-size of what it leaves out; and what laws of friction that nobody told the loop do to tasks."""
+"""Creep beside the peers, what is left out, other laws of friction.
+
+How far the simulator can be believed: creep of parts that should ride, beside the peers; the
+size of what it leaves out; and what laws of friction that nobody told the loop do to tasks.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, missing_peer, optional
-from plate_bringup.loop import Setup, summary, with_settings
+from harness import Cache, Result, Table, missing, optional
+from plate_bringup.loop import Setup
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import Ground, simulate, simulate_bodies
 from plate_sim.friction import Footprint, disc, polygon
@@ -19,9 +22,11 @@ from plate_sim.world import STEP
 from stages.mujoco_scene import MASS, MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
+from tasks.runs import runs_of, summed
 
-Run = Callable[[PlateCycle, float, float], float]
-"""Drift [m] in a plate's motion under a pull [mu g] after a time [s]."""
+Method = tuple[str, float | None, Callable[[PlateCycle, float, float], float]]
+"""Name, step [ms] if it has any, and what gives the drift [m] in a plate's motion under a pull
+[mu g] after a time [s]."""
 
 CREEP_S = 10
 """Time in which a part should stay where it is on the plate [s]."""
@@ -56,6 +61,9 @@ WORLDS: tuple[dict[str, float], ...] = (
 )  # fmt: skip
 """Laws of friction in which tasks are run; loop and planner believe the first."""
 
+LEFT = ("effect", "formula", "assumed", "size")
+"""What is told of what is left out."""
+
 DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
 """Of a steel part [kg/m3]; of an aluminium plate [Pa], [kg/m3], [-]."""
 
@@ -78,54 +86,28 @@ PRESLIDING_M = 1e-6
 
 def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate what is left out."""
-    peers = {name: optional(name) for name in ("pymunk", "mujoco")}
-    creep = creep_rows(peers, 0.5 if quick else CREEP_S)
-    return Result(
-        [
-            Table(
-                "creep",
-                "Drift in the plate of a part that friction holds",
-                {
-                    "method": "method", "step_ms": "step [ms]",
-                    **{scene: f"{scene} [um]" for scene in RIDES},
-                },
-                creep,
-                f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and "
-                "solimp.",
-            ),
-            Table(
-                "left_out",
-                "What is not modelled, and how large it is",
-                {
-                    "effect": "effect", "formula": "formula", "assumed": "assumed", "size": "size",
-                },
-                left_out(load_rig()),
-                "The default rig: `config/rig.yaml`.",
-            ),
-            Table(
-                "worlds",
-                "Tasks under laws of friction that the loop does not know",
-                {
-                    "world": "world", "scenario": "scenario", "runs": "runs", "success": "done",
-                    "dropped": "parts lost", "time_s": "time, median [s]",
-                },
-                world_rows(1 if quick else 3),
-                "Seeds 0, 1, 2, Method B.",
-            ),
-        ], [missing_peer(name) for name, module in peers.items() if not module],
+    there = [method for peer, method in PEERS if optional(peer)]
+    creep = Table(
+        "creep", "Drift in the plate of a part that friction holds",
+        {"method": "method", "step_ms": "step [ms]", **{one: f"{one} [um]" for one in RIDES}},
+        creep_rows([*OURS, *there], 0.5 if quick else CREEP_S),
+        f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and solimp.",
     )  # fmt: skip
+    effects = Table(
+        "left_out", "What is not modelled, and how large it is", dict(zip(LEFT, LEFT, strict=True)),
+        left_out(load_rig()), "The default rig: `config/rig.yaml`.",
+    )  # fmt: skip
+    worlds = Table(
+        "worlds", "Tasks under laws of friction that the loop does not know",
+        {"world": "world", "scenario": "scenario", "runs": "runs", "good": "done",
+         "dropped": "parts lost", "time_s": "time, median [s]"},
+        world_rows(1 if quick else 3), "Seeds 0, 1, 2, Method B.",
+    )  # fmt: skip
+    return Result([creep, effects, worlds], missing("pymunk", "mujoco"))
 
 
-def creep_rows(peers: dict[str, Any], span: float) -> list[dict[str, Any]]:
-    """Drift [um] of a part that rides, by method and scene."""
-    methods: list[tuple[str, float | None, Run]] = [
-        ("plate_sim, point by events", None, by_events),
-        ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
-        ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
-    ]
-    for peer, name, run in PEERS:
-        if peers[peer]:
-            methods += [(name, ms, partial(run, peers[peer], 1e-3 * ms)) for ms in (1.0, 0.1)]
+def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:
+    """Drift [um] of a part that rides in a span of time [s], by method and scene."""
     rows = []
     for name, ms, run in methods:
         row: dict[str, Any] = {"method": name, "step_ms": ms}
@@ -158,25 +140,26 @@ def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> fl
     return float(run.position[-1, 0, 0])
 
 
-def in_pymunk(pymunk: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+def in_pymunk(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] in pymunk."""
-    scene = PymunkScene(pymunk, cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
+    scene = PymunkScene(cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
     scene.space.gravity = pull * MU_G, 0.0
     return float(scene.run()[0, 0] - scene.plate.position.x)
 
 
-def in_joints(mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+def in_joints(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] in MuJoCo with friction in joints, as in the scene of `sim`."""
-    scene = MujocoScene(mujoco, cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
+    scene = MujocoScene(cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
     scene.shake[:, 0] += pull * MU_G
     return float(scene.run()[0, 0] - scene.moved[0])
 
 
 def in_contact(
-    mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0,
-    noslip: int = 0,
+    dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0, noslip: int = 0,
 ) -> float:  # fmt: skip
     """Drift [m] in MuJoCo of a cylinder on a plane, in the plate's frame."""
+    import mujoco
+
     model = mujoco.MjModel.from_xml_string(
         IN_CONTACT.format(
             dt=dt, impratio=impratio, noslip=noslip, mu=MU, height=HEIGHT, radius=RADIUS, mass=MASS
@@ -191,14 +174,24 @@ def in_contact(
     return float(data.qpos[0])
 
 
-PEERS: tuple[tuple[str, str, Callable[..., float]], ...] = (
-    ("pymunk", "pymunk, pivot of limited force", in_pymunk),
-    ("mujoco", "MuJoCo, dry friction of joints", in_joints),
-    ("mujoco", "MuJoCo, contact", in_contact),
-    ("mujoco", "MuJoCo, contact, impratio 100", partial(in_contact, impratio=100.0)),
-    ("mujoco", "MuJoCo, contact, 10 noslip iterations", partial(in_contact, noslip=10)),
-)
-"""Peer, method, and what runs it."""
+OURS: list[Method] = [
+    ("plate_sim, point by events", None, by_events),
+    ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
+    ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
+]
+
+PEERS: list[tuple[str, Method]] = [
+    (peer, (name, ms, partial(run, 1e-3 * ms)))
+    for peer, name, run in (
+        ("pymunk", "pymunk, pivot of limited force", in_pymunk),
+        ("mujoco", "MuJoCo, dry friction of joints", in_joints),
+        ("mujoco", "MuJoCo, contact", in_contact),
+        ("mujoco", "MuJoCo, contact, impratio 100", partial(in_contact, impratio=100.0)),
+        ("mujoco", "MuJoCo, contact, 10 noslip iterations", partial(in_contact, noslip=10)),
+    )
+    for ms in (1.0, 0.1)
+]
+"""By the package that they need."""
 
 
 def left_out(rig: Rig) -> list[dict[str, str]]:
@@ -247,7 +240,7 @@ def left_out(rig: Rig) -> list[dict[str, str]]:
         ("wear of a part", "k m g s t/(H A)", "k = 1e-4, H = 1 GPa, an hour",
          f"{1e6 * WEAR * m * g * s * 3600 / (HARDNESS * area):.2f} um"),
     ]  # fmt: skip
-    return [dict(zip(("effect", "formula", "assumed", "size"), row, strict=True)) for row in rows]
+    return [dict(zip(LEFT, row, strict=True)) for row in rows]
 
 
 def percent(share: float) -> str:
@@ -257,19 +250,13 @@ def percent(share: float) -> str:
 
 def world_rows(seeds: int) -> list[dict[str, Any]]:
     """Run tasks in each world."""
-    rows = []
+    cases = {}
     for world in WORLDS:
-        for scenario in ("sort_4", "sort_10"):
-            settings = {key: str(value) for key, value in world.items()}
-            setups = [with_settings(Setup(scenario, k), settings) for k in range(seeds)]
-            runs: list[dict[str, Any]] = [summary(setup, load_rig()) for setup in setups]
-            done = [run["time_s"] for run in runs if run["success"]]
-            rows.append(
-                {
-                    "world": ", ".join(f"{k} {v:g}" for k, v in world.items()) or "as believed",
-                    "scenario": scenario, "runs": seeds, "success": len(done),
-                    "dropped": sum(run["dropped"] for run in runs),
-                    "time_s": float(np.median(done)) if done else None,
-                }
-            )  # fmt: skip
-    return rows
+        name = ", ".join(f"{k} {v:g}" for k, v in world.items()) or "as believed"
+        settings = {key: str(value) for key, value in world.items()}
+        for task in ("sort_4", "sort_10"):
+            cases[name, task] = [(Setup(task, k), settings, load_rig()) for k in range(seeds)]
+    return [
+        {"world": world, "scenario": task} | summed(runs)
+        for (world, task), runs in runs_of(Cache.of(__name__), cases).items()
+    ]

@@ -1,4 +1,6 @@
-"""The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
+"""Finding discs in an image: time, misses, error of the centres.
+
+The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
 
 Images come from the simulated camera, so the true centres are known.
 """
@@ -11,20 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time, missing_peer, optional
+from harness import Result, Table, cpu_time, missing, optional
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
 from plate_vision import detect, make_vision
 
-OURS, CONTOURS, BLOBS, HOUGH, PEAKS, REGIONS = (
-    "plate_vision.detect",
-    "findContours + moments",
-    "SimpleBlobDetector",
-    "HoughCircles",
-    "distance transform",
-    "skimage regionprops",
-)
+OURS = "plate_vision.detect"
 
 FRAMES, PEER_FRAMES = 250, 20
 """Images of each scene: a thousand in all for ours, fewer for the peers, to save time; the fewer
@@ -45,34 +40,26 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     cv2.setNumThreads(1)
     finders = make_finders(rig)
-    rows = []
-    for count in (10, 100):
-        for touching in (False, True):
-            rows += scene_rows(rig, finders, count, touching, quick)
-    return Result(
-        [
-            Table(
-                "vision",
-                f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise",
-                {
-                    "discs": "discs", "place": "place", "method": "method",
-                    "frames": "images", "loop_ms": "in a loop [ms]",
-                    "turns_ms": "in turns [ms]", "loop_lead": "this / ours, in a loop",
-                    "turns_lead": "this / ours, in turns",
-                    "rms_px": "centre RMS [px]", "missed_percent": "missed [%]",
-                    "false_percent": "false [%]",
-                },
-                rows,
-                "Found: within half a radius of a true centre, each once. Touching: groups of "
-                "three. The peers get the plate's outline and a fixed threshold between parts and "
-                "plate; ours fits the light itself and tells black from grey. Times of the core, "
-                "medians. In a loop: one method alone, image after image. In turns: all methods, "
-                "one after the other, with each image, so that each finds the caches full of "
-                "what the others left.",
-            ),
-        ],
-        [] if REGIONS in finders else [missing_peer("scikit-image")],
-    )  # fmt: skip
+    scenes = [(count, touching) for count in (10, 100) for touching in (False, True)]
+    rows = [row for scene in scenes for row in scene_rows(rig, finders, *scene, quick)]
+    title = f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise"
+    columns = {
+        "discs": "discs", "place": "place", "method": "method",
+        "frames": "images", "loop_ms": "in a loop [ms]",
+        "turns_ms": "in turns [ms]", "loop_lead": "this / ours, in a loop",
+        "turns_lead": "this / ours, in turns",
+        "rms_px": "centre RMS [px]", "missed_percent": "missed [%]",
+        "false_percent": "false [%]",
+    }  # fmt: skip
+    note = (
+        "Found: within half a radius of a true centre, each once. Touching: groups of "
+        "three. The peers get the plate's outline and a fixed threshold between parts and "
+        "plate; ours fits the light itself and tells black from grey. Times of the core, "
+        "medians. In a loop: one method alone, image after image. In turns: all methods, "
+        "one after the other, with each image, so that each finds the caches full of "
+        "what the others left."
+    )
+    return Result([Table("vision", title, columns, rows, note)], missing("skimage"))
 
 
 def make_finders(rig: Rig) -> dict[str, Finder]:
@@ -122,24 +109,20 @@ def make_finders(rig: Rig) -> dict[str, Finder]:
         tops = (depth > 0.6 * radius).astype(np.uint8)
         return np.asarray(cv2.connectedComponentsWithStats(tops)[3][1:])
 
-    finders: dict[str, Finder] = {
+    inner, skimage = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0, optional("skimage.measure")
+
+    def regions(image: np.ndarray) -> np.ndarray:
+        parts = skimage.regionprops(skimage.label((image < THRESHOLD) & inner))
+        return np.array([p.centroid[::-1] for p in parts if p.area > 0.3 * area]).reshape(-1, 2)
+
+    return {
         OURS: ours,
-        CONTOURS: contours,
-        BLOBS: blobs,
-        HOUGH: hough,
-        PEAKS: peaks,
+        "findContours + moments": contours,
+        "SimpleBlobDetector": blobs,
+        "HoughCircles": hough,
+        "distance transform": peaks,
+        **({"skimage regionprops": regions} if skimage else {}),
     }
-    measure = optional("skimage.measure")
-    if measure is not None:
-        inner = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0
-
-        def regions(image: np.ndarray) -> np.ndarray:
-            labels = measure.label((image < THRESHOLD) & inner)
-            parts = measure.regionprops(labels)
-            return np.array([p.centroid[::-1] for p in parts if p.area > 0.3 * area]).reshape(-1, 2)
-
-        finders[REGIONS] = regions
-    return finders
 
 
 def scene_rows(
@@ -189,7 +172,7 @@ def scene_rows(
 def timed(
     finders: dict[str, Finder], images: list[np.ndarray], rounds: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the times (rounds * images,) [s] of every method: in a loop of its own, and in turns
+    """Return the times (rounds, images) [s] of every method: in a loop of its own, and in turns
     with the others."""
 
     def seconds(find: Finder, image: np.ndarray) -> float:
@@ -197,19 +180,16 @@ def timed(
         find(image)
         return cpu_time() - began
 
-    loop: dict[str, list[float]] = {name: [] for name in finders}
-    turns: dict[str, list[float]] = {name: [] for name in finders}
-    for _ in range(rounds):
+    loop = {name: np.empty((rounds, len(images))) for name in finders}
+    turns = {name: np.empty((rounds, len(images))) for name in finders}
+    for k in range(rounds):
         for name, find in finders.items():
             find(images[0])
-            loop[name] += [seconds(find, image) for image in images]
-        for image in images:
+            loop[name][k] = [seconds(find, image) for image in images]
+        for i, image in enumerate(images):
             for name, find in finders.items():
-                turns[name].append(seconds(find, image))
-    return (
-        {name: np.array(times) for name, times in loop.items()},
-        {name: np.array(times) for name, times in turns.items()},
-    )
+                turns[name][k, i] = seconds(find, image)
+    return loop, turns
 
 
 def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How fast parts can be moved at all: bounds, the best of a global search, and the closed loop.
+"""How fast 1 to 10 parts can be moved: bounds, global search, closed loop.
 
 Parts are scattered, half of them are to go to the left, half to the right; across they may go
 anywhere. The search looks for the steady cycle that carries them fastest on average: many descents
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Setup, run, with_settings
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
@@ -21,7 +21,7 @@ from plate_solver import Goal, Limits, SinusoidSolver
 from plate_solver.analysis import speed_bounds
 from plate_solver.maps import end_state
 from plate_solver.sinusoids import BIN, Motions, Problem, SinusoidFamily, descend, sinusoid_basis
-from tasks.runs import UNEVEN, median, sorting
+from tasks.runs import UNEVEN, sorting
 
 COUNTS = (1, 2, 4, 10)
 PERIODS = {0.05: 3, 0.1: 4, 0.15: 6, 0.2: 8, 0.3: 12}
@@ -59,26 +59,24 @@ def measure(quick: bool) -> Result:
     counts, periods = (COUNTS[:1], (0.1,)) if quick else (COUNTS, tuple(PERIODS))
     scenes, seeds = (1, SEEDS[:1]) if quick else (SCENES, SEEDS)
     searches = {
-        f"{count} {period} {rest} {scene}": (rig, count, period, rest, scene, quick)
+        (count, period, rest, quick): [
+            (rig, count, period, rest, scene, quick) for scene in range(scenes)
+        ]
         for count in counts
         for period in periods
         for rest in (True, False)
-        for scene in range(scenes)
     }
-    loops = {f"loop {n} {seed}": (n, seed) for n in counts for seed in seeds}
-    with processes() as pool:
-        found = dict(zip(searches, resumed(pool, fastest, searches, cache), strict=True))
-        driven = dict(zip(loops, resumed(pool, loop_speed, loops, cache), strict=True))
+    found = by_case(fastest, searches, cache)
+    driven = by_case(loop_speed, {n: [(n, seed) for seed in seeds] for n in counts}, cache)
     rows: list[dict[str, Any]] = []
     for count in counts:
         own = SinusoidSolver(rig).steering_period(count, lasting=True)
         for period in periods:
             rest, free = (
-                1e3 * float(np.mean([found[f"{count} {period} {r} {k}"] for k in range(scenes)]))
-                for r in (True, False)
+                1e3 * float(np.mean(found[count, period, r, quick])) for r in (True, False)
             )
             bounds = speed_bounds(rig, period)
-            loop = median([1e3 * driven[f"loop {count} {seed}"] for seed in seeds])
+            loop = 1e3 * float(np.median(driven[count]))
             rows.append(
                 {
                     "parts": count, "period_s": period, "rest_mm_s": rest, "free_mm_s": free,

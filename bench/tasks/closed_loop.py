@@ -1,14 +1,14 @@
-"""Whole tasks in the closed loop, many seeds each: README's table."""
+"""Whole tasks in the closed loop, many seeds: the table of README."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from harness import Cache, Result, Table, of_median, processes, share
+from harness import Cache, Result, Table, of_median, share
 from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_core.tasks import load_scenario
-from tasks.runs import UNEVEN, median, runs_of
+from tasks.runs import UNEVEN, Loop, median, runs_of
 
 SEEDS = {
     "sort_10": 100, "sort_16": 40, "sort_24": 20, "sort_32": 10, "sort_corners_12": 20,
@@ -28,25 +28,18 @@ COLUMNS = {
 
 def measure(quick: bool) -> Result:
     """Run scenarios with several seeds."""
-    cache, rows = Cache.of(__name__), []
     counts = {"sort_10": 1, "sort_shapes": 1, "follow_2": 1} if quick else SEEDS
-    with processes() as pool:
-        for scenario, count in counts.items():
-            cases = {
-                f"{scenario} {seed}": (Setup(scenario, seed), UNEVEN)
-                for seed in range(FIRST_SEED, FIRST_SEED + count)
-            }
-            rig = load_rig(load_scenario(scenario).rig)
-            runs = runs_of(pool, cache, rig, cases)
-            rows.append(row(scenario, runs))
+    cases: dict[str, list[Loop]] = {}
+    for scenario, count in counts.items():
+        rig, seeds = load_rig(load_scenario(scenario).rig), range(FIRST_SEED, FIRST_SEED + count)
+        cases[scenario] = [(Setup(scenario, seed), UNEVEN, rig) for seed in seeds]
+    rows = [row(*found) for found in runs_of(Cache.of(__name__), cases).items()]
     note = (
         f"Gamma = {rig.gamma:.1f}; seeds from {FIRST_SEED} on; friction uneven by 10 % between "
         "parts and over the plate. Time is simulated; times and errors are of the runs that ended "
         "well, intervals of 95 %."
     )
-    return Result(
-        [Table("tasks", "Tasks", COLUMNS, rows, note)],
-    )
+    return Result([Table("tasks", "Tasks", COLUMNS, rows, note)])
 
 
 def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:

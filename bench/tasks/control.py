@@ -1,15 +1,17 @@
-"""The closed loop with more and less time for the solver: tracking error and time of a sort.
+"""The closed loop with more and less time for the solver.
 
 The whole loop: image noise, friction uneven by 10 %.
 """
 
 from __future__ import annotations
 
-from harness import Cache, Result, Table, processes
+from collections.abc import Mapping
+
+from harness import Cache, Result, Table
 from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_solver import EFFORT
-from tasks.runs import UNEVEN, runs_of, summed
+from tasks.runs import UNEVEN, Loop, runs_of, summed
 
 SCENARIOS = ("follow_3", "sort_10")
 SEEDS = range(11_000, 11_006)
@@ -35,29 +37,22 @@ def measure(quick: bool) -> Result:
     """Run every scenario with every effort."""
     rig = load_rig()
     scenarios, seeds = (SCENARIOS[:1], SEEDS[:1]) if quick else (SCENARIOS, SEEDS)
-    kinds = [
-        (scenario, method, effort)
-        for scenario in scenarios
-        for method, efforts in EFFORTS.items()
-        for effort in (efforts[::2] if quick else efforts)
-    ]
-    cases = {}
-    for scenario, method, effort in kinds:
-        settings = {"method": method, **UNEVEN, **{key: str(n) for key, n in effort.items()}}
-        for seed in seeds:
-            cases[f"{scenario} {method} {effort} {seed}"] = Setup(scenario, seed), settings
-    with processes() as pool:
-        runs = runs_of(pool, Cache.of(__name__), rig, cases)
+    cases: dict[tuple[str, str, str], list[Loop]] = {}
     rows = []
-    for number, (scenario, method, effort) in enumerate(kinds):
-        row = summed(runs[number * len(seeds) : (number + 1) * len(seeds)])
-        row |= {"scenario": scenario, "method": method, "default": not effort}
-        row |= EFFORT[method] | effort
-        rows.append({key: row[key] for key in COLUMNS})
+    for scenario in scenarios:
+        for method, efforts in EFFORTS.items():
+            for effort in efforts[::2] if quick else efforts:
+                words = {key: str(n) for key, n in effort.items()}
+                settings: Mapping[str, str] = {"method": method, **UNEVEN, **words}
+                loops = [(Setup(scenario, seed), settings, rig) for seed in seeds]
+                cases[scenario, method, str(effort)] = loops
+                rows.append({"scenario": scenario, "method": method, "default": not effort})
+                rows[-1] |= EFFORT[method] | effort
+    for row, runs in zip(rows, runs_of(Cache.of(__name__), cases).values(), strict=True):
+        row |= summed(runs)
     title = f"Effort of the solver, seeds {seeds[0]} to {seeds[-1]}, Gamma = {rig.gamma:.1f}"
     note = (
         "Medians over the runs; time is simulated, of the runs that ended well. Answer: time of "
         "the cores of the controller for one cycle; the cycle lasts 100 to 200 ms."
     )
-    table = Table("control", title, COLUMNS, rows, note)
-    return Result([table])
+    return Result([Table("control", title, COLUMNS, rows, note)])

@@ -1,4 +1,6 @@
-"""Drives on a bus: the tracking error against its latency and jitter, and against the drives' loop.
+"""Drives on a bus: error against latency, jitter and the drives' own loop.
+
+Drives on a bus: the tracking error against its latency and jitter, and against the drives' loop.
 
 Two parts at 40 mm/s, uneven friction. The board sends a setpoint each 2 ms; it reaches all drives
 `latency_ms` and a random part of `jitter_ms` later, never before an older one. Neither planner nor
@@ -11,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Direct, Setup, as_asked, run, with_settings
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import quintic_pieces
@@ -113,18 +115,12 @@ def measure(quick: bool) -> Result:
         for value in values
         if not quick or (drive == DRIVES[0] and value == values[0])
     ]
-    seeds = range(FIRST_SEED, FIRST_SEED + (1 if quick else SEEDS))
-    buses = [USUAL | {changed: value} if changed else {} for _, changed, value in cases]
-    work = {
-        f"{drive} {bus} {seed}": (drive, seed, bus)
-        for (drive, _, _), bus in zip(cases, buses, strict=True)
-        for seed in seeds
-    }
-    with processes() as pool:
-        done = dict(zip(work, resumed(pool, driven_run, work, Cache.of(__name__)), strict=True))
+    seeds, work = range(FIRST_SEED, FIRST_SEED + (1 if quick else SEEDS)), {}
+    for drive, changed, value in cases:
+        bus = USUAL | {changed: value} if changed else {}
+        work[drive, changed, value] = [(drive, seed, bus) for seed in seeds]
     rows = []
-    for (drive, changed, value), bus in zip(cases, buses, strict=True):
-        runs = [done[f"{drive} {bus} {seed}"] for seed in seeds]
+    for (drive, changed, value), runs in by_case(driven_run, work, Cache.of(__name__)).items():
         good, rms = sum(one["good"] for one in runs), [one["rms_mm"] for one in runs]
         rows.append({
             "drive": drive, "changed": changed, "value": value,
@@ -132,6 +128,5 @@ def measure(quick: bool) -> Result:
             "worst_rms_mm": max(rms), "plate_um": median([one["plate_um"] for one in runs]),
         })  # fmt: skip
     usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    return Result(
-        [Table("drives", "Drives on a bus", COLUMNS, rows, f"Where not changed: {usual}.")],
-    )
+    note = f"Where not changed: {usual}."
+    return Result([Table("drives", "Drives on a bus", COLUMNS, rows, note)])

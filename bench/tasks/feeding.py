@@ -1,4 +1,4 @@
-"""A feeder in production, beside peers that shake and look: parts a minute, waiting, accuracy.
+"""A feeder in production beside peers that shake and look: speed, accuracy.
 
 One case is the base; in the others one thing is changed: how full the plate is, the gripper's
 clearance, the robot's cycle, the pick window, the type of part. The peers are those of
@@ -8,25 +8,21 @@ out of the hopper.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Setup
 from plate_bringup.production import filled, produce
 from plate_core.tasks import FeedTask, Scenario, load_scenario
-from tasks.shaking import Shaking, shake_and_look
+from tasks.shaking import Shaker
 
 RECIPES = {"discs": "feed", "nuts": "feed_nuts", "bars": "feed_bars"}
 """Type of part -> recipe; of bars an angle is asked, within 5 degrees."""
 
-METHODS: Mapping[str, Shaking | None] = MappingProxyType(
-    {"ours": None, "vibrated": Shaking(), "thrown": Shaking(thrown=True)}
-)
+METHODS = ("ours", "vibrated", "thrown")
 """Our feeder, and its peers."""
 
 SEEDS = range(60_000, 60_003)
@@ -77,15 +73,13 @@ class Case:
 
 BASE = Case()
 
-CASES: Mapping[str, tuple[Case, ...]] = MappingProxyType(
-    {
-        "fill": tuple(replace(BASE, fill=n) for n in (5, 10, 20, 40)),
-        "clearance": tuple(replace(BASE, clearance_m=c) for c in (3e-3, 6e-3, 12e-3)),
-        "cycle": tuple(replace(BASE, cycle_s=s) for s in (1.0, 2.0, 4.0)),
-        "window": (replace(BASE, window_m=0.1), BASE),
-        "kind": tuple(replace(BASE, kind=k) for k in RECIPES),
-    }
-)
+CASES = {
+    "fill": [replace(BASE, fill=n) for n in (5, 10, 20, 40)],
+    "clearance": [replace(BASE, clearance_m=c) for c in (3e-3, 6e-3, 12e-3)],
+    "cycle": [replace(BASE, cycle_s=s) for s in (1.0, 2.0, 4.0)],
+    "window": [replace(BASE, window_m=0.1), BASE],
+    "kind": [replace(BASE, kind=k) for k in RECIPES],
+}
 """What is changed -> cases, the base among them."""
 
 COLUMNS = {
@@ -102,26 +96,16 @@ COLUMNS = {
 
 def measure(quick: bool) -> Result:
     """Run all cases with all feeders."""
-    cache = Cache.of(__name__)
     seeds, time_s = (SEEDS[:1], QUICK_S) if quick else (SEEDS, TIME_S)
-    kept = [
-        (changed, case, method)
+    work = {
+        (changed, case, method, time_s): [(case, method, seed, time_s) for seed in seeds]
         for changed in CASES
         for case in CASES[changed]
         if not quick or case == BASE or changed == "kind"
         for method in METHODS
-    ]
-    work = {
-        f"{case} {method} {seed} {time_s}": (case, method, seed, time_s)
-        for _, case, method in kept
-        for seed in seeds
     }
-    with processes() as pool:
-        found = dict(zip(work, resumed(pool, run_case, work, cache), strict=True))
-    rows = [
-        row(changed, case, method, [found[f"{case} {method} {s} {time_s}"] for s in seeds])
-        for changed, case, method in kept
-    ]
+    found = by_case(run_case, work, Cache.of(__name__))
+    rows = [row(changed, case, method, runs) for (changed, case, method, _), runs in found.items()]
     note = (
         f"{time_s:g} s of production from an almost empty plate, seeds {seeds[0]} to {seeds[-1]}; "
         "means over the runs, errors over all picks' median, 95 % and worst. Waiting: since the "
@@ -130,35 +114,31 @@ def measure(quick: bool) -> Result:
         "put back by the hopper; a rim would have kept the peer's. Window: 310 x 240 mm, of nuts "
         "and bars 300 x 220, where no side is given."
     )
-    by_case = {"case": "", "ours": "part by part", "vibrated": "shaken in the plane",
-               "thrown": "thrown anew (idealised)"}  # fmt: skip
-    return Result(
-        [
-            Table("feeding", "A feeder in production", COLUMNS, rows, note),
-            Table("by_case", "Parts a minute, and share of time that the robot waits", by_case,
-                  side_by_side(rows), note),
-        ],
-    )  # fmt: skip
+    columns = {
+        "case": "", "ours": "part by part", "vibrated": "shaken in the plane",
+        "thrown": "thrown anew (idealised)",
+    }  # fmt: skip
+    title = "Parts a minute, and share of time that the robot waits"
+    every = Table("feeding", "A feeder in production", COLUMNS, rows, note)
+    return Result([every, Table("by_case", title, columns, side_by_side(rows), note)])
 
 
 def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any]:
     """Run one production; returns it as JSON has it."""
-    setup, shaking = Setup(case.recipe, seed), METHODS[method]
-    if shaking is None:
+    setup = Setup(case.recipe, seed)
+    if method == "ours":
         return produce(setup, case.cycle_s, time_s).row
-    return shake_and_look(setup, case.cycle_s, time_s, shaking).row
+    return Shaker(setup, case.cycle_s, is_thrown=method == "thrown").run(time_s).row
 
 
 def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Sum up the runs of a case."""
 
-    def mean(values: list[float]) -> float:
-        there = [v for v in values if v is not None and np.isfinite(v)]
-        return float(np.mean(there)) if there else np.nan
+    def finite(values: list[float]) -> list[float]:
+        return [v for v in values if v is not None and np.isfinite(v)] or [np.nan]
 
-    def most(values: list[float]) -> float:
-        there = [v for v in values if v is not None and np.isfinite(v)]
-        return max(there, default=np.nan)
+    def mean(values: list[float]) -> float:
+        return float(np.mean(finite(values)))
 
     return {
         "changed": changed, "kind": case.kind, "fill": case.fill,
@@ -169,14 +149,14 @@ def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> di
         "parts_per_min": mean([r["parts_per_min"] for r in runs]),
         "least_per_min": min(r["parts_per_min"] for r in runs),
         "waiting": 100 * mean([r["waiting"] for r in runs]),
-        "most_waiting": 100 * most([r["waiting"] for r in runs]),
+        "most_waiting": 100 * max(finite([r["waiting"] for r in runs])),
         "first_s": mean([r["first_s"] for r in runs]),
         "failed": sum(r["failed"] for r in runs), "lost": sum(r["lost"] for r in runs),
         "error_mm": mean([r["error_mm"][0] for r in runs]),
         "error_95_mm": mean([r["error_mm"][1] for r in runs]),
-        "error_most_mm": most([r["error_mm"][2] for r in runs]),
+        "error_most_mm": max(finite([r["error_mm"][2] for r in runs])),
         "turn_95_deg": mean([r["error_deg"][1] for r in runs]),
-        "turn_most_deg": most([r["error_deg"][2] for r in runs]),
+        "turn_most_deg": max(finite([r["error_deg"][2] for r in runs])),
         "cpu": 100 * mean([r["cpu"] for r in runs]) if method == "ours" else None,
     }  # fmt: skip
 

@@ -1,5 +1,8 @@
-"""An hour of production in one run: parts that slip, parts that lie on the wrong face, images that
-come late or never. Nothing may be lost, nothing stop, and memory may not grow."""
+"""An hour of production: parts lost, stops, memory.
+
+An hour of production in one run: parts that slip, parts that lie on the wrong face, images that
+come late or never. Nothing may be lost, nothing stop, and memory may not grow.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cameras that run free: the tracking error against rate, exposure, latency and scatter of images.
+"""Cameras that run free: error against rate, exposure, latency and scatter.
 
 Two parts at 40 mm/s, uneven friction; the planner knows neither the latency nor the scatter of the
 stamps. A camera is good for the task where all runs end well and the median of their errors is at
@@ -7,7 +7,7 @@ most `ALLOWED_MM`: one value of it is changed at a time, until the border is pas
 
 from __future__ import annotations
 
-from harness import Cache, Result, Table, processes
+from harness import Cache, Result, Table
 from plate_bringup.loop import Setup
 from plate_core import load_rig
 from tasks.runs import UNEVEN, runs_of, summed
@@ -41,32 +41,24 @@ COLUMNS = {
 
 def measure(quick: bool) -> Result:
     """Follow two rectangles with one camera after the other."""
-    cache = Cache.of(__name__)
-    values = {"image_rate": (30.0,)} if quick else VALUES
+    values, rig = {"image_rate": (30.0,)} if quick else VALUES, load_rig()
     cameras = {("triggered", 0.0): TRIGGERED} | {
         (changed, value): USUAL | {changed: value}
         for changed, many in values.items()
         for value in many
     }
-    seeds = range(FIRST_SEED, FIRST_SEED + SEEDS)
-    cases = {
-        f"{camera} {seed}": (
-            Setup("follow_2", seed), UNEVEN | {key: f"{value:g}" for key, value in camera.items()}
-        )
-        for camera in cameras.values()
-        for seed in seeds
-    }  # fmt: skip
-    with processes() as pool:
-        done = dict(zip(cases, runs_of(pool, cache, load_rig(), cases), strict=True))
+    cases = {}
+    for case, camera in cameras.items():
+        settings = UNEVEN | {key: f"{value:g}" for key, value in camera.items()}
+        seeds = range(FIRST_SEED, FIRST_SEED + SEEDS)
+        cases[case] = [(Setup("follow_2", seed), settings, rig) for seed in seeds]
     rows = []
-    for (changed, value), camera in cameras.items():
-        found = summed(done[f"{camera} {seed}"] for seed in seeds)
-        row = {"changed": changed, "value": value, **found, "kept": kept(found)}
-        rows.append({key: row.get(key) for key in COLUMNS})
+    for (changed, value), runs in runs_of(Cache.of(__name__), cases).items():
+        found = summed(runs)
+        rows.append({"changed": changed, "value": value, **found, "kept": kept(found)})
     note = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    return Result(
-        [Table("cameras", "Cameras that run free", COLUMNS, rows, f"Where not changed: {note}.")],
-    )
+    note = f"Where not changed: {note}."
+    return Result([Table("cameras", "Cameras that run free", COLUMNS, rows, note)])
 
 
 def kept(found: dict[str, object]) -> bool:

@@ -1,4 +1,4 @@
-"""Lines from slow to fast, bad and far: tables played, their lateness, and the time to a stop."""
+"""Serial lines from slow to fast, bad and far: tables played, time to a stop."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from harness.serial import POLL_TICKS, Operator, Port
 from plate_core import CycleError, load_rig
 from plate_core.serial_protocol import State
@@ -38,8 +38,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     tables = [shaking(PIECES, size) for size in (5e-4, 6e-4)]
     transport.open()
     played: list[int] = []
-    cycles = {"sent": 0, "resting": 0, "ticks": 0}
-    due = [0.0]
+    sent, due = [0], [0.0]
 
     def run(seconds: float, plays: bool, until: Any = None) -> None:
         """Let time pass; a cycle is sent each period, if the device takes it."""
@@ -48,8 +47,8 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
             if plays and emulator.now >= due[0]:
                 due[0] = emulator.now + PERIOD_S
                 try:
-                    transport.send(tables[cycles["sent"] % 2], HOLD_CYCLES)
-                    cycles["sent"] += 1
+                    transport.send(tables[sent[0] % 2], HOLD_CYCLES)
+                    sent[0] += 1
                 except CycleError:
                     pass
             if tick % POLL_TICKS == 0:
@@ -58,8 +57,6 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
             playing = emulator.device.playing
             if plays and playing and playing != (played[-1] if played else 0):
                 played.append(playing)
-            cycles["ticks"] += plays
-            cycles["resting"] += plays and not playing
             if until is not None and until():
                 return
 
@@ -69,13 +66,11 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     run(BEGIN_S, False, ready)
     row: dict[str, Any] = {"baud": baud, "lost": 100 * lost, "delay_ms": 1e3 * delay_s}
     if not ready():
-        return row | {"tables": 0.0, "repeated": None, "resting": None, "stops_own": None,
-                      "brake_ms": None, "brake_most_ms": None}  # fmt: skip
+        return row | {"tables": 0.0}
     enables = operator.enables
     run(play_s, True)
     times = []
     own = operator.enables - enables  # it had stopped, and the operator enabled again
-    share = cycles["resting"] / cycles["ticks"]
     count = len(played)
     for _ in range(stops):
         run(BEGIN_S, True, lambda: emulator.state is State.PLAYING)
@@ -86,11 +81,8 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
         run(STOP_S, False, lambda: emulator.state in (State.BRAKING, State.OFF))
         times.append(1e3 * (emulator.now - began))
         run(BEGIN_S, False, ready)
-    in_time = play_s * (1 - share) / PERIOD_S  # periods in which something was played
     return row | {
         "tables": 60 * count / play_s,
-        "repeated": 100 * max(0.0, 1 - count / in_time) if in_time else None,
-        "resting": 100 * share,
         "stops_own": own,
         "brake_ms": float(np.median(times)) if times else None,
         "brake_most_ms": max(times) if times else None,
@@ -104,21 +96,16 @@ def measure(quick: bool) -> Result:
     )  # fmt: skip
     seconds, stops = (5.0, 1) if quick else (PLAY_S, STOPS)
     kinds = [(b, n, d, seconds, stops) for b in bauds for n in lost for d in delays]
-    with processes() as pool:
-        rows = resumed(pool, line_run, {str(kind): kind for kind in kinds}, Cache.of(__name__))
-    return Result(
-        [
-            Table(
-                "lines",
-                f"A new cycle of {PIECES} pieces each {1e3 * PERIOD_S:.0f} ms, for {seconds:.0f} s",
-                {"baud": "baud", "lost": "bytes lost [%]", "delay_ms": "delay each way [ms]",
-                 "tables": "tables played a minute", "repeated": "cycles repeated [%]",
-                 "resting": "plate at rest [% of time]", "stops_own": "stops by itself",
-                 "brake_ms": "stop() to braking, median [ms]", "brake_most_ms": "most [ms]"},
-                rows,
-                "Driver's transport, line, device in simulated time; the host looks each 5 ms. "
-                "At most 300 tables a minute. At rest: the last table was played five times, and "
-                "the next has not come.",
-            )
-        ],
-    )  # fmt: skip
+    found = by_case(line_run, {kind: [kind] for kind in kinds}, Cache.of(__name__))
+    rows = [row for [row] in found.values()]
+    title = f"A new cycle of {PIECES} pieces each {1e3 * PERIOD_S:.0f} ms, for {seconds:.0f} s"
+    columns = {
+        "baud": "baud", "lost": "bytes lost [%]", "delay_ms": "delay each way [ms]",
+        "tables": "tables played a minute", "stops_own": "stops by itself",
+        "brake_ms": "stop() to braking, median [ms]", "brake_most_ms": "most [ms]",
+    }  # fmt: skip
+    note = (
+        "Driver's transport, line, device in simulated time; the host looks each 5 ms. "
+        "At most 300 tables a minute."
+    )
+    return Result([Table("lines", title, columns, rows, note)])

@@ -1,4 +1,6 @@
-"""What a rig is asked before it is bought: success, time and error of tasks on small and weak rigs,
+"""Small and weak rigs: success, time, error, and what `feasible` said.
+
+What a rig is asked before it is bought: success, time and error of tasks on small and weak rigs,
 beside what `ros2 run plate_solver feasible` says of them.
 
 The whole loop with image noise and uneven friction. Some 90 runs: ten
@@ -12,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Setup
 from plate_core import Rig, load_rig
 from plate_core.tasks import load_scenario
@@ -51,29 +53,27 @@ BY_RIG = {"rig": "rig", "gamma": "Gamma"} | {name: f"`{name}`" for name in SCENA
 def measure(quick: bool) -> Result:
     """Run all tasks on all rigs."""
     cache, seeds = Cache.of(__name__), SEEDS[:1] if quick else SEEDS
-    kinds = [
-        (name, rig, "follow_2_desk" if (name, task) == ("desk", "follow_2") else task)
+    kinds = {
+        (name, "follow_2_desk" if (name, task) == ("desk", "follow_2") else task): rig
         for name, rig in rigs().items()
         for task in (SCENARIOS[:1] if quick else SCENARIOS)
+    }
+    asked = {(*kind, "feasible"): [(rig, kind[1])] for kind, rig in kinds.items()}
+    told = by_case(judged, asked, cache)
+    cases = {
+        kind: [(Setup(kind[1], seed), UNEVEN, rig) for seed in seeds] for kind, rig in kinds.items()
+    }
+    rows = [
+        {"rig": kind[0], "gamma": kinds[kind].gamma, "scenario": kind[1]} | summed(runs) | said[0]
+        for (kind, runs), said in zip(runs_of(cache, cases).items(), told.values(), strict=True)
     ]
-    rows: list[dict[str, Any]] = []
-    with processes() as pool:
-        told = resumed(pool, judged, {f"feasible {n} {s}": (r, s) for n, r, s in kinds}, cache)
-        for (name, rig, scenario), said in zip(kinds, told, strict=True):
-            cases = {f"{name} {scenario} {k}": (Setup(scenario, k), UNEVEN) for k in seeds}
-            runs = runs_of(pool, cache, rig, cases)
-            row = {"rig": name, "gamma": rig.gamma, "scenario": scenario} | summed(runs) | said
-            rows.append({key: row[key] for key in COLUMNS})
     note = (
         f"Seeds {seeds[0]} to {seeds[-1]}, friction uneven by 10 % between parts and over the "
         "plate; time is simulated. A rig is the default one but for what its name says."
     )
-    return Result(
-        [
-            Table("rigs", "Small and weak rigs", COLUMNS, rows, note),
-            Table("by_rig", "Small and weak rigs", BY_RIG, by_rig(rows), note),
-        ],
-    )
+    title = "Small and weak rigs"
+    every = Table("rigs", title, COLUMNS, rows, note)
+    return Result([every, Table("by_rig", title, BY_RIG, by_rig(rows), note)])
 
 
 def rigs() -> dict[str, Rig]:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from concurrent.futures import Executor
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from harness import Cache, resumed
+from harness import Cache, by_case
 from plate_bringup.loop import Setup, summary, with_settings
 from plate_core import Rig
 from plate_core.tasks import PartGroup, Scenario, SortTask, load_scenario
 
 UNEVEN = {"friction_spread": "0.1", "friction_patches": "0.1"}
 """Friction differs by 10 % between parts and over the plate: settings of `bench/closed_loop.py`."""
+
+Loop = tuple[Setup, Mapping[str, str], Rig]
+"""What is run, with settings of `bench/closed_loop.py`."""
 
 
 def sorting(count: int) -> Scenario:
@@ -30,18 +32,14 @@ def sorting(count: int) -> Scenario:
     return replace(scenario, parts=parts, task=task, time_limit_s=900.0)
 
 
-def runs_of(
-    pool: Executor, cache: Cache, rig: Rig, cases: Mapping[str, tuple[Setup, Mapping[str, str]]]
-) -> list[dict[str, Any]]:
-    """Return a row of `bench/closed_loop.py` for each case, from the cache or by running it.
-
-    Parameters
-    ----------
-    cases : mapping of str to (setup, settings)
-        By their keys in the cache.
-    """
-    work = {key: (with_settings(setup, settings), rig) for key, (setup, settings) in cases.items()}
-    return resumed(pool, summary, work, cache)
+def runs_of(cache: Cache, cases: Mapping[Any, Sequence[Loop]]) -> dict[Any, list[dict[str, Any]]]:
+    """Return a row of `bench/closed_loop.py` for each loop, by case, from the cache or by running
+    it."""
+    work = {
+        case: [(with_settings(setup, settings), rig) for setup, settings, rig in loops]
+        for case, loops in cases.items()
+    }
+    return by_case(summary, work, cache)
 
 
 def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -69,12 +67,10 @@ def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         "max_mm": max(values("max_error_m", 1e3), default=None),
         "turn_deg": max(values("turn_error_deg"), default=None),
         "pace": median([run["pace"] for run in runs if run.get("pace") is not None]),
-        "missed_percent": median(values("missed_share", 100)),
         "solve_ms": median(values("solve_ms_median")),
         "solve_p99_ms": median(values("solve_ms_p99")),
         "step_ms": median(values("step_ms_median")),
         "step_p99_ms": median(values("step_ms_p99")),
-        "limit_percent": max(values("limit_share_max", 100)),
     }
 
 

@@ -1,4 +1,4 @@
-"""One seed, one answer: what changes a run of the closed loop, to the last bit, and in which piece.
+"""One seed, one answer: what changes a run, to the last bit.
 
 Every variation runs in fresh processes and is compared with a quiet one in which BLAS and numpy
 take the code of AVX2 (`ALIKE`). Another processor is stood in for by the code that libraries would
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Moment, Setup, run
 
 SCENARIOS = ("sort_10", "follow_2", "assemble_8", "align_6")
@@ -85,7 +85,7 @@ def measure(quick: bool) -> Result:
         found = traces(name, variation, seeds, cache)
         settings = " ".join(f"{key}='{value}'" for key, value in variation.settings.items())
         for scenario in SCENARIOS:
-            pairs = [(reference[scenario, seed], found[scenario, seed]) for seed in seeds]
+            pairs = list(zip(reference[scenario], found[scenario], strict=True))
             row = {"variation": name, "settings": settings, "scenario": scenario}
             rows.append(row | compared(pairs))
     note = (
@@ -98,12 +98,13 @@ def measure(quick: bool) -> Result:
 
 def traces(
     name: str, variation: Variation, seeds: range, cache: Cache
-) -> dict[tuple[str, int], list[str]]:
-    """Return the trace of every run of a variation, from the cache or by running it."""
-    runs = [(scenario, seed) for scenario in SCENARIOS for seed in seeds]
-    work = {f"{name} {scenario} {seed}": (scenario, seed) for scenario, seed in runs}
-    with surroundings(variation), processes(variation.workers) as pool:
-        return dict(zip(runs, resumed(pool, trace, work, cache), strict=True))
+) -> dict[str, list[list[str]]]:
+    """Return the traces of every scenario in a variation, by seed, from the cache or by running
+    them."""
+    work = {(name, scenario): [(scenario, seed) for seed in seeds] for scenario in SCENARIOS}
+    with surroundings(variation):
+        found = by_case(trace, work, cache, variation.workers)
+    return {scenario: runs for (_, scenario), runs in found.items()}
 
 
 def trace(scenario: str, seed: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""The serial path: a short task over it, with each kind of accident."""
+"""The serial path: a short task, and faults of the line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from harness.serial import serial_run
 from plate_bringup.loop import Setup
 from plate_core import PlateError
@@ -49,30 +49,26 @@ KINDS: dict[str, tuple[dict[str, float], str]] = {
 def measure(quick: bool) -> Result:
     """Run all; quick: a few of each."""
     runs = 1 if quick else RUNS
-    work = {f"{kind} {seed}": (kind, seed) for kind in KINDS for seed in range(runs)}
-    with processes() as pool:
-        samples = resumed(pool, accident_run, work, Cache.of(__name__))
-    faults = [fault_row(kind, [row for row in samples if row["kind"] == kind]) for kind in KINDS]
-    return Result(
-        [
-            Table(
-                "accidents", f"{runs} runs each of a short task over 921,600 baud",
-                {"kind": "accident", "done": "went on to the end", "enables": "enables, most",
-                 "told": "stopped, told why",
-                 "stuck": "neither", "kept": "limits kept", "resting": "at rest in the end",
-                 "time_s": "time, median [s]", "longest_s": "longest [s]",
-                 "retries": "messages repeated, median", "late": "cycles repeated [%]",
-                 "used": "of limits, most [%]"},
-                faults,
-                "An operator enables at the start, and again 1 s after a stop was told: who had an "
-                "accident and two enables went on after an enable. Limits: stroke, speed and force "
-                "of the motors, acceleration of motors and plate "
-                "corners in all setpoints that the device commands, to 0.2 %, and no jump of more "
-                "than 2 um; stroke of the plate as it glides without current. Judged apart from "
-                "the device.",
-            ),
-        ],
-    )  # fmt: skip
+    work = {kind: [(kind, seed) for seed in range(runs)] for kind in KINDS}
+    faults = [
+        fault_row(*found) for found in by_case(accident_run, work, Cache.of(__name__)).items()
+    ]
+    title = f"{runs} runs each of a short task over 921,600 baud"
+    columns = {
+        "kind": "accident", "done": "went on to the end", "enables": "enables, most",
+        "told": "stopped, told why",
+        "stuck": "neither", "kept": "limits kept", "resting": "at rest in the end",
+        "used": "of limits, most [%]",
+    }  # fmt: skip
+    note = (
+        "An operator enables at the start, and again 1 s after a stop was told: who had an "
+        "accident and two enables went on after an enable. Limits: stroke, speed and force "
+        "of the motors, acceleration of motors and plate "
+        "corners in all setpoints that the device commands, to 0.2 %, and no jump of more "
+        "than 2 um; stroke of the plate as it glides without current. Judged apart from "
+        "the device."
+    )
+    return Result([Table("accidents", title, columns, faults, note)])
 
 
 def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -80,7 +76,6 @@ def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     done, told, kept, resting = (
         sum(row[key] for row in runs) for key in ("done", "told", "kept", "resting")
     )
-    times = [row["time_s"] for row in runs]
     return {
         "kind": kind,
         "done": done,
@@ -89,10 +84,6 @@ def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         "stuck": len(runs) - done - told,
         "kept": kept,
         "resting": resting,
-        "time_s": float(np.median(times)),
-        "longest_s": max(times),
-        "retries": float(np.median([row["retries"] for row in runs])),
-        "late": 100 * sum(r["late"] for r in runs) / max(1, sum(r["images"] for r in runs)),
         "used": max(row["used"] for row in runs),
     }
 
@@ -107,8 +98,6 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
     done = outcome.phase == "done" and outcome.dropped == 0
     told = not done and bool(outcome.troubles) and outcome.phase in ("stuck", "aborted")
     return {
-        "kind": kind, "done": done, "told": told, "kept": outcome.verdict.kept,
-        "resting": outcome.resting, "time_s": outcome.time_s, "retries": outcome.retries,
-        "used": 100 * outcome.verdict.worst, "late": outcome.late, "images": outcome.images,
-        "enables": outcome.enables,
+        "done": done, "told": told, "kept": outcome.verdict.kept,
+        "resting": outcome.resting, "used": 100 * outcome.verdict.worst, "enables": outcome.enables,
     }  # fmt: skip

@@ -22,13 +22,13 @@ Two kinds of shakes:
 
 How vibrating was tuned: 20 discs, clearance 6 mm, a robot of 2 s, seeds 0 to 9, 60 s each; a grid
 of 3 times of stirring, 3 shares of the way conveyed and 2 waveforms. The most parts a minute won:
-the defaults of `Shaking`. Throwing has nothing to tune. Figures are of other seeds.
+`STIR_S`, `CONVEY` and `HARMONICS`. Throwing has nothing to tune. Figures are of other seeds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -57,49 +57,28 @@ TRIES = 2000
 """Places drawn for a part that is thrown, until there is room."""
 
 
-@dataclass(frozen=True)
-class Shaking:
-    """How the plate is shaken.
+STIR_S, CONVEY = 0.8, 0.5
+"""Time of stirring in a shake [s]; fraction of the way to the window's centre that parts are
+conveyed."""
 
-    Attributes
-    ----------
-    thrown : bool
-        Idealised.
-    stir_s : float
-        Time of stirring in a shake [s].
-    convey : float
-        Fraction of the way to the window's centre that parts are conveyed.
-    period_s : float
-        Of a cycle [s].
-    harmonics : int
-    """
-
-    thrown: bool = False
-    stir_s: float = 0.8
-    convey: float = 0.5
-    period_s: float = 0.1
-    harmonics: int = 2
+PERIOD_S, HARMONICS = 0.1, 2
+"""Of a cycle [s]."""
 
 
-def waveform(harmonics: int) -> tuple[np.ndarray, np.ndarray]:
+def waveform() -> tuple[np.ndarray, np.ndarray]:
     """Return displacement and velocity (SAMPLES,) over a period of 1 s: slow one way, fast back."""
     t = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
-    order = np.arange(1, harmonics + 1)
-    share = 2 * (1 - order / (harmonics + 1))
+    order = np.arange(1, HARMONICS + 1)
+    share = 2 * (1 - order / (HARMONICS + 1))
     velocity = -share @ np.cos(order[:, None] * t)
     place = -(share / order) @ np.sin(order[:, None] * t) / (2 * np.pi)
     return place, velocity
 
 
-def shaken(rig: Rig, axis: np.ndarray, shaking: Shaking) -> PlateCycle:
+def shaken(rig: Rig, axis: np.ndarray) -> PlateCycle:
     """Return the strongest cycle that the rig allows along an axis (3,) of the plate's pose."""
-    place, velocity = waveform(shaking.harmonics)
-    unit = 1e-3
-    cycle = PlateCycle.from_samples(
-        shaking.period_s,
-        unit * place[:, None] * axis,
-        unit * velocity[:, None] * axis / shaking.period_s,
-    )
+    place, velocity = (1e-3 * wave[:, None] * axis for wave in waveform())
+    cycle = PlateCycle.from_samples(PERIOD_S, place, velocity / PERIOD_S)
     return cycle.scaled(1 / usage(rig, cycle).overall)
 
 
@@ -127,12 +106,13 @@ class Shaker:
         Its scenario is a recipe with a hopper.
     cycle_s : float
         The robot's [s].
-    shaking : Shaking
+    is_thrown : bool
+        Whether shakes are idealised.
     """
 
-    def __init__(self, setup: Setup, cycle_s: float, shaking: Shaking) -> None:
+    def __init__(self, setup: Setup, cycle_s: float, is_thrown: bool) -> None:
         recipe = setup.recipe
-        self.rig, self.shaking = load_rig(recipe.rig), shaking
+        self.rig, self.is_thrown = load_rig(recipe.rig), is_thrown
         assert isinstance(recipe.task, FeedTask)
         self.task: FeedTask = recipe.task
         self.simulation = Simulation(
@@ -148,15 +128,10 @@ class Shaker:
         if self._vision.catalogue is not None:
             bare = np.stack([self.simulation.capture_bare() for _ in range(BARE_IMAGES)])
             self._vision = replace(self._vision, background=learn_plate(bare))
-        along, across = np.eye(3)[:2]
         centre = np.array([self.rig.plate.half[0] / 2, 0.0])
-        self._along = shaken(self.rig, along, shaking)
-        self._across = shaken(self.rig, across, shaking)
-        self._turns = [shaken(self.rig, turn_about(c), shaking) for c in (centre, -centre)]
-        self._conveyed = [
-            conveyed(self.rig, cycle, axis)
-            for axis, cycle in enumerate((self._along, self._across))
-        ]
+        self._turns = [shaken(self.rig, turn_about(c)) for c in (centre, -centre)]
+        self._pushes = [shaken(self.rig, axis) for axis in np.eye(3)[:2]]
+        self._conveyed = [conveyed(self.rig, cycle, k) for k, cycle in enumerate(self._pushes)]
 
     def run(self, time_s: float) -> Production:
         """Produce for a time [s]."""
@@ -169,10 +144,7 @@ class Shaker:
     def _steps(self) -> Iterator[PlateCycle]:
         """Yield what the plate does, without end."""
         while True:
-            if self.shaking.thrown:
-                yield from self._thrown()
-            else:
-                yield from self._vibrated()
+            yield from self._thrown() if self.is_thrown else self._vibrated()
             while self._in_view:
                 yield self._rest
             image, stamp = None, self.tally.time_s
@@ -182,13 +154,8 @@ class Shaker:
             if image is not None:
                 self.parts = observe(self._vision, Tracker(), image, stamp, None).parts
                 self.listed = self._ready()
-            while self.listed or self._in_view_with_part:
+            while self.listed or self.robot.place is not None:  # a part that lies there still
                 yield self._rest
-
-    @property
-    def _in_view_with_part(self) -> bool:
-        """Whether the robot has been told of a part that lies there still."""
-        return self.robot.place is not None
 
     def _ready(self) -> list[tuple[float, float, float]]:
         """Return the parts that may be gripped."""
@@ -227,13 +194,13 @@ class Shaker:
         if np.any(mine):
             low, high = pick_window(self.task.picks[0], self.rig)
             way = (low + high) / 2 - self.parts.position[mine].mean(axis=0)
-            for axis, cycle in enumerate((self._along, self._across)):
-                far = self.shaking.convey * abs(way[axis])
+            for axis, cycle in enumerate(self._pushes):
+                far = CONVEY * abs(way[axis])
                 for _ in range(int(np.searchsorted(self._conveyed[axis], far))):
                     yield cycle if way[axis] > 0 else mirrored(cycle)
         for cycle in self._turns:
             turn = mirrored(cycle) if self._rng.random() < 0.5 else cycle
-            for _ in range(round(self.shaking.stir_s / 2 / cycle.period)):
+            for _ in range(round(STIR_S / 2 / cycle.period)):
                 yield turn
         while self.tally.time_s < began + open_s:
             yield self._rest
@@ -287,8 +254,3 @@ def thrown(reach: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> np.
             if np.all(np.hypot(*(place[:i] - place[i]).T) >= reach[:i] + mine):
                 break
     return place
-
-
-def shake_and_look(setup: Setup, cycle_s: float, time_s: float, shaking: Shaking) -> Production:
-    """Run the peer with a robot of a cycle [s] for a time [s], as `produce` runs our feeder."""
-    return Shaker(setup, cycle_s, shaking).run(time_s)

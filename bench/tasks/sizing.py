@@ -1,11 +1,11 @@
-"""How many parts a rig sorts: the default one, more and more parts.
+"""Number of parts: time, parts dropped.
 
 The whole loop in a clean world: image noise, even friction, parts that collide.
 """
 
 from __future__ import annotations
 
-from harness import Cache, Result, Table, processes, resumed
+from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Setup, summary
 from plate_core import load_rig
 from tasks.runs import sorting, summed
@@ -23,22 +23,11 @@ COLUMNS = {
 
 def measure(quick: bool) -> Result:
     """Sort all numbers of parts."""
-    rig, cache = load_rig(), Cache.of(__name__)
-    counts = {10: 1} if quick else COUNTS
-    work = {
-        f"{count} {seed}": (Setup(sorting(count), seed), rig)
-        for count, runs in counts.items()
-        for seed in range(runs)
-    }
-    with processes() as pool:
-        done = iter(resumed(pool, summary, work, cache))
-    rows = []
-    for count, runs in counts.items():
-        mine = [next(done) for _ in range(runs)]
-        row = {"scenario": f"sort_{count}", "gamma": rig.gamma, "parts": count} | summed(mine)
-        rows.append({key: row[key] for key in COLUMNS})
+    rig, counts = load_rig(), {10: 1} if quick else COUNTS
+    cases = {n: [(Setup(sorting(n), k), rig) for k in range(runs)] for n, runs in counts.items()}
+    rows = [
+        {"scenario": f"sort_{count}", "gamma": rig.gamma, "parts": count} | summed(runs)
+        for count, runs in by_case(summary, cases, Cache.of(__name__)).items()
+    ]
     note = "Seeds from 0 on; time is simulated. Image noise, even friction, parts that collide."
-    rows = rows[::-1]
-    return Result(
-        [Table("parts", "How many parts are sorted", COLUMNS, rows, note)],
-    )
+    return Result([Table("parts", "How many parts are sorted", COLUMNS, rows[::-1], note)])
