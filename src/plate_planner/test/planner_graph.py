@@ -180,13 +180,14 @@ class Graph:
         return future.result()
 
     def image(self, stamp_s, position, ids=IDS):
-        """Publish parts and return the planner's answer."""
+        """Publish parts and return what the planner asks for, once it has heard the answer."""
         count = len(self.forces)
         stamp = to_time(round(stamp_s * 1e9))
         if self.reporting:
             self.starts.publish(cycle_to_msg(self.cycle, stamp))
         self.parts.publish(parts_to_msg(Parts.make(ids, position), stamp))
         self.until(lambda: len(self.forces) > count)
+        self.until(lambda: not (self.answering and self.planner._open))
         assert self.forces[-1].header.stamp == stamp
         return msg_to_wanted(self.forces[-1])
 

@@ -117,8 +117,8 @@ def test_it_is_not_at_rest_before_the_last_motion_has_ended():
     ids=["told at once", "told with the image after", "the planner is behind"],
 )
 def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begins, told, came):
-    """The answer to image 0 begins with an image long after the order to rest, and is told of with
-    one. All that was asked for until image 3 is answered after it, which `came` by the clock."""
+    """The answer to image 0 begins with an image, long after the order to rest, and is told of with
+    one; it is heard after image 3, when it was `came` by the clock, with rest asked for since."""
     feed = Planner(RIG, replace(SCENARIO, task=TASK))
     state, still = feed.start(feed.initial()), []
     push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])
@@ -139,6 +139,46 @@ def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begi
                 answer = rest if asked else push
                 state = feed.hear(state, answer, max(came, k) * T, asked * T)
     assert still == [k > begins + 1 for k in range(12)]
+
+
+def test_a_motion_that_rest_has_overtaken_may_still_begin_while_the_driver_stands_still():
+    """The answer to image 0 and rest after it are heard at once, but reach the plate late: it rests
+    on its own until the motion begins with image 4."""
+    assert _at_rest_while_a_motion_is_awaited(begins=4, count=8) == [k > 5 for k in range(8)]
+
+
+def test_a_motion_that_the_driver_has_refused_is_not_awaited_for_ever():
+    still = _at_rest_while_a_motion_is_awaited(begins=None, count=12)
+    assert not any(still[:6])
+    assert all(still[8:])
+
+
+def _at_rest_while_a_motion_is_awaited(begins, count):
+    """Return whether each image is reported to be at rest; the motion asked for after image 0 is
+    answered in time, and begins with an image, or never."""
+    feed = Planner(RIG, replace(SCENARIO, task=TASK))
+    state, still = feed.start(feed.initial()), []
+    push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])
+    rest, push = PlateCycle.rest(T), PlateCycle.from_samples(T, push)
+    for k in range(count):
+        state = feed.started(state, push if k == begins else rest, k * T, triggered=True)
+        state, _, _ = feed.plan(state, parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0)), k * T)
+        still.append(state.memory.report.at_rest)
+        state = feed.hear(state, rest if k else push, (k + 0.5) * T, k * T)
+        if k == 0:
+            feed = feed.order(state, FeedOrder(FeedMode.REST))
+    return still
+
+
+def test_a_plate_whose_starts_are_reported_no_more_is_at_rest_again():
+    feed = Planner(RIG, replace(SCENARIO, task=replace(TASK, order=FeedOrder(FeedMode.REST))))
+    state, rest = feed.start(feed.initial()), PlateCycle.rest(T)
+    for k in range(25):
+        if k < 3:
+            state = feed.started(state, rest, k * T, triggered=True)
+        state, _, _ = feed.plan(state, parts(**LONE), k * T)
+        state = feed.hear(state, rest, (k + 0.5) * T, k * T)
+    assert state.memory.report.at_rest
 
 
 def test_a_part_that_moves_on_a_plate_at_rest_is_not_ready():

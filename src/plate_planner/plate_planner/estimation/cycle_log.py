@@ -14,6 +14,7 @@ from statistics import median_low
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
+from plate_core.status import MOST_AGE_S
 
 HANDOVER_S = 4e-3
 """Time from a cycle's publication until the device has it [s]: two hops and the driver."""
@@ -85,9 +86,8 @@ class CycleLog:
         answer.
     answered : float
         When the cycle began that the last cycle sent answers [s]; minus infinity: none was sent.
-    quiet : float
-        When the first came of the last cycles sent that all are at rest [s]; infinite: the last one
-        moves, or none was sent.
+    awaited : Sent or None
+        The last cycle sent that moves, until it is known to have begun.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -96,7 +96,7 @@ class CycleLog:
     delays: tuple[int, ...] = ()
     told: float = -math.inf
     answered: float = -math.inf
-    quiet: float = math.inf
+    awaited: Sent | None = None
 
     @property
     def known(self) -> bool:
@@ -177,9 +177,9 @@ class CycleLog:
         if asked is None:
             asked = self.begin if self.runs else arrival
         before = self.sent[-LATEST:] if math.isfinite(self.told) else ()
-        sent = (*before, Sent(arrival, cycle, asked))
-        quiet = math.inf if cycle.moves else min(self.quiet, arrival)
-        return replace(self, sent=sent, answered=asked, quiet=quiet)
+        one = Sent(arrival, cycle, asked)
+        awaited = one if cycle.moves else self.awaited
+        return replace(self, sent=(*before, one), answered=asked, awaited=awaited)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Take in the report that the plate began a cycle at `begin` [s]; `triggered` tells that
@@ -207,8 +207,9 @@ class CycleLog:
                 break
         runs = (*kept, (begin, cycle))
         return replace(
-            self, runs=runs, sent=sent, reported=not triggered, delays=delays, told=begin
-        )
+            self, runs=runs, sent=sent, reported=not triggered, delays=delays, told=begin,
+            awaited=self._awaited_after(cycle),
+        )  # fmt: skip
 
     def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
@@ -226,7 +227,7 @@ class CycleLog:
             log = CycleLog()  # time began anew
         elif self.runs and t > self.end + MEMORY_S:
             # Nothing has been seen for long.
-            log = CycleLog(sent=self.sent, answered=self.answered, quiet=self.quiet)
+            log = CycleLog(sent=self.sent, answered=self.answered, awaited=self.awaited)
         if not log.runs:
             return log._begin(t)
         while log.end <= t - SNAP * (log.end - log.begin):
@@ -262,7 +263,22 @@ class CycleLog:
         cycle = self.next(waiting) if self.runs else waiting[-1]
         # The report of its start finds it still there, and so does the end of a tail.
         keeps = math.isfinite(self.told) or not any(cycle is each for each in waiting)
-        return replace(self, runs=(*self.runs, (t, cycle)), sent=self.sent if keeps else ())
+        awaited = self.awaited if keeps else self._awaited_after(cycle)
+        runs = (*self.runs, (t, cycle))
+        return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)
+
+    def _awaited_after(self, cycle: PlateCycle) -> Sent | None:
+        """Return what is awaited when a cycle has begun."""
+        one = self.awaited
+        return None if one is not None and _same(one.cycle, cycle) else one
+
+    def may_move(self, t: float) -> bool:
+        """Whether what is awaited may begin after t [s]: the driver may still have sent it, and it
+        waits for the end of a cycle."""
+        one = self.awaited
+        if one is None or one.asked > t + MEMORY_S:  # the clock was put back since
+            return False
+        return t < one.asked + MOST_AGE_S + one.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the pieces of runs from `begin` to `end` [s]: cycle, when it began, and from when

@@ -9,7 +9,7 @@ import numpy as np
 from plate_core import Parts, PlateCycle, Rig, part_class
 from plate_core.rig import row_delay
 
-from .cycle_log import SHORTEST_S, SNAP, CycleClock, CycleLog
+from .cycle_log import MEMORY_S, SHORTEST_S, SNAP, CycleClock, CycleLog
 from .filter import StateEstimate, propagate
 from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
@@ -283,9 +283,8 @@ class Estimator:
     def update(self, parts: Parts, t: float, coast: int = COAST) -> Estimator:
         """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
         for `coast` images."""
-        log, hypotheses, request = self.log.advance(t), self.latency, self.request
+        log, hypotheses = self.log.advance(t), self.latency
         if self.clock.went_back(t):
-            request = LastRequest()
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
             hypotheses = replace(hypotheses, estimate=forgotten)
         if not log.reported and abs(t - log.told) < STARTS_S:
@@ -311,7 +310,7 @@ class Estimator:
             turning = turning.update(log, parts, taken - latency.latency)
         return replace(
             self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd,
-            turning=turning, request=request,
+            turning=turning,
         )  # fmt: skip
 
     @property
@@ -368,15 +367,15 @@ class Estimator:
     def resting_since(self) -> float:
         """Since when the plate has been at rest, to stay so until motion is asked for again [s];
         infinite while it moves, and where it may: as long as the cycle of the last image is not
-        reported, and none that began after an answer to rest had come."""
+        reported, and what was asked for last may begin and is not known to have."""
         log, asked = self.log, self.request.stamp
         if not log.known:  # what was asked last is done in the cycle after the image
             return asked + 2 * self.period if asked <= self.stamp else -np.inf
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
-        may_come = np.isfinite(asked) and log.answered <= asked
-        if np.isfinite(log.told):
-            may_come |= log.told < shown or (np.isfinite(asked) and log.told < log.quiet)
-        return np.inf if may_come else log.resting_since
+        reports = log.told > self.taken - MEMORY_S  # else nobody has reported for long
+        unanswered = log.answered < asked < self.taken + MEMORY_S  # else the clock was put back
+        may_come = unanswered or log.may_move(log.told if reports else self.taken)
+        return np.inf if may_come or (reports and log.told < shown) else log.resting_since
 
     @property
     def period(self) -> float:
