@@ -83,8 +83,8 @@ class PymunkTray(PymunkScene):
         self.space.collision_slop = SLOP
         x, y = HALF + THICK
         for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            ends = [(i * x + k * j * x, j * y + k * i * y) for k in (-1, 1)]
-            self.space.add(pymunk.Segment(self.plate, *ends, THICK))
+            first, last = ((i * x + k * j * x, j * y + k * i * y) for k in (-1, 1))
+            self.space.add(pymunk.Segment(self.plate, first, last, THICK))
         for shape in self.space.shapes:
             shape.friction = shape.elasticity = 0.0
 
