@@ -17,6 +17,7 @@ from enum import IntEnum
 
 __all__ = [
     "INPUT_TIMEOUT_S",
+    "MOST_AGE_S",
     "Finding",
     "Input",
     "Level",
