@@ -360,8 +360,16 @@ class Estimator:
 
     @property
     def at_rest(self) -> bool:
-        """Whether parts and plate lay still when the last image was taken."""
-        return self.taken >= self.resting_since + SETTLE_S
+        """Whether parts and plate lay still when the last image was taken, as far as is known."""
+        return self.taken >= self._known_rest + SETTLE_S
+
+    @property
+    def _known_rest(self) -> float:
+        """Since when the plate has been at rest by what was reported, sent or asked [s]."""
+        if self.log.known:
+            return self.log.resting_since
+        asked = self.request.stamp  # what was asked last is done in the cycle after the image
+        return asked + 2 * self.period if asked <= self.stamp else -np.inf
 
     @property
     def resting_since(self) -> float:
@@ -369,8 +377,8 @@ class Estimator:
         infinite while it moves, and where it may: as long as the cycle of the last image is not
         reported, and what was asked for last may begin and is not known to have."""
         log, asked = self.log, self.request.stamp
-        if not log.known:  # what was asked last is done in the cycle after the image
-            return asked + 2 * self.period if asked <= self.stamp else -np.inf
+        if not log.known:
+            return self._known_rest
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
         reports = log.told > self.taken - MEMORY_S  # else nobody has reported for long
         unanswered = log.answered < asked < self.taken + MEMORY_S  # else the clock was put back
