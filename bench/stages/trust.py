@@ -62,7 +62,7 @@ WORLDS: tuple[dict[str, float], ...] = (
 """Laws of friction in which tasks are run; loop and planner believe the first."""
 
 LEFT = ("effect", "formula", "assumed", "size")
-"""What is told of what is left out."""
+"""The columns of what is left out of the model."""
 
 DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
 """Of a steel part [kg/m3]; of an aluminium plate [Pa], [kg/m3], [-]."""

@@ -117,8 +117,8 @@ def test_it_is_not_at_rest_before_the_last_motion_has_ended():
     ids=["told at once", "told with the image after", "the planner is behind"],
 )
 def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begins, told, came):
-    """The answer to image 0 begins with an image, long after the order to rest, and is told of with
-    one; it is heard after image 3, when it was `came` by the clock, with rest asked for since."""
+    """The answer to image 0 begins with image `begins`, long after the order to rest; the report of
+    it comes before image `told`. It is heard after image 3, at time `came`, with rest after it."""
     feed = Planner(RIG, replace(SCENARIO, task=TASK))
     state, still = feed.start(feed.initial()), []
     push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])
