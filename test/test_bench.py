@@ -104,6 +104,7 @@ def refusal(monkeypatch, capsys):
         (closed_loop, ["--set", "colour=blue"], ("'colour'", "allowed", "method")),
         (closed_loop, ["--set", "noise"], ("'noise'", "allowed", "key=value")),
         (closed_loop, ["--set", "noise=-5"], ("noise is -5", "allowed: 0 to 50")),
+        (closed_loop, ["--set", "kp=nan"], ("kp is nan", "allowed: 0 to 2")),
         (closed_loop, ["--planner", "mine.py"], ("'mine.py'", "allowed", "OwnPlanner")),
         (closed_loop, ["--planner", closed_loop.__file__], ("no class OwnPlanner",)),
         (closed_loop, ["--seeds", "3:3"], ("'3:3'", "allowed", "A < B")),

@@ -44,7 +44,6 @@ from plate_core.tasks import (
 )
 from plate_driver.setpoints import MotorTable, prepare
 from plate_planner import (
-    FollowOptions,
     Planner,
     PlannerOptions,
     PlannerState,
@@ -87,6 +86,9 @@ NUMBERS = {
     **WORLD_RANGES, "image_age_s": (0.0, 1.0), "exposure_s": (0.0, 0.1), "readout_s": (0.0, 0.1),
 }  # fmt: skip
 """Settings of `Setup` itself that are numbers, and what is allowed."""
+
+FOLLOW = {"kp": (0.0, 2.0), "observer_gain": (0.0, 1.0)}
+"""Settings of `FollowOptions`, and what is allowed."""
 
 BARE_IMAGES = 5
 """From which the bare plate is learned, for rigs with types of parts."""
@@ -164,21 +166,19 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             if key == "method":
                 setup = replace(setup, method=_method(text))
             elif key in NUMBERS:
-                setup = replace(setup, **{key: _number(key, float(text))})  # type: ignore[arg-type]
+                setup = replace(setup, **{key: _number(key, float(text), *NUMBERS[key])})  # type: ignore[arg-type]
             elif key in EFFORT:
                 setup = replace(setup, effort={**setup.effort, key: int(text)})
             elif key == "blur":
                 world = replace(world, blur=_flag(key, text))
             elif key in {f.name for f in fields(Disturbances)}:
                 world = replace(world, **{key: float(text)})  # type: ignore[arg-type]
-            elif key in {f.name for f in fields(FollowOptions)}:
-                follow = replace(follow, **{key: float(text)})
+            elif key in FOLLOW:
+                follow = replace(follow, **{key: _number(key, float(text), *FOLLOW[key])})
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", *NUMBERS, *EFFORT]
-            kinds = (Disturbances, FollowOptions)
-            known += [f.name for kind in kinds for f in fields(kind)]
+            known = ["method", *NUMBERS, *EFFORT, *(f.name for f in fields(Disturbances)), *FOLLOW]
             names = ", ".join(dict.fromkeys(known))
             hint = did_you_mean(key, known)
             raise PlateError(f"setting {key!r}{hint}, allowed: {names}") from None
@@ -190,8 +190,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     return replace(setup, disturbances=world, planner=planner)
 
 
-def _number(key: str, value: float) -> float:
-    low, high = NUMBERS[key]
+def _number(key: str, value: float, low: float, high: float) -> float:
     if not low <= value <= high:
         raise PlateError(f"setting {key} is {value:g}, allowed: {low:g} to {high:g}")
     return value

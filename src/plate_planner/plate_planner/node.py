@@ -752,7 +752,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if task.phase.is_failure:
             failure = Level.WARN if task.reason in BY_PERSON else Level.ERROR
             level = max(level, failure, key=lambda each: each.rank)
-        return Finding(level, "; ".join(filter(None, (task.text, found.message))))
+        texts = [task.text, *([found.message] if found.message not in task.text else [])]
+        return Finding(level, "; ".join(texts))
 
     def _values(self) -> Mapping[str, str]:
         run = self._run

@@ -24,7 +24,7 @@ from plate_core.tasks import (
     target_problem,
 )
 
-from .estimation import COAST, DriftBias, Estimator
+from .estimation import COAST, Estimator
 from .supervision import (
     STOP,
     Failure,
@@ -373,6 +373,7 @@ class Planner:
             lambda name: loss_of(name, state.last.get(name), began, self.rig, count),
             not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
             estimator.at_rest,
+            estimator.unanswered,
         )
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
@@ -382,7 +383,7 @@ class Planner:
         """Learn what parts do otherwise than predicted; a task begins without knowing."""
         estimator, rules = state.estimator, self.rules
         if begins:
-            estimator = replace(estimator, bias=DriftBias())
+            estimator = estimator.begin_task()
         axes = rules.bias_axes(state.memory, parts, estimator.stamp - estimator.period / 2)
         limit = rules.bias_limit(state.memory, parts, estimator.period)
         predicted = estimator.predict(parts)
@@ -440,7 +441,7 @@ class Planner:
             phase=task.phase,
             text=f"{task.text}: {doing}" if doing else task.text,
             time_s=task.elapsed(estimator.stamp),
-            parts_total=self.scenario.count,
+            parts_total=max(self.scenario.count, found.total),
             parts_seen=seen,
             parts_sorted=found.count,
             to_go_m=found.to_go_m,

@@ -285,3 +285,16 @@ def test_a_cycle_with_a_tail_that_no_driver_plays_is_not_believed(tail_s):
     log = CycleLog().hear(PlateCycle.rest(0.1), 0.0).advance(0.1)
     assert log.hear(odd, 0.11) == log
     assert log.started(odd, 0.2) == log
+
+
+def test_cycles_that_move_the_plate_without_an_answer_are_counted():
+    log = played(12, 0)
+    assert (log.begun, log.unanswered) == (12, 0)
+    again = log.started(swinging(11), 1.2)
+    assert (again.begun, again.unanswered) == (13, 1)
+    assert again.started(swinging(11), 1.2) == again  # told once more
+    assert log.started(SHORT, 1.2).unanswered == 0  # rest
+    # A tail is what no answer leads to, unless it was rest that was asked.
+    log = CycleLog().started(SHORT, 0.9).hear(LEAVES, 0.95, 0.9).started(LEAVES, 1.0)
+    assert log.started(LEAVES.tail, 1.1).unanswered == 1
+    assert log.hear(SHORT, 1.05, 1.0).started(LEAVES.tail, 1.1).unanswered == 0

@@ -222,3 +222,23 @@ def test_an_incomplete_image_does_not_break_the_hold_nor_end_the_task():
     # A part that is seen short of its goal does break it.
     assert run((100.7, (), False), (100.8, (), True), state=unseen).active
     assert run((100.0, GONE, True), (100.6, (), True)).active
+
+
+@pytest.mark.parametrize(
+    ("found", "phase"),
+    [
+        (Findings((), True, 0.0, outcome="10 of 10"), Phase.DONE),
+        (Findings((), False, 1.0, problem="30 mm off"), Phase.STUCK),
+        (Findings((), False, 1.0, detail=lambda: "black_1"), Phase.STUCK),
+        (Findings(GONE, False, 1.0), Phase.LOST),
+    ],
+)
+def test_an_end_says_how_many_cycles_had_no_answer(found, phase):
+    texts = []
+    for slow in ("", "9 of 90 cycles had no answer in time"):
+        now = replace(found, unanswered=slow)
+        state = judge(judge(RUNNING, 109.0, now, LIMITS), 111.0, now, LIMITS)
+        assert state.phase is phase
+        texts.append(state.text)
+    assert slow in texts[1]
+    assert len(texts[1]) == len(texts[0]) + len(slow) + len("; ")

@@ -8,7 +8,7 @@ import pytest
 from plate_core import Parts, ScenarioError, load_rig
 from plate_core.rig import contains, rim_distance
 from plate_core.tasks import Bin, PartGroup, Side, SortTask, load_scenario
-from plate_planner.tasks import Sorter
+from plate_planner.tasks import Situation, Sorter
 from plate_planner.tasks.sort import LANE_AT, MARGIN, slots
 
 RIG = load_rig()
@@ -115,6 +115,13 @@ def test_a_class_without_a_goal_is_only_kept_on_the_plate():
     assert np.all(to.weight[0] == 0)
     parts = Parts.make(("red_1",), np.array([[0.29, 0]]))
     assert np.isnan(SORTER.to_go(parts)[0])
+    there = Parts.make(("red_1", "grey_1"), np.array([[0.29, 0], [0.25, 0]]))
+    now = Situation(
+        there, 0.0, 0.1, 0.1, 0.1, True, True, there.position, np.zeros(2), True, there, 0.0
+    )
+    found = SORTER.assess(None, now)[1]
+    assert (found.count, found.total, found.goal_met) == (1, 1, True)
+    assert found.outcome == "1 of 1 parts in their regions"
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,9 @@ class CycleLog:
         When the cycle began that the last cycle sent answers [s]; minus infinity: none was sent.
     awaited : Sent or None
         The last cycle sent that moves, until it is known to have begun.
+    begun, unanswered : int
+        How many cycles were reported, and how many of these moved the plate without being an
+        answer: the one before again, or its tail.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -97,6 +100,8 @@ class CycleLog:
     told: float = -math.inf
     answered: float = -math.inf
     awaited: Sent | None = None
+    begun: int = 0
+    unanswered: int = 0
 
     @property
     def known(self) -> bool:
@@ -195,9 +200,11 @@ class CycleLog:
         before = tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
         kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
         sent, delays = self.sent, self.delays
+        rest_asked = bool(sent) and not sent[-1].cycle.moves
+        unanswered = self.known and cycle.moves and not rest_asked
         for k, one in enumerate(self.sent):
             if _same(one.cycle, cycle):
-                sent = self.sent[k + 1 :]
+                sent, unanswered = self.sent[k + 1 :], False
                 if cycle.moves and not triggered:  # rest does not tell one from another
                     late = sum(  # short cycles at rest, and tails, tell nothing of others
                         start > one.asked + SNAP * run.period and run.moves and not _is_tail(run)
@@ -208,7 +215,8 @@ class CycleLog:
         runs = (*kept, (begin, cycle))
         return replace(
             self, runs=runs, sent=sent, reported=not triggered, delays=delays, told=begin,
-            awaited=self._awaited_after(cycle),
+            awaited=self._awaited_after(cycle), begun=self.begun + 1,
+            unanswered=self.unanswered + unanswered,
         )  # fmt: skip
 
     def advance(self, t: float) -> CycleLog:

@@ -40,6 +40,9 @@ ODD, ODD_IMAGES = 0.25, 20
 """So many images in a row that are this fraction of a cycle off a whole number of cycles apart are
 not of a camera that is triggered at the starts of cycles."""
 
+FEW_UNANSWERED = 0.05
+"""By so many cycles without an answer a task hardly takes longer [share]."""
+
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 
@@ -339,6 +342,22 @@ class Estimator:
         late = self.log.delay
         cycles = "a cycle" if late == 1 else f"{late} cycles"
         return f"answers begin {cycles} late: the computer or the line is too slow" if late else ""
+
+    def begin_task(self) -> Estimator:
+        """Count cycles anew, and forget what parts did otherwise than predicted."""
+        log = replace(self.log, begun=0, unanswered=0)
+        return replace(self, bias=DriftBias(), log=log)
+
+    @property
+    def unanswered(self) -> str:
+        """How many cycles no answer began since the task did; empty if they were few."""
+        log = self.log
+        if log.unanswered <= FEW_UNANSWERED * log.begun:
+            return ""
+        return (
+            f"{log.unanswered} of {log.begun} cycles had no answer in time: the computer or the "
+            "line is too slow"
+        )
 
     def ask(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
         """Take in what is asked of the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""

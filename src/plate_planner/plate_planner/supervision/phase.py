@@ -256,6 +256,8 @@ class Findings:
     at_rest : bool
         Whether it was taken when plate and parts lay still: a moving plate may leave a part behind
         that the image still shows on it.
+    unanswered : str
+        How many cycles no answer began, if they were many.
     """
 
     missing: tuple[str, ...]
@@ -267,6 +269,7 @@ class Findings:
     loss: Callable[[str], Failure] = lambda name: Failure(Reason.PART_UNSEEN, name)
     all_seen: bool = True
     at_rest: bool = True
+    unanswered: str = ""
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
@@ -286,13 +289,15 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     lost = tuple(name for name, since in missing_since if t - since > timeout)
     if lost:
         losses = [found.loss(name) for name in lost]
-        text = "; ".join(loss.text for loss in losses)
+        text = _joined(found.unanswered, *(loss.text for loss in losses))
         return _end(state, t, Phase.LOST, losses[0].reason, text)
     if found.problem:
-        return _end(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, found.problem)
+        text = _joined(found.unanswered, found.problem)
+        return _end(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, text)
     held = state.held(t, limits)
     if held and found.all_seen and found.at_rest and not found.missing:
-        return _end(state, t, Phase.DONE, Reason.NONE, found.outcome)
+        text = _joined(found.outcome, found.unanswered)
+        return _end(state, t, Phase.DONE, Reason.NONE, text)
     reason, text = Reason.NONE, ""
     # What was held in time is still to be seen at rest.
     longest = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
@@ -305,7 +310,7 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
         text = f"no nearer to the goal for {limits.stuck_timeout_s:g} s"
     if reason is Reason.NONE:
         return state
-    return _end(state, t, Phase.STUCK, reason, "; ".join(filter(None, (text, found.detail()))))
+    return _end(state, t, Phase.STUCK, reason, _joined(text, found.unanswered, found.detail()))
 
 
 def _end(state: TaskState, t: float | None, phase: Phase, reason: Reason, detail: str) -> TaskState:
@@ -316,6 +321,10 @@ def _since(since: float | None, holds: bool, t: float) -> float | None:
     if not holds:
         return None
     return t if since is None else since
+
+
+def _joined(*texts: str) -> str:
+    return "; ".join(filter(None, texts))
 
 
 def _listed(names: tuple[str, ...]) -> str:

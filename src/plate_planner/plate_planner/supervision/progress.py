@@ -21,7 +21,8 @@ class Progress:
     time_s : float
         Time since the task began, until now or its end [s].
     parts_total, parts_seen, parts_sorted : int
-        Parts of the scenario, parts on the plate in this image, parts that are where they belong.
+        Parts of the scenario, or more if more are sorted; parts on the plate in this image, parts
+        that are where they belong.
     to_go_m : float
         Distance to the goal, summed over parts [m]; following: the longest way left.
     rms_error_m : float

@@ -98,15 +98,17 @@ class Sorter(TaskRules):
     def assess(self, memory: float | None, now: Situation) -> tuple[float, Assessment]:
         """Judge one image, and say what is wanted; the hand of the swirl is remembered."""
         to_go = self.to_go(now.parts)
-        count, distance = int(np.sum(to_go == 0)), np.nan_to_num(to_go)
+        count, total = int(np.sum(to_go == 0)), int(np.sum(~np.isnan(to_go)))
+        distance = np.nan_to_num(to_go)
         hand = self.hand(memory, now.parts)
         return hand, Assessment(
             request=self.request(now.parts, hand),
-            goal_met=count == np.count_nonzero(~np.isnan(to_go)),
+            goal_met=count == total,
             count=count,
+            total=total,
             distance=distance,
             to_go_m=float(np.sum(distance)),
-            outcome=f"{count} of {len(to_go)} parts in their regions",
+            outcome=f"{count} of {total} parts in their regions",
         )
 
     def to_go(self, parts: Parts) -> np.ndarray:

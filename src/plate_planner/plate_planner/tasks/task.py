@@ -157,6 +157,8 @@ class Assessment:
         Whether the goal is met in this image.
     count : int
         Parts that are where they belong.
+    total : int
+        Parts that the task counts, where they may be more than the scenario's.
     distance : (M,)
         How far each part is from where it should be [m].
     to_go_m : float
@@ -180,6 +182,7 @@ class Assessment:
     request: DriftRequest | None = None
     goal_met: bool = False
     count: int = 0
+    total: int = 0
     distance: np.ndarray = field(default_factory=lambda: np.zeros(0))
     to_go_m: float = 0.0
     problem: str = ""
