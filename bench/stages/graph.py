@@ -25,7 +25,7 @@ MESSAGES, QUICK_MESSAGES = 10_000, 500
 GOALS, QUICK_GOALS = 200, 10
 
 FAULTS = {key: key for key in ("fault", "node", "task_status", "plate rests", "to go on")}
-"""Columns of the tables of faults; what the driver and diagnostics say is in the rows, too."""
+"""Columns of the tables of faults; `tools/faults.py` prints what diagnostics said, too."""
 
 MINUTES, QUICK_MINUTES = 8.0, 0.5
 """Of sorting."""
