@@ -1,6 +1,7 @@
 """Measure and draw docs/results.md, out/report/index.html and tables of other pages.
 
-The tables are in README, docs/graph.md, docs/hardware.md and docs/guide/feeder.md.
+The tables are in README, docs/graph.md, docs/hardware.md, docs/guide/feeder.md and
+docs/guide/trust.md.
 
 python bench/charts.py [--quick] [--draw]
 

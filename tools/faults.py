@@ -16,6 +16,7 @@ import argparse
 import json
 import math
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -327,6 +328,7 @@ def cells(result: dict[str, Any]) -> list[dict[str, str]]:
     """Return the rows as texts for a reader: what was said after each fault, and when."""
 
     def after(text: str, seconds: float | None) -> str:
+        text = re.sub(r"^aborted after [\d.]+ s: ", "", text)
         text = text.split(" (")[0].split(", allowed: ")[0].replace(result["port"], "PORT")
         return f"{seconds:.1f} s: {text}" if seconds is not None else text
 

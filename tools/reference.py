@@ -18,8 +18,8 @@ PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
 HEAD = """# All keys of scenario and rig files
 
 Made from the code by `python tools/reference.py`. In brackets: what may stand there, and what
-counts where the key is left out; if nothing is said of that the key must be there. What is wrong in
-a file is refused with file, key, value and what is allowed.
+counts where the key is left out; a key without that must be there. What is wrong in a file is
+refused with file, key, value and what is allowed.
 
 Coordinates are in `plate_home`: origin at the centre of the plate at rest, x along its long side, y
 to the left, angles counter-clockwise from x. How the files are used: [tasks](guide/tasks.md),

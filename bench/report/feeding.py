@@ -45,10 +45,7 @@ def feeding(rows: list[Row]) -> Drawn:
     small = [{**r, "kind": "discs in a window of 100 mm"} for r in rows if r["window_mm"]]
     kinds = by([*(r for r in rows if r["changed"] == "kind"), *small], "kind")
     told = "; ".join(
-        f"{kind} "
-        + ", ".join(
-            f"{r['parts_per_min']:.1f} {r['method']} (waits {r['waiting']:.0f} %)" for r in these
-        )
+        f"{kind} " + ", ".join(f"{r['parts_per_min']:.1f} {r['method']}" for r in these)
         for kind, these in kinds.items()
     )
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")

@@ -24,20 +24,22 @@ MESSAGES, QUICK_MESSAGES = 10_000, 500
 
 GOALS, QUICK_GOALS = 200, 10
 
+FAULTS = {key: key for key in ("fault", "node", "task_status", "plate rests", "to go on")}
+"""Columns of the tables of faults; `tools/faults.py` prints what diagnostics said, too."""
+
 MINUTES, QUICK_MINUTES = 8.0, 0.5
 """Of sorting."""
 
 
 def measure(quick: bool) -> Result:
     """Run the programs one after the other."""
-    from faults import HEADS, cells
+    from faults import cells
 
     nodes = ("planner", "driver") if quick else ()
     tables, summary = [], []
     for transport, where in TRANSPORTS.items():
         found = told("faults", *nodes, "--transport", transport)
-        columns = dict(zip(HEADS, HEADS, strict=True))
-        tables.append(Table(f"faults_{transport}", where, columns, cells(found)))
+        tables.append(Table(f"faults_{transport}", where, FAULTS, cells(found)))
         well = sum(row["well"] for row in found["rows"])
         summary.append(
             f"{where}: {well} of {len(found['rows'])} faults ended as they should; "

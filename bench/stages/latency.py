@@ -27,11 +27,11 @@ QUICK_S = 6.0
 def measure(quick: bool) -> Result:
     """Sort ten parts in real time, beside the forwarders."""
     apart, together = measured(quick, one_process=False), measured(quick, one_process=True)
-    shares = cpu(apart[1], "") + cpu(together[1], "second run, ")
+    shares = apart[1] | {"all in one process": together[1]["one_process"]}
     tables = [
         table("latency", "nodes in processes of their own", apart[0]),
         table("latency_one_process", "all nodes in one process", together[0]),
-        Table("cpu", "Share of one core [%]", {"node": "processes", "cpu": "CPU"}, shares),
+        Table("cpu", "Share of one core", {"node": "process", "cpu": "CPU [%]"}, cpu(shares)),
     ]
     return Result(tables)
 
@@ -70,9 +70,10 @@ def table(name: str, what: str, rows: list[dict[str, Any]]) -> Table:
     return Table(name, title, columns, rows, note)
 
 
-def cpu(shares: dict[str, float], run: str) -> list[dict[str, Any]]:
-    """Return the share of a core [%] of each process."""
-    return [{"node": f"{run}{name}", "cpu": 100 * share} for name, share in shares.items()]
+def cpu(shares: dict[str, float]) -> list[dict[str, Any]]:
+    """Return the share of a core [%] of each process but the forwarders."""
+    own = {name: share for name, share in shares.items() if not name.startswith("beside_")}
+    return [{"node": name, "cpu": 100 * share} for name, share in own.items()]
 
 
 def row(stage: str, real: np.ndarray, beside: np.ndarray) -> dict[str, Any]:

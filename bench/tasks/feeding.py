@@ -94,6 +94,13 @@ COLUMNS = {
 }  # fmt: skip
 
 
+CASE = {
+    "kind": "parts", "fill": "on the plate", "clearance_mm": "clearance [mm]",
+    "cycle_s": "robot's cycle [s]", "window_mm": "window's side [mm]",
+}  # fmt: skip
+"""Columns that say what is fed to whom."""
+
+
 def measure(quick: bool) -> Result:
     """Run all cases with all feeders."""
     seeds, time_s = (SEEDS[:1], QUICK_S) if quick else (SEEDS, TIME_S)
@@ -108,14 +115,13 @@ def measure(quick: bool) -> Result:
     rows = [row(changed, case, method, runs) for (changed, case, method, _), runs in found.items()]
     note = (
         f"{time_s:g} s of production from an almost empty plate, seeds {seeds[0]} to {seeds[-1]}; "
-        "means over the runs, errors over all picks' median, 95 % and worst. Waiting: since the "
-        "first pick. vibrated: the plate shaken in its plane, looks, shakes again; thrown: "
-        "idealised, each shake of 0.6 s lays all parts anew at random. Parts over the edge are "
-        "put back by the hopper; a rim would have kept the peer's. Window: 310 x 240 mm, of nuts "
-        "and bars 300 x 220, where no side is given."
+        "means over the runs. Waiting: since the first pick. vibrated: the plate shaken in its "
+        "plane, looks, shakes again; thrown: idealised, each shake of 0.6 s lays all parts anew "
+        "at random. Parts over the edge are put back by the hopper; a rim would have kept the "
+        "peer's. Window: 310 x 240 mm, of nuts and bars 300 x 220, where no side is given."
     )
-    columns = {
-        "case": "", "ours": "part by part", "vibrated": "shaken in the plane",
+    columns = CASE | {
+        "ours": "part by part", "vibrated": "shaken in the plane",
         "thrown": "thrown anew (idealised)",
     }  # fmt: skip
     title = "Parts a minute, and share of time that the robot waits"
@@ -163,12 +169,9 @@ def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> di
 
 def side_by_side(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return a row for each case, with what each feeder does in it."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for r in rows:
-        case = f"{r['kind']}, {r['fill']} on the plate, {r['clearance_mm']:.0f} mm clearance, "
-        case += f"a robot of {r['cycle_s']:.0f} s"
-        if r["window_mm"] is not None:
-            case += f", window of {r['window_mm']:.0f} mm"
+        case = {key: r[key] for key in CASE}
         text = f"{r['parts_per_min']:.1f}, {r['waiting']:.0f} %"
-        found.setdefault(case, {"case": case})[r["method"]] = text
+        found.setdefault(tuple(case.values()), case)[r["method"]] = text
     return list(found.values())

@@ -90,8 +90,7 @@ class Limits:
     heat_rise_k : float
         Winding over ambient at the continuous force [K].
     following_error_m : float
-        Distance between where a motor is and where it was told to be that is a fault [m]; 0: not
-        watched.
+        Distance of a motor from its setpoint that is a fault [m]; 0: not watched.
     """
 
     stroke_m: float = measured(
@@ -129,7 +128,7 @@ class Limits:
         "following_error_m",
         0,
         1,
-        "Distance of a motor from where it was told to be that is a fault; 0: not watched.",
+        "Distance of a motor from its setpoint that is a fault; 0: not watched.",
         0.0,
     )
 
