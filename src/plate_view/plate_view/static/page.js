@@ -101,10 +101,10 @@ function watch() {
 }
 
 function layers() {
-  byId("layers").append(...LAYERS.map(([key, words, shown]) => {
+  byId("layers").append(...LAYERS.map(([key, words, shown, title]) => {
     const box = el("input", { type: "checkbox", checked: shown });
     box.addEventListener("change", () => view.show(key, box.checked));
-    return el("label", {}, box, el("span", {}, el("i", { className: `key key-${key}` }), words));
+    return el("label", { title }, box, el("span", {}, el("i", { className: `key key-${key}` }), words));
   }));
 }
 

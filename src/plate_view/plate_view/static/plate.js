@@ -11,19 +11,19 @@ const RECENT = 8; // messages of parts that an image may belong to
 const TOGETHER_S = 0.5; // an image older than this is no measure for the parts
 const NO_RIG = { length: 0.6, width: 0.3, motors: [] };
 
-/** The layers: [key, label, shown at first]. */
+/** The layers: [key, label, shown at first, what it shows]. */
 export const LAYERS = [
-  ["image", "Image", true],
-  ["outline", "Outlines", true],
-  ["name", "Names", true],
-  ["spread", "Spread \u00d710", true],
-  ["trail", "Trails", true],
-  ["target", "Targets", true],
-  ["wanted", "Wanted", false],
-  ["task", "Task", true],
-  ["drift", "Drift", false],
-  ["force", "Mean force", false],
-  ["centre", "Centres", true],
+  ["image", "Image", true, "the camera's image, seen from above"],
+  ["outline", "Outlines", true, "where the parts lie"],
+  ["name", "Names", true, "what the parts are called"],
+  ["spread", "Spread \u00d710", true, "how uncertain places are, drawn ten times as large"],
+  ["trail", "Trails", true, "the ways that the parts have come"],
+  ["target", "Targets", true, "where parts are to come"],
+  ["wanted", "Wanted", false, "what the planner asks of each part"],
+  ["task", "Task", true, "regions, paths and places of the task"],
+  ["drift", "Drift", false, "how the running cycle moves parts that lie at rest"],
+  ["force", "Mean force", false, "mean friction of the running cycle on parts that lie at rest"],
+  ["centre", "Centres", true, "points about which the running cycle turns the plate"],
 ];
 
 export class PlateView {
