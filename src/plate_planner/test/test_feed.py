@@ -80,13 +80,12 @@ def test_parts_outside_the_window_are_led_there_the_nearest_first():
     seen = parts(black_1=(-0.1, 0.0), black_2=(-0.2, 0.1), black_3=(-0.28, -0.1), **{
         f"black_{k}": (-0.28, 0.1 - 0.03 * k) for k in (4, 5)
     })  # fmt: skip
-    task = replace(TASK, picks=(replace(TASK.picks[0], ready=1),))
-    memory, found = run(task, seen)
-    assert memory.chosen[0] == "black_1", "the nearest one first"
-    assert len(memory.chosen) == 2
+    memory, found = run(TASK, seen)
+    assert memory.chosen == ("black_1", "black_2", "black_3"), "as many as are to be ready"
     targets = found.request.targets
     asked = dict(zip(seen.ids, targets.weight[:, 0], strict=True))
-    assert 0 < 10 * asked["black_5"] < asked["black_1"]
+    assert asked["black_1"] > 1.5 * asked["black_2"], "the nearest one first"
+    assert 0 < 10 * asked["black_5"] < asked["black_2"]
     assert targets.low[0, 0] >= TASK.picks[0].low[0]
 
 

@@ -32,14 +32,11 @@ from plate_core.tasks import (
 )
 
 from ..estimation import SETTLE_S
-from .targets import way_weight
+from .targets import FULL_WAY_M, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 STILL_M = 1e-3
 """On a plate at rest a part that has moved further since the last image is not ready [m]."""
-
-SPARE = 1
-"""So many parts more than are missing are brought nearer to being ready."""
 
 MARGIN_M, BAND = 4e-3, 0.3
 """How far inside the window parts are to come [m], and how near to their angle [tolerance]."""
@@ -60,6 +57,10 @@ others are ready."""
 
 PURGED = 6.0
 """What a metre to the chute counts for the part that is nearest to it, in a purge [-]."""
+
+NEAREST_M = 1e-3
+"""Of parts on their way to being ready each counts the more the nearer it is, down to this way [m]:
+the next one is ready the sooner."""
 
 CHANGE_M = 0.02
 """A part that was on its way to being ready is given up for one that is nearer by this [m]."""
@@ -294,7 +295,7 @@ class Feeder(TaskRules):
                 cost = aims.left + np.maximum(self._keep - gap, 0)
                 cost -= CHANGE_M * np.array([name in memory.chosen for name in parts.ids], float)
                 cost[~mine | near[row]] = np.inf
-                best = np.argsort(cost)[: missing + SPARE]
+                best = np.argsort(cost)[:missing]
                 best = best[np.isfinite(cost[best])]
                 aims.full[best] = True
                 chosen += [parts.ids[k] for k in best]
@@ -397,10 +398,13 @@ class Aims:
 
     def targets(self, gap_m: float) -> Targets:
         """Return it as targets of parts that keep a gap [m]. Of those that are leaving, and of
-        others, ways are measured by the longest that counts in full."""
-        counts, way = np.zeros(len(self.left)), np.column_stack([self.left, 0 * self.left])
+        others that are not needed yet, ways are measured by the longest that counts in full."""
+        left = self.left
+        counts, way = np.zeros(len(left)), np.column_stack([left, 0 * left])
         for who in (self.leaving, ~self.leaving):
             counts[who] = way_weight(way[self.full & who])
+        needed = self.full & ~self.leaving
+        counts[needed] = FULL_WAY_M / np.maximum(left[needed], NEAREST_M)
         weight = counts * np.where(self.full, np.maximum(self.weight, 1.0), self.weight)
         angles, turned = None, self.angled & self.full
         if np.any(turned):
