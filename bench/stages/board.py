@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
-
-from harness import ROOT, Result, Table
-
-sys.path.append(str(ROOT / "tools"))
 
 from board_host import Host, Ticks, attacked, committed
 from emulated_board import NEEDS, EmulatedBoard, built, unfollowed
 from needs import packages, program
 
+from harness import ROOT, Result, Table
 from plate_core import PlateError
 from plate_core.serial_protocol import Status
 

@@ -15,8 +15,6 @@ from typing import Any
 
 from harness import ROOT, Result, Table
 
-sys.path.append(str(ROOT / "tools"))
-
 TRANSPORTS = {"sim": "In simulation", "serial": "Over a serial line"}
 
 MESSAGES, QUICK_MESSAGES = 10_000, 500

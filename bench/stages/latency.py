@@ -8,16 +8,13 @@ own pace does not count.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from harness import ROOT, Result, Table
-
-sys.path.append(str(ROOT / "tools"))
+from harness import Result, Table
 
 TASKS = 4
 QUICK_S = 6.0

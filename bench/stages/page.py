@@ -13,7 +13,6 @@ import json
 import multiprocessing
 import signal
 import socket
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,9 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import ROOT, Result, Table
-
-sys.path.append(str(ROOT / "tools"))
+from harness import Result, Table
 
 ROUNDS, QUICK_ROUNDS = 2, 1
 SCENARIO = "sort_10"

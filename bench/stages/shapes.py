@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, cpu_time, paired, places
 from plate_vision import calibrate_by_scale, find_types
 from plate_vision.shapes import GROUP, UNKNOWN, Patch, find_patches, make_catalogue
 from stages.hostile import (
@@ -58,25 +58,21 @@ class Tally:
     errors: list[float] = field(default_factory=list)
 
     def add(self, seen: np.ndarray, parts: list[Part]) -> None:
-        """Count one scene: pairs of sightings (n,) SEEN and parts, nearest first."""
+        """Count one scene: sightings (n,) SEEN and parts."""
+        seen = seen[seen["label"] != GROUP]
         centres = np.array([part.middle_px for part in parts]).reshape(-1, 2)
+        reach = REACH * np.array([part.radius_px for part in parts])
+        i, j, gaps = paired(places(seen), centres, reach)
         inside = np.array([seen_whole(part) for part in parts], bool)
-        used = np.zeros(len(parts), bool)
-        gaps = np.hypot(
-            seen["x_px"][:, None] - centres[:, 0], seen["y_px"][:, None] - centres[:, 1]
-        )
-        free = seen["label"] != GROUP
-        for k, i in zip(*np.unravel_index(np.argsort(gaps, axis=None), gaps.shape), strict=True):
-            part = parts[i]
-            if free[k] and not used[i] and gaps[k, i] <= REACH * part.radius_px:
-                used[i], free[k] = True, False
-                if inside[i]:
-                    self.errors.append(float(gaps[k, i]))
-                    self.unknown += bool(seen["label"][k] == UNKNOWN)
-                    self.wrong += seen["label"][k] not in ("", UNKNOWN, part.kind.name)
+        whole = inside[j]
+        labels = seen["label"][i][whole]
+        names = np.array([part.kind.name for part in parts])[j][whole]
+        self.errors += gaps[whole].tolist()
+        self.unknown += int(np.sum(labels == UNKNOWN))
+        self.wrong += int(np.sum(~np.isin(labels, ("", UNKNOWN)) & (labels != names)))
         self.true += int(np.sum(inside))
-        self.found += int(np.sum(used & inside))
-        self.false += int(np.sum(free & seen["whole"]))
+        self.found += int(np.sum(whole))
+        self.false += int(np.sum(np.delete(seen["whole"], i)))
 
 
 def measure(quick: bool) -> Result:

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time, missing, optional
+from harness import Result, Table, cpu_time, missing, optional, paired
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
@@ -131,10 +131,9 @@ def scene_rows(
     """Measure all methods on the same images."""
     rng = np.random.default_rng(count + touching)
     camera, matrix = Camera(rig), homography(rig)
-    scale = (
-        float(np.linalg.norm(np.diff(project(matrix, np.array([[0, 0], [0.01, 0]])), axis=0)))
-        / 0.01
-    )
+    # A centimetre in the middle of the plate tells the scale.
+    centimetre = np.diff(project(matrix, np.array([[0, 0], [0.01, 0]])), axis=0)
+    reach = 0.5 * rig.parts.radius_m * float(np.linalg.norm(centimetre)) / 0.01
     images, truths = [], []
     for _ in range(3 if quick else FRAMES):
         position = layout(rig, count, touching, rng)
@@ -145,11 +144,9 @@ def scene_rows(
     rows = []
     for name, find in finders.items():
         frames = len(images) if name == OURS else min(PEER_FRAMES, len(images))
-        results = [
-            match(find(image), truth, 0.5 * rig.parts.radius_m * scale)
-            for image, truth in zip(images[:frames], truths[:frames], strict=True)
-        ]
-        errors = np.concatenate([r[0] for r in results])
+        found = [find(image) for image in images[:frames]]
+        pairs = [paired(*two, reach) for two in zip(found, truths[:frames], strict=True)]
+        errors = np.concatenate([gap for _, _, gap in pairs])
         true = count * frames
         rows.append(
             {
@@ -163,7 +160,7 @@ def scene_rows(
                 "turns_lead": float(np.median(turns[name] / turns[OURS])),
                 "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
                 "missed_percent": 100 * (1 - len(errors) / true),
-                "false_percent": 100 * sum(r[1] for r in results) / true,
+                "false_percent": 100 * (sum(map(len, found)) - len(errors)) / true,
             }
         )
     return rows
@@ -206,20 +203,3 @@ def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np
     angle = rng.uniform(0, 2 * np.pi, len(centre))[:, None] + 2 * np.pi / 3 * np.arange(3)
     ray = 2 * radius / np.sqrt(3) * np.stack([np.cos(angle), np.sin(angle)], axis=2)
     return (centre[:, None] + ray).reshape(-1, 2)[:count]
-
-
-def match(found: np.ndarray, truth: np.ndarray, reach: float) -> tuple[np.ndarray, int]:
-    """Pair centres (n, 2) with true ones (M, 2) [px], nearest first; errors [px] and false ones."""
-    if not len(found):
-        return np.zeros(0), 0
-    distance = np.linalg.norm(found[:, None] - truth, axis=2)
-    errors, used_found, used_true = [], set(), set()
-    for flat in np.argsort(distance, axis=None):
-        i, j = divmod(int(flat), len(truth))
-        if distance[i, j] > reach:
-            break
-        if i not in used_found and j not in used_true:
-            errors.append(distance[i, j])
-            used_found.add(i)
-            used_true.add(j)
-    return np.array(errors), len(found) - len(errors)
