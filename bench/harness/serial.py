@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
+from record.limits import corner_accels, motor_forces
 
 from plate_bringup.loop import HOLD_CYCLES, IDLE_PERIOD, Setup, run
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
@@ -309,35 +310,16 @@ class Judge:
         times = np.array([now for now, _ in self._setpoints])
         q, qd, qdd = np.array([at for _, at in self._setpoints], float).transpose(1, 0, 2)
         # With infinite tolerance: whether the four agree is not asked here.
-        pose, twist, accel = plate_state(self.rig, q, qd, qdd, np.inf)
+        motion = plate_state(self.rig, q, qd, qdd, np.inf)
+        corners = float(np.max(np.abs(corner_accels(self.rig, motion))))
         return Verdict(
             float(np.max(np.abs(q))) / limits.stroke_m,
             float(np.max(np.abs(qd))) / limits.speed,
-            max(float(np.max(np.abs(qdd))), self._corners(pose, twist, accel)) / limits.accel,
-            float(np.max(np.abs(self._forces(accel)))) / limits.force,
+            max(float(np.max(np.abs(qdd))), corners) / limits.accel,
+            float(np.max(np.abs(motor_forces(self.rig, motion)))) / limits.force,
             _jump(times, q, qd, qdd),
             travel,
         )
-
-    def _corners(self, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray) -> float:
-        """Greatest acceleration of the plate's corners [m/s2]."""
-        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        x, y = (self.rig.plate.half * [[1, 1], [1, -1], [-1, 1], [-1, -1]]).T[:, :, None]
-        arm = np.array([cos * x - sin * y, sin * x + cos * y])
-        across = np.array([-arm[1], arm[0]])
-        corner = accel.T[:2, None] + accel[:, 2] * across - twist[:, 2] ** 2 * arm
-        return float(np.max(np.hypot(*corner)))
-
-    def _forces(self, accel: np.ndarray) -> np.ndarray:
-        """Forces (n, 4) [N] of least norm that accelerate the plate."""
-        plate = self.rig.plate
-        inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
-        pushes = []
-        for motor in self.rig.motors:
-            (x, y), (dx, dy) = motor.point, motor.direction
-            pushes.append([dx, dy, x * dy - y * dx])
-        need = accel * [plate.mass_kg, plate.mass_kg, inertia]
-        return np.linalg.lstsq(np.array(pushes).T, need.T, rcond=None)[0].T
 
 
 def _jump(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
