@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from record.limits import corner_accels, motor_forces
 
-from plate_bringup.loop import HOLD_CYCLES, IDLE_PERIOD, Setup, run
+from plate_bringup.loop import HOLD_CYCLES, IDLE_PERIOD, Moment, Setup, run
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
 from plate_core.motion import plate_state
 from plate_core.serial_protocol import State
@@ -132,7 +132,6 @@ class SerialLine:
         self.operator = Operator(self.transport)
         self.now, self.began = 0.0, 0.0
         self.troubles: Counter[str] = Counter()
-        self.newest_trouble = ""
         self._rig, self._event, self._at = rig, event, at
         self._waiting: list[tuple[float, MotorTable]] = []
         self._segments: list[Segment] = []
@@ -192,9 +191,7 @@ class SerialLine:
         if self._ticks % POLL_TICKS == 0:
             self.transport.poll()
             self.operator.look(now)
-            for trouble in self.transport.troubles():
-                self.troubles[trouble] += 1
-                self.newest_trouble = trouble
+            self.troubles.update(self.transport.troubles())
         if self._event and now >= self._at:
             getattr(self.emulator, self._event)()
             self._event = ""
@@ -205,49 +202,16 @@ class SerialLine:
             self.transport.send(table, HOLD_CYCLES if table.tail is None else 1)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended.
-
-    Attributes
-    ----------
-    phase, text : str
-        Of the planner; what the driver last said was wrong.
-    dropped : int
-        Parts.
-    verdict : Verdict
-        On what the device commanded.
-    resting : bool
-        Whether the motors were off or held at home a while after the end.
-    retries, troubles
-        Of the driver.
-    enables : int
-        Times that the operator has enabled.
-    """
-
-    phase: str
-    text: str
-    dropped: int
-    verdict: Verdict
-    resting: bool
-    retries: int
-    troubles: dict[str, int]
-    enables: int
-
-
 def serial_run(
     setup: Setup, schedule: FaultSchedule | None = None, event: str = "", at: float = 0.0
-) -> Outcome:
-    """Run a task over the serial line, with what goes wrong (see `SerialLine`)."""
+) -> tuple[Moment, SerialLine]:
+    """Run a task over the serial line, with what goes wrong (see `SerialLine`); returns the last
+    moment, and the line after the plate was given time to come to rest."""
     rig = load_rig()
     line = SerialLine(rig, setup.seed, schedule or FaultSchedule(), event, at)
     *_, last = run(setup, rig, line)
     line.settle()
-    told = f" ({line.newest_trouble})" if line.newest_trouble else ""
-    return Outcome(
-        last.progress.phase, last.progress.text + told, last.world.dropped, line.judge.verdict(),
-        line.resting, line.transport.retries, dict(line.troubles), line.operator.enables,
-    )  # fmt: skip
+    return last, line
 
 
 @dataclass(frozen=True)
