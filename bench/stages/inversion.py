@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, timed
 from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, Status, average_force
 from stages.scenes import targets
@@ -51,9 +51,8 @@ def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
     answers, more, wrong, times = [], 0, 0, []
     for position, force in targets(rig, parts, count, rng):
         solver.reset()
-        began = cpu_time()
-        answer = solver.solve(position, force)
-        times.append(1e3 * (cpu_time() - began))
+        answer, seconds = timed(solver.solve, position, force)
+        times.append(1e3 * seconds)
         answers.append(answer)
         error = np.max(np.abs(average_force(answer.cycle, position) - force))
         wrong += answer.success and bool(error > TOLERANCE)

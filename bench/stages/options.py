@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, timed
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
 from plate_solver import (
@@ -76,9 +76,8 @@ def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
     found: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in runners}
     for goal in goals:
         for key, run in runners.items():
-            began = cpu_time()
-            cycle = run(goal)
-            found[key].append((1e3 * (cpu_time() - began), miss(rig, goal, cycle)))
+            cycle, seconds = timed(run, goal)
+            found[key].append((1e3 * seconds, miss(rig, goal, cycle)))
     rows = []
     for (method, option), pairs in found.items():
         ms, missed = np.array(pairs[1:]).T

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time, paired, places
+from harness import Result, Table, paired, places, timed
 from plate_vision import calibrate_by_scale, find_types
 from plate_vision.shapes import GROUP, UNKNOWN, Patch, find_patches, make_catalogue
 from stages.hostile import (
@@ -133,9 +133,8 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
         for name, find in finders.items():
             if not times[name]:
                 find()  # warms up
-            began = cpu_time()
-            found = find()
-            times[name].append(cpu_time() - began)
+            found, seconds = timed(find)
+            times[name].append(seconds)
             tallies[name].add(as_seen(found), parts)
     rows = []
     for name, tally in tallies.items():

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, timed
 from plate_core import Parts, PlateCycle, Rig, Wanted, load_rig
 from plate_sim import simulate
 from plate_solver import Controller
@@ -102,15 +102,15 @@ def scene(
     milliseconds, missed, predicted, asked = [], [], [], []
     ids = tuple(f"black_{i}" for i in range(len(position)))
     for number in range(CYCLES + 1):
-        began = cpu_time()
-        answer = controller.answer(Wanted.make(Parts.make(ids, position, drift)), running)
-        milliseconds.append(1e3 * (cpu_time() - began))
+        wanted = Wanted.make(Parts.make(ids, position, drift))
+        answer, seconds = timed(controller.answer, wanted, running)
+        milliseconds.append(1e3 * seconds)
         run = simulate(running, position, velocity, rig.friction.mu, rig.friction.gravity)
         if number:
-            wanted = drift * running.period
-            error = wanted - (run.position[-1] - position)
+            way = drift * running.period
+            error = way - (run.position[-1] - position)
             missed.append(float(np.sqrt(np.mean(error**2))))
-            asked.append(float(np.sqrt(np.mean(wanted**2))))
+            asked.append(float(np.sqrt(np.mean(way**2))))
         if number < CYCLES:
             predicted.append(answer.error_m)
         position, velocity, running = run.position[-1], run.velocity[-1], answer.cycle

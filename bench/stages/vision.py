@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time, missing, optional, paired
+from harness import Result, Table, missing, optional, paired, timed
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
@@ -140,7 +140,7 @@ def scene_rows(
         grey = part_greys([("black", "grey")[i % 2] for i in range(count)])
         images.append(camera.render(position, grey, rng))
         truths.append(project(matrix, position))
-    loop, turns = timed(finders, images[:PEER_FRAMES], 1 if quick else ROUNDS)
+    loop, turns = times_of(finders, images[:PEER_FRAMES], 1 if quick else ROUNDS)
     rows = []
     for name, find in finders.items():
         frames = len(images) if name == OURS else min(PEER_FRAMES, len(images))
@@ -166,26 +166,20 @@ def scene_rows(
     return rows
 
 
-def timed(
+def times_of(
     finders: dict[str, Finder], images: list[np.ndarray], rounds: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return the times (rounds, images) [s] of every method: in a loop of its own, and in turns
     with the others."""
-
-    def seconds(find: Finder, image: np.ndarray) -> float:
-        began = cpu_time()
-        find(image)
-        return cpu_time() - began
-
     loop = {name: np.empty((rounds, len(images))) for name in finders}
     turns = {name: np.empty((rounds, len(images))) for name in finders}
     for k in range(rounds):
         for name, find in finders.items():
             find(images[0])
-            loop[name][k] = [seconds(find, image) for image in images]
+            loop[name][k] = [timed(find, image)[1] for image in images]
         for i, image in enumerate(images):
             for name, find in finders.items():
-                turns[name][k, i] = seconds(find, image)
+                turns[name][k, i] = timed(find, image)[1]
     return loop, turns
 
 
