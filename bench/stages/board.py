@@ -33,25 +33,7 @@ def measure(quick: bool) -> Result:
         elf = built(folder, RIG=unfollowed(ROOT / "config" / "rig.yaml", folder))
         commits = commit_rows(elf, pieces)
         attacks = [attack_row(elf, pace, packets) for pace in LINES]
-    of_commit = {"pieces": "pieces", "answer": "answer", **COLUMNS}
-    of_attack = {"bytes": "bytes a tick", "packets": "packets", "kinds": "of these kinds"}
-    of_attack |= {"refused": "refused", **COLUMNS}
-    note = "QEMU netduinoplus2, 8 ns of its time for each instruction; bytes at 92 a tick."
-    return Result(
-        [
-            Table("commits", "A table that comes while another plays", of_commit, commits, note),
-            Table("attacks", "Hostile packets with the right CRC", of_attack, attacks),
-        ]
-    )
-
-
-COLUMNS = {
-    "median": "instructions a tick, median",
-    "worst": "most",
-    "step_mm": "longest step so far [mm]",
-    "speed": "fastest setpoint [m/s]",
-    "late": "ticks too late",
-}
+    return Result([Table.of("commits", commits), Table.of("attacks", attacks)])
 
 
 def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:

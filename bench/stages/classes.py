@@ -49,15 +49,7 @@ def measure(quick: bool) -> Result:
     rows = []
     for number, (name, options) in enumerate(SCENES.items()):
         rows.append(_scene_row(types, name, options, number, 3 if quick else FRAMES))
-    title = f"Types of {COUNT} parts in {SIZE_PX[0]} x {SIZE_PX[1]} px"
-    columns = {
-        "scene": "scene", "frames": "images",
-        "wrong_percent": "wrong type [%]", "unknown_percent": "unknown [%]",
-        "rms_px": "centre RMS [px]", "angle_deg": "angle RMS [deg]",
-        "angle_max_deg": "angle, worst [deg]",
-    }  # fmt: skip
-    note = "Nine types, 12 to 26 mm, apart."
-    return Result([Table("classes", title, columns, rows, note)])
+    return Result([Table.of("classes", rows, parts=COUNT, size=SIZE_PX)])
 
 
 def _scene_row(

@@ -51,14 +51,8 @@ def measure(quick: bool) -> Result:
     with TemporaryDirectory() as logs:
         found, shares = measured(quick, Path(logs))
     rows = [row(name, found[name], shares[name]) for name in CONDITIONS]
-    columns = {
-        "browsers": "who looks on", "median": "median [ms]", "p99": "99 % [ms]",
-        "ratio": "ratio of medians", "held": "repeated cycles", "late": "late cycles",
-        "images": "images", "cpu": "page: share of a core [%]",
-    }  # fmt: skip
     compared = [{**r, "ratio": r["median"] / rows[0]["median"]} for r in rows]
-    title = f"Scenario {SCENARIO}, image to setpoints, by who looks on"
-    return Result([Table("page", title, columns, compared)])
+    return Result([Table.of("page", compared, scenario=SCENARIO)])
 
 
 def row(name: str, tasks: list[Any], share: list[float]) -> dict[str, Any]:

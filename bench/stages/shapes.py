@@ -80,27 +80,8 @@ def measure(quick: bool) -> Result:
     cv2.setNumThreads(1)
     count = QUICK_SCENES if quick else SCENES
     rows = [row for kind in kinds() for row in kind_rows(kind, count)]
-    title = (
-        f"{PARTS} parts of any outline in hostile scenes, {SIZE_PX[0]} x {SIZE_PX[1]} px, "
-        "the bare plate known"
-    )
-    columns = {
-        "kind": "scenes", "method": "method", "true": "parts",
-        "recall_percent": "recall [%]", "precision_percent": "precision [%]",
-        "wrong": "wrong type", "unknown": "unknown",
-        "rms_px": "centre RMS [px]",
-        "ms": "median [ms]",
-    }  # fmt: skip
-    note = (
-        f"{OURS} knows nothing of the parts, {TAUGHT} all nine types of the file, sharp. "
-        "Found: a whole patch, not called a group, within half a radius (of the disc of "
-        "the part's area) of a true centre, one to one. Patches said to hold several "
-        "parts are neither found nor false. Parts cut by the image's border count "
-        "neither as true nor as false. Times of the core. Thresholds were chosen on other "
-        "scenes, three of each kind."
-    )
     told = [sentence(rows, name) for name in METHODS]
-    return Result([Table("shapes", title, columns, rows, note)], told)
+    return Result([Table.of("shapes", rows, parts=PARTS, size=SIZE_PX)], told)
 
 
 def sentence(rows: list[dict[str, Any]], method: str) -> str:

@@ -29,14 +29,7 @@ IMAGES = 40
 FIRST = 4
 """Images that are not counted: the parts are not known yet, or something is made only once."""
 
-STAGES = {
-    "camera": "camera (simulated)",
-    "vision": "vision",
-    "planner": "planner",
-    "solver": "solver",
-    "driver": "driver",
-    "simulator": "simulator",
-}
+STAGES = ("camera", "vision", "planner", "solver", "driver", "simulator")
 
 
 def measure(quick: bool) -> Result:
@@ -47,17 +40,7 @@ def measure(quick: bool) -> Result:
         scenario = sorting(parts)
         moments = list(islice(run(Setup(scenario), rig), 15 if quick else IMAGES))
         rows.append(stages_row(rig, scenario, moments))
-    title = "Median time for one image, parts to be sorted, method sinusoids"
-    columns = {
-        "parts": "parts M",
-        **{name: f"{label} [ms]" for name, label in STAGES.items()},
-        "answer": "image to setpoints [ms]", "period": "cycle [ms]",
-    }  # fmt: skip
-    note = (
-        "Cores only, no ROS; the first images of a sort, when all parts move. Image to "
-        "setpoints: vision, planner, solver and driver; it has to fit into one cycle."
-    )
-    return Result([Table("stages", title, columns, rows, note)])
+    return Result([Table.of("stages", rows)])
 
 
 def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str, Any]:

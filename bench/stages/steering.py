@@ -37,22 +37,7 @@ def measure(quick: bool) -> Result:
         controller = Controller(rig, method)
         for parts in (2, 10) if quick else PARTS:
             rows.append(scenes_row(rig, controller, parts, 2 if quick else SCENES))
-    title = f"Random steady drifts up to {1e3 * DRIFT:g} mm/s along each axis"
-    columns = {
-        "method": "method", "parts": "parts M", "period_s": "period [s]",
-        "cold_ms": "cold, median [ms]", "cold_p99_ms": "cold, 99 % [ms]",
-        "cold_percent": "cold, missed [%]", "warm_ms": "warm, median [ms]",
-        "warm_p99_ms": "warm, 99 % [ms]", "missed_percent": "warm, missed [%]",
-        "predicted_percent": "predicted miss [%]", "met_percent": "cycles met [%]",
-    }  # fmt: skip
-    note = (
-        "Missed: root mean square of asked minus simulated displacement, over asked; "
-        "cold: the first cycle of a scene, warm: the others. "
-        "Predicted: as the solver's own map has it. "
-        f"Met: less than {100 * GOOD:g} % missed in a cycle. No peer is known that solves "
-        "this problem."
-    )
-    return Result([Table("steering", title, columns, rows, note)])
+    return Result([Table.of("steering", rows, drift=1e3 * DRIFT, good=100 * GOOD)])
 
 
 def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict[str, Any]:

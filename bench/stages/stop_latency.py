@@ -206,14 +206,4 @@ def measure(quick: bool) -> Result:
                 "worst_ms": max((most for most, _ in times), default=None),
                 "least_ms": max((least for _, least in times), default=None),
             })  # fmt: skip
-    title = "From the call of emergency_stop to the Stop frame on the wire"
-    columns = {
-        "condition": "while", "stops": "stops", "median_ms": "median [ms]",
-        "worst_ms": "worst [ms]", "least_ms": "of which surely [ms]",
-    }  # fmt: skip
-    note = (
-        "Over ROS, driver and device as processes of their own, the plate in motion. "
-        "Surely: until the judge's last look before, which waits for processors too. "
-        f"Allowed: {LONGEST_MS:g} ms."
-    )
-    return Result([Table("stops", title, columns, rows, note)])
+    return Result([Table.of("stops", rows, most=LONGEST_MS)])

@@ -42,24 +42,8 @@ def measure(quick: bool) -> Result:
     finders = make_finders(rig)
     scenes = [(count, touching) for count in (10, 100) for touching in (False, True)]
     rows = [row for scene in scenes for row in scene_rows(rig, finders, *scene, quick)]
-    title = f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise"
-    columns = {
-        "discs": "discs", "place": "place", "method": "method",
-        "frames": "images", "loop_ms": "in a loop [ms]",
-        "turns_ms": "in turns [ms]", "loop_lead": "this / ours, in a loop",
-        "turns_lead": "this / ours, in turns",
-        "rms_px": "centre RMS [px]", "missed_percent": "missed [%]",
-        "false_percent": "false [%]",
-    }  # fmt: skip
-    note = (
-        "Found: within half a radius of a true centre, each once. Touching: groups of "
-        "three. The peers get the plate's outline and a fixed threshold between parts and "
-        "plate; ours fits the light itself and tells black from grey. Times of the core, "
-        "medians. In a loop: one method alone, image after image. In turns: all methods, "
-        "one after the other, with each image, so that each finds the caches full of "
-        "what the others left."
-    )
-    return Result([Table("vision", title, columns, rows, note)], missing("skimage"))
+    table = Table.of("vision", rows, width=rig.camera.width_px, height=rig.camera.height_px)
+    return Result([table], missing("skimage"))
 
 
 def make_finders(rig: Rig) -> dict[str, Finder]:

@@ -35,12 +35,6 @@ BUS_STEPS, STEP_S = 4, 5e-4
 FIRST_SEED, SEEDS = 83000, 3
 """Nothing was tuned on these seeds."""
 
-COLUMNS = {
-    "drive": "setpoints", "changed": "changed", "value": "to", "succeeded": "succeeded",
-    "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
-    "plate_um": "plate off its cycle, RMS [µm]",
-}  # fmt: skip
-
 
 class Driven(Direct):
     """The simulator's transport, with a plate that drives on a bus move."""
@@ -122,5 +116,4 @@ def measure(quick: bool) -> Result:
         for (drive, changed, value), runs in by_case(driven_run, work, Cache.of(__name__)).items()
     ]
     usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    note = f"Where not changed: {usual}."
-    return Result([Table("drives", "Drives on a bus", COLUMNS, rows, note)])
+    return Result([Table.of("drives", rows, usual=usual)])

@@ -32,12 +32,6 @@ ALLOWED_MM = 0.2
 FIRST_SEED, SEEDS = 82000, 5
 """Nothing was tuned on these seeds."""
 
-COLUMNS = {
-    "changed": "changed", "value": "to", "succeeded": "succeeded",
-    "rms_mm": "RMS error, median [mm]",
-    "worst_rms_mm": "of the worst run [mm]", "pace": "pace", "kept": "good for it",
-}  # fmt: skip
-
 
 def measure(quick: bool) -> Result:
     """Follow two rectangles with one camera after the other."""
@@ -56,9 +50,8 @@ def measure(quick: bool) -> Result:
     for (changed, value), runs in runs_of(Cache.of(__name__), cases).items():
         found = summed(runs)
         rows.append({"changed": changed, "value": value, **found, "kept": kept(found)})
-    note = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    note = f"Where not changed: {note}."
-    return Result([Table("cameras", "Cameras that run free", COLUMNS, rows, note)])
+    usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
+    return Result([Table.of("cameras", rows, usual=usual)])
 
 
 def kept(found: dict[str, object]) -> bool:

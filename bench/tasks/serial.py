@@ -53,22 +53,7 @@ def measure(quick: bool) -> Result:
     faults = [
         fault_row(*found) for found in by_case(accident_run, work, Cache.of(__name__)).items()
     ]
-    title = f"{runs} runs each of a short task over 921,600 baud"
-    columns = {
-        "kind": "accident", "done": "went on to the end", "enables": "enables, most",
-        "told": "stopped, told why",
-        "stuck": "neither", "kept": "limits kept", "resting": "at rest in the end",
-        "used": "of limits, most [%]",
-    }  # fmt: skip
-    note = (
-        "An operator enables at the start, and again 1 s after a stop was told: who had an "
-        "accident and two enables went on after an enable. Limits: stroke, speed and force "
-        "of the motors, acceleration of motors and plate "
-        "corners in all setpoints that the device commands, to 0.2 %, and no jump of more "
-        "than 2 um; stroke of the plate as it glides without current. Judged apart from "
-        "the device."
-    )
-    return Result([Table("accidents", title, columns, faults, note)])
+    return Result([Table.of("accidents", faults, runs=runs)])
 
 
 def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
