@@ -80,11 +80,8 @@ def told(tool: str, *words: object) -> Any:
 def memory(hours: dict[str, Any]) -> Table:
     """Return each node's memory over the minutes of sorting, and its share of a core."""
     rows = [
-        {
-            "node": row["node"], "first": row["first_mb"], "last": row["last_mb"],
-            "slope": f"{row['mb_per_hour']:.1f} ± {row['interval']:.1f}",
-            "cpu": 100 * row["cpu_share"],
-        }
+        row | {"slope": f"{row['mb_per_hour']:.1f} ± {row['interval']:.1f}",
+               "cpu": 100 * row["cpu_share"]}
         for row in hours["memory"]
     ]  # fmt: skip
     return Table.of("hours", rows)

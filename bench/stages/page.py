@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 from graph.hops import Hops
-from graph.series import cpu_s, one_task
+from graph.proc import cpu_s
+from graph.series import one_task
 from graph.session import session
 from page_flood import connect
 

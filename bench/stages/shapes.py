@@ -5,8 +5,8 @@ Nothing is known of the parts; the plate was seen bare before. The scenes: `host
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -46,33 +46,26 @@ SEEN = np.dtype([("x_px", "f8"), ("y_px", "f8"), ("label", "U32"), ("whole", "?"
 """What is read of a sighting; the label is empty if the method knows no types."""
 
 
-@dataclass
-class Tally:
-    """What was found in the scenes of one kind."""
+Tally = dict[str, list[Any]]
+"""What was found in some scenes. `hit`: of each part that lies wholly in the image whether it was
+found; `true`: of each thing found that counts whether it is such a part; `label`, `name`, `gap_px`:
+of each such part that was found what it was called, what it is, and how far it is off."""
 
-    true: int = 0
-    found: int = 0
-    false: int = 0
-    wrong: int = 0
-    unknown: int = 0
-    errors: list[float] = field(default_factory=list)
 
-    def add(self, seen: np.ndarray, parts: list[Part]) -> None:
-        """Count one scene: sightings (n,) SEEN and parts."""
-        seen = seen[seen["label"] != GROUP]
-        centres = np.array([part.middle_px for part in parts]).reshape(-1, 2)
-        reach = REACH * np.array([part.radius_px for part in parts])
-        i, j, gaps = paired(places(seen), centres, reach)
-        inside = np.array([seen_whole(part) for part in parts], bool)
-        whole = inside[j]
-        labels = seen["label"][i][whole]
-        names = np.array([part.kind.name for part in parts])[j][whole]
-        self.errors += gaps[whole].tolist()
-        self.unknown += int(np.sum(labels == UNKNOWN))
-        self.wrong += int(np.sum(~np.isin(labels, ("", UNKNOWN)) & (labels != names)))
-        self.true += int(np.sum(inside))
-        self.found += int(np.sum(whole))
-        self.false += int(np.sum(np.delete(seen["whole"], i)))
+def add(tally: Tally, seen: np.ndarray, parts: list[Part]) -> None:
+    """Count one scene: sightings (n,) SEEN and parts."""
+    seen = seen[seen["label"] != GROUP]
+    centres = np.array([part.middle_px for part in parts]).reshape(-1, 2)
+    reach = REACH * np.array([part.radius_px for part in parts])
+    i, j, gaps = paired(places(seen), centres, reach)
+    inside = np.array([seen_whole(part) for part in parts], bool)
+    hit = np.isin(np.arange(len(parts)), j)[inside]
+    whole = inside[j]
+    tally["hit"] += hit.tolist()
+    tally["true"] += hit[hit].tolist() + [False] * int(np.sum(np.delete(seen["whole"], i)))
+    tally["label"] += seen["label"][i][whole].tolist()
+    tally["name"] += [parts[k].kind.name for k in j[whole]]
+    tally["gap_px"] += gaps[whole].tolist()
 
 
 def measure(quick: bool) -> Result:
@@ -103,7 +96,7 @@ def sentence(rows: list[dict[str, Any]], method: str) -> str:
 def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
     """Measure ours, with and without types, and their peer in scenes of one kind."""
     catalogue, calibration = make_catalogue(all_types()), calibrate_by_scale(SCALE_PX_M)
-    tallies = {name: Tally() for name in METHODS}
+    tallies: dict[str, Tally] = {name: defaultdict(list) for name in METHODS}
     times: dict[str, list[float]] = {name: [] for name in tallies}
     for learned, image, parts in scenes(kind, range(FIRST, FIRST + count)):
         background = learned.followed(image)
@@ -116,23 +109,20 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
                 find()  # warms up
             found, seconds = timed(find)
             times[name].append(seconds)
-            tallies[name].add(as_seen(found), parts)
+            add(tallies[name], as_seen(found), parts)
     rows = []
     for name, tally in tallies.items():
-        errors = np.array(tally.errors)
-        rows.append(
-            {
-                "kind": kind.name,
-                "method": name,
-                "true": tally.true,
-                "recall_percent": 100 * tally.found / max(tally.true, 1),
-                "precision_percent": 100 * tally.found / max(tally.found + tally.false, 1),
-                "wrong": tally.wrong if name == TAUGHT else None,
-                "unknown": tally.unknown if name == TAUGHT else None,
-                "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
-                "ms": 1e3 * float(np.median(times[name])),
-            }
-        )
+        gaps = np.array(tally["gap_px"])
+        unlike = [a for a, b in zip(tally["label"], tally["name"], strict=True) if a != b]
+        rows.append({
+            "kind": kind.name, "method": name, "true": len(tally["hit"]),
+            "recall_percent": 100 * sum(tally["hit"]) / max(len(tally["hit"]), 1),
+            "precision_percent": 100 * sum(tally["true"]) / max(len(tally["true"]), 1),
+            "wrong": len(unlike) - unlike.count(UNKNOWN) if name == TAUGHT else None,
+            "unknown": unlike.count(UNKNOWN) if name == TAUGHT else None,
+            "rms_px": float(np.sqrt(np.mean(gaps**2))) if len(gaps) else None,
+            "ms": 1e3 * float(np.median(times[name])),
+        })  # fmt: skip
     return rows
 
 

@@ -7,8 +7,9 @@ come late or never. Nothing may be lost, nothing stop, and memory may not grow.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
+
+from graph.proc import memory_mb
 
 from harness import Result, Table
 from plate_bringup.loop import Setup
@@ -62,11 +63,5 @@ def row(now: Production, cell: FeederCell) -> dict[str, Any]:
         "minute": cell.tally.time_s / 60, "picks": now.picks, "failed": now.failed,
         "waiting": 100 * now.waiting, "discharged": now.discharged, "lost": now.lost,
         "error_95_mm": now.error_mm[1], "error_most_mm": now.error_mm[2],
-        "refused": len(now.refused), "rss_mb": rss_mb(),
+        "refused": len(now.refused), "rss_mb": memory_mb(os.getpid()),
     }  # fmt: skip
-
-
-def rss_mb() -> float:
-    """Return how much memory this process has [MB]."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
