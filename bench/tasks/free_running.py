@@ -49,11 +49,7 @@ def measure(quick: bool) -> Result:
     rows = []
     for (changed, value), runs in runs_of(Cache.of(__name__), cases).items():
         found = summed(runs)
-        rows.append({"changed": changed, "value": value, **found, "kept": kept(found)})
+        kept = found["good"] == found["runs"] and found["rms_mm"] <= ALLOWED_MM
+        rows.append({"changed": changed, "value": value, **found, "kept": kept})
     usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
     return Result([Table.of("cameras", rows, usual=usual)])
-
-
-def kept(found: dict[str, object]) -> bool:
-    """Whether all runs of a camera ended well and kept the error."""
-    return found["good"] == found["runs"] and float(str(found["rms_mm"])) <= ALLOWED_MM
