@@ -18,6 +18,7 @@ from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
+from tasks.runs import summed
 
 MOST_RUNS = 100_000
 """At one call: weeks."""
@@ -97,22 +98,18 @@ def _line(row: dict) -> str:
 
 
 def _conclusion(rows: list[dict]) -> str:
-    good = [row for row in rows if row["success"]]
-    dropped = sum(row["dropped"] for row in rows)
-    text = f"{share(len(good), len(rows))} ended well, {dropped} parts dropped"
-    if good:
-        times = [row["time_s"] for row in good]
-        text += "; time median {:.1f} s ({:.1f} to {:.1f})".format(
-            np.median(times), *of_median(times)
-        )
-        text += f", most {max(times):.1f} s"
-    errors = [row["rms_error_m"] for row in rows if row["rms_error_m"] is not None]
-    if errors:
-        text += f"; RMS median {1e3 * np.median(errors):.3f} mm, most {1e3 * max(errors):.3f} mm"
+    all_runs = summed(rows)
+    text = f"{share(all_runs['good'], len(rows))} ended well, {all_runs['dropped']} parts dropped"
+    if all_runs["good"]:
+        low, high = of_median([row["time_s"] for row in rows if row["success"]])
+        text += f"; time median {all_runs['time_s']:.1f} s ({low:.1f} to {high:.1f})"
+        text += f", most {all_runs['longest_s']:.1f} s"
+    if all_runs["rms_mm"] is not None:
+        text += f"; RMS median {all_runs['rms_mm']:.3f} mm, most {all_runs['worst_rms_mm']:.3f} mm"
     turns = [row["turn_error_deg"] for row in rows if row["turn_error_deg"] is not None]
     if turns:
         text += f"; angle median {np.median(turns):.2f} deg, most {max(turns):.2f} deg; "
-        text += f"centre at most {1e3 * max(row['max_error_m'] for row in rows):.3f} mm off"
+        text += f"centre at most {all_runs['max_mm']:.3f} mm off"
     return text
 
 

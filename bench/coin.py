@@ -24,6 +24,7 @@ from harness import ROOT
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
 from plate_sim import WorldState, run_cycle
+from stages.scenes import wave_cycle
 
 FREQUENCY, SPIN = 25, 1.05
 """Of the plate: theta' = SPIN (sin wt + cos(2 wt) / 2) [Hz], [rad/s]; within the rig's limits."""
@@ -66,13 +67,7 @@ def main() -> None:
 
 def plate_motion() -> PlateCycle:
     """Return the plate's turning to and fro about its centre."""
-    t = np.arange(256) / (256 * FREQUENCY)
-    w = 2 * np.pi * FREQUENCY
-    pose, twist, accel = np.zeros((3, 256, 3))
-    pose[:, 2] = SPIN / w * (-np.cos(w * t) + 0.25 * np.sin(2 * w * t))
-    twist[:, 2] = SPIN * (np.sin(w * t) + 0.5 * np.cos(2 * w * t))
-    accel[:, 2] = SPIN * w * (np.cos(w * t) - np.sin(2 * w * t))
-    return PlateCycle.from_samples(1 / FREQUENCY, pose, twist, accel)
+    return wave_cycle(FREQUENCY, np.array([0.0, 0.0, SPIN]))
 
 
 def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:

@@ -1,10 +1,12 @@
 """The measuring programs: what they write, what they refuse, and that runs repeat."""
 
+import ast
 import json
 import math
 import subprocess
 import sys
 from pathlib import Path
+from string import Formatter
 from types import SimpleNamespace
 
 import closed_loop
@@ -16,6 +18,7 @@ from short_task import short_task
 
 from harness import MEASUREMENTS, Result, of_median, of_share, share
 from harness.measurements import MOST_CORES, busy_cores
+from harness.result import WORDS
 from plate_core import PlateCycle, load_rig
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
@@ -120,6 +123,26 @@ def test_wrong_arguments_are_refused_in_one_line(refusal, program, arguments, wo
     assert "error: " in last
     for word in words:
         assert word in last
+
+
+def test_every_table_has_its_words_and_gives_the_facts_in_them():
+    """Or a measurement of hours would fail at its end."""
+    used = set()
+    for path in (*BENCH.glob("stages/*.py"), *BENCH.glob("tasks/*.py")):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        keys = [key for node in nodes if isinstance(node, ast.Dict) for key in node.keys]
+        in_dicts = {key.value for key in keys if isinstance(key, ast.Constant)}
+        for call in (n for n in nodes if isinstance(n, ast.Call)):
+            if ast.unparse(call.func) != "Table.of":
+                continue
+            named = {word.arg for word in call.keywords}
+            given = named | (in_dicts if None in named else set())
+            key = ast.literal_eval(call.args[0])
+            used.add(key)
+            text = WORDS[key]["title"] + WORDS[key].get("note", "")
+            wanted = {name.split("[")[0] for _, name, _, _ in Formatter().parse(text) if name}
+            assert wanted <= given, key
+    assert used == set(WORDS)
 
 
 @pytest.mark.parametrize("chapter", ["stages", "tasks"])

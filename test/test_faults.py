@@ -7,12 +7,12 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from faults import Faults, Times
+from faults import Faults
 from graph.session import session
 from light_graph import LightOptions
 from short_task import MIDDLE
 
-TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
+TIMES = {"WORK_S": 0.5, "WATCH_S": 3.0, "FREEZE_S": 2.5, "UNASKED_S": 1.0}
 """Long enough for every timeout; shorter than in the tool, which measures when."""
 
 EXPECTED = {
@@ -28,11 +28,13 @@ HELD_UP = "the planner itself stood still for"
 """What it says instead after some kills, about one in a hundred: DDS held it up (docs/graph.md)."""
 
 
-def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
+def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain, monkeypatch):
+    for name, seconds in TIMES.items():
+        monkeypatch.setattr(f"faults.{name}", seconds)
     options = LightOptions(scenario=str(tmp_path / "middle.yaml"))
     Path(options.scenario).write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
     with session(options, tmp_path, domain, pictures=False, watched=False) as graph:
-        faults = Faults(graph, TIMES)
+        faults = Faults(graph)
         for (kind, node), (reason, question, other) in EXPECTED.items():
             row = faults.put(kind, node)
             assert row.task.startswith("aborted"), row

@@ -36,15 +36,15 @@ def test_the_task_goes_on(tmp_path, trouble, event):
     file = tmp_path / "task.yaml"
     file.write_text(yaml.safe_dump(TASK), encoding="utf-8")
     schedule = replace(FaultSchedule(trouble), disconnect_s=0.8)
-    outcome = serial_run(Setup(str(file), 3, effort={"restarts": 10}), schedule, event, 1.5)
-    assert (outcome.phase, outcome.dropped) == ("done", 0), outcome.text
-    assert outcome.verdict.kept
-    assert outcome.verdict.stroke > 0.2
-    assert outcome.resting
-    accidents = set(outcome.troubles) - ({LATE_IN_MOTION} if trouble.corrupted else set())
+    last, line = serial_run(Setup(str(file), 3, effort={"restarts": 10}), schedule, event, 1.5)
+    assert (last.progress.phase, last.world.dropped) == ("done", 0), (last.progress, line.troubles)
+    assert line.judge.verdict().kept
+    assert line.judge.verdict().stroke > 0.2
+    assert line.resting
+    accidents = set(line.troubles) - ({LATE_IN_MOTION} if trouble.corrupted else set())
     assert bool(accidents) == bool(event)
-    assert outcome.enables == 1 + bool(event)  # after an accident it went on after an enable
-    assert (outcome.retries > 50) == bool(trouble.corrupted)
+    assert line.operator.enables == 1 + bool(event)  # after an accident it went on after an enable
+    assert (line.transport.retries > 50) == bool(trouble.corrupted)
 
 
 def verdict(*setpoints):

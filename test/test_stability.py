@@ -74,13 +74,12 @@ def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
     predicted = gamma.least_gamma(rig, cases)
     ratio = predicted * np.array([0.25, 0.5, 1, 2])
     error = [
-        float(np.median([gamma.error(rig, gamma.scaled(c, r), p) / f for c, p, f in cases]))
-        for r in ratio
+        float(np.median([gamma.error(rig, c.scaled(r), p) / f for c, p, f in cases])) for r in ratio
     ]
     assert 0.5 * predicted < crossing(ratio.tolist(), error, gamma.LEVEL) < 1.25 * predicted
     cycle, position, _ = cases[0]
     first = gamma.first_order(rig, cycle, position) / 1000
-    at_1000 = gamma.error(rig, gamma.scaled(cycle, 1000), position)
+    at_1000 = gamma.error(rig, cycle.scaled(1000), position)
     assert at_1000 == pytest.approx(first, rel=0.05)
 
 

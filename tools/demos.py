@@ -18,6 +18,7 @@ from typing import Any
 
 from PIL import Image, ImageSequence
 from record.judge import summary
+from record.webp import save_film
 
 from plate_core.tasks import FeedTask, load_scenario
 
@@ -98,15 +99,9 @@ def shrink_strip(source: Path, target: Path) -> None:
 def shrink_film(source: Path, target: Path) -> None:
     """Keep an animation as WebP, smaller than the GIF."""
     with Image.open(source) as film:
-        size = FILM_PX, round(film.height * FILM_PX / film.width)
-        frames, durations = [], []
-        for frame in ImageSequence.Iterator(film):
-            frames.append(frame.convert("RGB").resize(size, Image.Resampling.LANCZOS))
-            durations.append(frame.info["duration"])
-    frames[0].save(
-        target, save_all=True, append_images=frames[1:], duration=durations, loop=0,
-        quality=QUALITY, method=4, minimize_size=True,
-    )  # fmt: skip
+        frames = [frame.copy() for frame in ImageSequence.Iterator(film)]
+    durations = [frame.info["duration"] for frame in frames]
+    save_film(frames, durations, target, FILM_PX, QUALITY)
 
 
 if __name__ == "__main__":

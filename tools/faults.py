@@ -112,26 +112,11 @@ def before(said: Iterable[Said], when: float) -> Said:
     return [Said(0.0, 0, ""), *(each for each in said if each.at <= when)][-1]
 
 
-@dataclass(frozen=True)
-class Times:
-    """How long things are looked at [s].
+WORK_S, UNASKED_S = 3.0, 3.0
+"""The plate moves for so long before a fault, and nothing may for so long after it [s]."""
 
-    Attributes
-    ----------
-    work : float
-        The plate moves for so long before a fault.
-    watch : float
-        What was killed or cut comes back after that.
-    freeze : float
-        A node is frozen for so long.
-    unasked : float
-        For so long after that nothing may move.
-    """
-
-    work: float = 3.0
-    watch: float = 4.0
-    freeze: float = 3.0
-    unasked: float = 3.0
+WATCH_S, FREEZE_S = 4.0, 3.0
+"""What was killed or cut comes back after that, what was frozen goes on [s]."""
 
 
 @dataclass
@@ -166,14 +151,12 @@ class Faults:
     ----------
     graph : Session
         Not watched.
-    times : Times
     """
 
-    def __init__(self, graph: Session, times: Times | None = None) -> None:
+    def __init__(self, graph: Session) -> None:
         self.processes, self.observer = graph.processes, graph.observer
         self.scenario = graph.scenario
         self.plate = Plate(self.observer, graph.options.transport)
-        self.times = times or Times()
 
     def wait(self, seconds: float) -> None:
         """Listen for a time [s]."""
@@ -189,7 +172,7 @@ class Faults:
             observer.begin_anew(self.scenario)
             self.plate.moved_until = 0.0
             observer.until(lambda: self.plate.moving or observer.record.ended, MOVE_S)
-            observer.until(lambda: observer.record.ended, self.times.work)
+            observer.until(lambda: observer.record.ended, WORK_S)
             if not observer.record.ended:
                 return
             print(f"before the fault: {observer.record.states}", flush=True)
@@ -219,7 +202,7 @@ class Faults:
         plate.tables_only = node == "simulator" and kind != "cut"
         at, at_utc = time.monotonic(), time.time()
         with self.gone(kind, node):
-            self.wait(self.times.freeze if kind == "freeze" else self.times.watch)
+            self.wait(FREEZE_S if kind == "freeze" else WATCH_S)
             row.load = round(os.getloadavg()[0], 1)
             if not plate.moving:
                 row.rest_s = round(max(0.0, plate.moved_until - at_utc), 1)
@@ -230,7 +213,7 @@ class Faults:
             lambda: before(said.get(node, ()), math.inf).at > max(back, time.monotonic() - FRESH_S),
             BACK_S,
         )
-        self.wait(self.times.unasked)
+        self.wait(UNASKED_S)
         plate.tables_only = False
         if row.task_s is None:  # told only when the node was back
             self.hear(row, at, time.monotonic())

@@ -27,8 +27,8 @@ from zlib import crc32
 import numpy as np
 import rclpy
 from graph.domains import own_domain
+from graph.proc import memory_mb
 from graph.processes import ros_environment
-from graph.series import memory_mb
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import deserialize_message, serialize_message
 from record.limits import limit_shares

@@ -19,6 +19,7 @@ from typing import Any
 from graph.session import session
 from needs import program
 from PIL import Image
+from record.webp import save_film
 
 from plate_bringup import RunOptions
 from plate_core import PlateError
@@ -105,17 +106,12 @@ def write(frames: list[tuple[float, bytes]], out: Path) -> None:
     """Write the still picture and the film."""
     still = next(data for t, data in frames if t >= STILL_S)
     (out / "page.png").write_bytes(still)
-    pictures = [Image.open(io.BytesIO(data)).convert("RGB") for _, data in frames]
-    height = round(FILM_WIDTH_PX * SIZE["height"] / SIZE["width"])
-    small = [each.resize((FILM_WIDTH_PX, height), Image.Resampling.LANCZOS) for each in pictures]
     times = [t for t, _ in frames]
     lengths = [
         round(1e3 * (b - a)) for a, b in zip(times, [*times[1:], times[-1] + 1], strict=True)
     ]
-    small[0].save(
-        out / "page.webp", save_all=True, append_images=small[1:], duration=lengths, loop=0,
-        quality=QUALITY, method=4,
-    )  # fmt: skip
+    pictures = [Image.open(io.BytesIO(data)) for _, data in frames]
+    save_film(pictures, lengths, out / "page.webp", FILM_WIDTH_PX, QUALITY)
 
 
 def main() -> int:

@@ -4,10 +4,16 @@ The closed loop without ROS is `plate_bringup.loop`; `harness.serial` is its tra
 line.
 """
 
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tools"))
+
 from harness.cache import Cache
 from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all, told
+from harness.pairs import paired, places
 from harness.pool import by_case, parallel, processes, resumed
-from harness.race import LEAST_ROUNDS, Race, cpu_time, race
+from harness.race import LEAST_ROUNDS, Race, cpu_time, race, timed
 from harness.result import (
     ROOT,
     Result,
@@ -26,6 +32,6 @@ from plate_core.intervals import of_median, of_share, share
 __all__ = [
     "LEAST_ROUNDS", "LONG", "MEASUREMENTS", "ROOT", "Cache", "Race", "Result", "Table", "by_case",
     "commit", "cpu_time", "folder_made", "is_done", "missing", "of_median", "of_share", "optional",
-    "parallel", "processes", "race", "read", "resumed", "rounded", "run_all", "share",
-    "shown", "text_table", "told", "write",
+    "paired", "parallel", "places", "processes", "race", "read", "resumed", "rounded", "run_all",
+    "share", "shown", "text_table", "timed", "told", "write",
 ]  # fmt: skip

@@ -18,7 +18,8 @@ PACKAGES = (
 )  # fmt: skip
 """What every measurement depends on, as it is installed."""
 
-BENCH = Path(__file__).resolve().parents[1]
+FOLDERS = (ROOT / "bench", ROOT / "tools")
+"""Where modules of measurements are."""
 
 
 class Cache:
@@ -58,10 +59,10 @@ class Cache:
 
 @lru_cache
 def code_of(module: str) -> str:
-    """Return a digest of all that a module of this folder depends on.
+    """Return a digest of all that a module of a measurement depends on.
 
     That is `config`, our packages as they are installed, the sources of their kernels, and the
-    files of this folder that the module imports, itself among them.
+    files of `bench` and `tools` that the module imports, itself among them.
     """
     digest = hashlib.sha256(code_of_packages().encode())
     for path in sorted(own_files(module)):
@@ -85,12 +86,13 @@ def code_of_packages() -> str:
 
 
 def own_files(module: str) -> set[Path]:
-    """Return the files of this folder that a module of it imports, itself among them."""
+    """Return the files of `bench` and `tools` that a module imports, itself among them."""
     found: set[Path] = set()
     waiting = [module]
     while waiting:
-        stem = BENCH / waiting.pop().replace(".", "/")
-        for path in (stem.with_suffix(".py"), stem / "__init__.py"):
+        name = waiting.pop().replace(".", "/")
+        ways = (f"{name}.py", f"{name}/__init__.py")
+        for path in (folder / way for folder in FOLDERS for way in ways):
             if path in found or not path.exists():
                 continue
             found.add(path)

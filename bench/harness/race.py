@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,13 @@ LEAST_ROUNDS = 3
 cpu_time = time.process_time
 """The clock of all measurements [s]: time of the cores, of all threads together. On an idle machine
 it is the wall time of our single thread; other programs that take the cores do not count."""
+
+
+def timed(call: Callable[..., Any], *arguments: Any, **named: Any) -> tuple[Any, float]:
+    """Return what a call gives, and the time that it took [s]."""
+    began = cpu_time()
+    found = call(*arguments, **named)
+    return found, cpu_time() - began
 
 
 @dataclass(frozen=True)

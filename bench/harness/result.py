@@ -16,8 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
+
+WORDS: dict[str, Any] = yaml.safe_load(
+    Path(__file__).with_name("tables.yaml").read_text(encoding="utf-8")
+)
+"""Key of a table -> its `title` and `columns`, and mostly `note`."""
 
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "pymunk", "mujoco")
 
@@ -43,6 +49,13 @@ class Table:
     columns: Mapping[str, str]
     rows: list[dict[str, Any]]
     note: str = ""
+
+    @classmethod
+    def of(cls, key: str, rows: list[dict[str, Any]], **facts: Any) -> Table:
+        """Return the table of a key with its words of tables.yaml, facts in their braces."""
+        words = WORDS[key]
+        title, note = (words.get(name, "").format(**facts) for name in ("title", "note"))
+        return cls(key, title, words["columns"], rows, note)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
+from record.limits import corner_accels, motor_forces
 
-from plate_bringup.loop import HOLD_CYCLES, IDLE_PERIOD, Setup, run
+from plate_bringup.loop import HOLD_CYCLES, IDLE_PERIOD, Moment, Setup, run
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
 from plate_core.motion import plate_state
 from plate_core.serial_protocol import State
@@ -131,7 +132,6 @@ class SerialLine:
         self.operator = Operator(self.transport)
         self.now, self.began = 0.0, 0.0
         self.troubles: Counter[str] = Counter()
-        self.newest_trouble = ""
         self._rig, self._event, self._at = rig, event, at
         self._waiting: list[tuple[float, MotorTable]] = []
         self._segments: list[Segment] = []
@@ -191,9 +191,7 @@ class SerialLine:
         if self._ticks % POLL_TICKS == 0:
             self.transport.poll()
             self.operator.look(now)
-            for trouble in self.transport.troubles():
-                self.troubles[trouble] += 1
-                self.newest_trouble = trouble
+            self.troubles.update(self.transport.troubles())
         if self._event and now >= self._at:
             getattr(self.emulator, self._event)()
             self._event = ""
@@ -204,49 +202,16 @@ class SerialLine:
             self.transport.send(table, HOLD_CYCLES if table.tail is None else 1)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended.
-
-    Attributes
-    ----------
-    phase, text : str
-        Of the planner; what the driver last said was wrong.
-    dropped : int
-        Parts.
-    verdict : Verdict
-        On what the device commanded.
-    resting : bool
-        Whether the motors were off or held at home a while after the end.
-    retries, troubles
-        Of the driver.
-    enables : int
-        Times that the operator has enabled.
-    """
-
-    phase: str
-    text: str
-    dropped: int
-    verdict: Verdict
-    resting: bool
-    retries: int
-    troubles: dict[str, int]
-    enables: int
-
-
 def serial_run(
     setup: Setup, schedule: FaultSchedule | None = None, event: str = "", at: float = 0.0
-) -> Outcome:
-    """Run a task over the serial line, with what goes wrong (see `SerialLine`)."""
+) -> tuple[Moment, SerialLine]:
+    """Run a task over the serial line, with what goes wrong (see `SerialLine`); returns the last
+    moment, and the line after the plate was given time to come to rest."""
     rig = load_rig()
     line = SerialLine(rig, setup.seed, schedule or FaultSchedule(), event, at)
     *_, last = run(setup, rig, line)
     line.settle()
-    told = f" ({line.newest_trouble})" if line.newest_trouble else ""
-    return Outcome(
-        last.progress.phase, last.progress.text + told, last.world.dropped, line.judge.verdict(),
-        line.resting, line.transport.retries, dict(line.troubles), line.operator.enables,
-    )  # fmt: skip
+    return last, line
 
 
 @dataclass(frozen=True)
@@ -309,35 +274,16 @@ class Judge:
         times = np.array([now for now, _ in self._setpoints])
         q, qd, qdd = np.array([at for _, at in self._setpoints], float).transpose(1, 0, 2)
         # With infinite tolerance: whether the four agree is not asked here.
-        pose, twist, accel = plate_state(self.rig, q, qd, qdd, np.inf)
+        motion = plate_state(self.rig, q, qd, qdd, np.inf)
+        corners = float(np.max(np.abs(corner_accels(self.rig, motion))))
         return Verdict(
             float(np.max(np.abs(q))) / limits.stroke_m,
             float(np.max(np.abs(qd))) / limits.speed,
-            max(float(np.max(np.abs(qdd))), self._corners(pose, twist, accel)) / limits.accel,
-            float(np.max(np.abs(self._forces(accel)))) / limits.force,
+            max(float(np.max(np.abs(qdd))), corners) / limits.accel,
+            float(np.max(np.abs(motor_forces(self.rig, motion)))) / limits.force,
             _jump(times, q, qd, qdd),
             travel,
         )
-
-    def _corners(self, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray) -> float:
-        """Greatest acceleration of the plate's corners [m/s2]."""
-        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        x, y = (self.rig.plate.half * [[1, 1], [1, -1], [-1, 1], [-1, -1]]).T[:, :, None]
-        arm = np.array([cos * x - sin * y, sin * x + cos * y])
-        across = np.array([-arm[1], arm[0]])
-        corner = accel.T[:2, None] + accel[:, 2] * across - twist[:, 2] ** 2 * arm
-        return float(np.max(np.hypot(*corner)))
-
-    def _forces(self, accel: np.ndarray) -> np.ndarray:
-        """Forces (n, 4) [N] of least norm that accelerate the plate."""
-        plate = self.rig.plate
-        inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
-        pushes = []
-        for motor in self.rig.motors:
-            (x, y), (dx, dy) = motor.point, motor.direction
-            pushes.append([dx, dy, x * dy - y * dx])
-        need = accel * [plate.mass_kg, plate.mass_kg, inertia]
-        return np.linalg.lstsq(np.array(pushes).T, need.T, rcond=None)[0].T
 
 
 def _jump(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:

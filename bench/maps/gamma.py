@@ -49,16 +49,9 @@ def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarr
     for _ in range(count):
         position, force = scatter(rig, parts, rng), rng.uniform(-FORCE, FORCE, (parts, 2))
         solver.reset()
-        cycle = scaled(solver.solve(position, force).cycle, 1 / rig.gamma)
+        cycle = solver.solve(position, force).cycle.scaled(1 / rig.gamma)
         found.append((cycle, position, float(np.sqrt(np.mean(force**2)))))
     return found
-
-
-def scaled(cycle: PlateCycle, size: float) -> PlateCycle:
-    """Return a motion with all amplitudes scaled: the average forces at rest stay the same."""
-    return PlateCycle.from_knots(
-        cycle.times, size * cycle.knot_pose, size * cycle.knot_twist, size * cycle.knot_accel
-    )
 
 
 def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
@@ -104,7 +97,7 @@ def measure(quick: bool) -> list[Grid]:
     cases = [motions(rig, m, 3 if quick else REQUESTS) for m in parts]
     z = [
         [
-            float(np.median([error(rig, scaled(c, gamma), p) / asked for c, p, asked in mine]))
+            float(np.median([error(rig, c.scaled(gamma), p) / asked for c, p, asked in mine]))
             for mine in cases
         ]
         for gamma in gammas

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from maps.grid import Grid, StabilityMap, grid
@@ -94,7 +96,7 @@ class LinearLoop:
         loop = Loop(rig, SEEDS[0])
         self.period, self.rig = loop.period, rig
         rng, velocity, self.cases = np.random.default_rng(SEED), np.zeros((1, 2)), []
-        self._known: dict[tuple[float, float], np.ndarray] = {}
+        self.response = cache(self._response)
         for _ in range(CASES):
             wanted = ASKED_M * rng.normal(size=(1, 2))
             cycle = loop.motion(loop.home, velocity, wanted)
@@ -113,20 +115,16 @@ class LinearLoop:
         dt = np.full(steps, share * self.period / steps)
         return end_state(position, velocity, cycle.pose(t), cycle.twist(t), dt, accel)
 
-    def response(self, friction: float, share: float) -> np.ndarray:
+    def _response(self, friction: float, share: float) -> np.ndarray:
         """Return what a, b and v make of place and velocity (2, 3) after a share of a cycle."""
         if share == 0:
             return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        if (friction, share) in self._known:
-            return self._known[friction, share]
         rows, ends = [], []
         for cycle, home, wanted, believed, true in self.cases:
             place, velocity = self._after(cycle, home, true, friction, share)
             rows.append(np.stack([wanted[0], believed[0], true[0]], axis=1))
             ends.append(np.stack([(place - home)[0], velocity[0]], axis=1))
-        found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(ends), rcond=None)[0]
-        self._known[friction, share] = found.T
-        return self._known[friction, share]
+        return np.linalg.lstsq(np.concatenate(rows), np.concatenate(ends), rcond=None)[0].T
 
     def growth(self, friction: float, latency: float) -> float:
         """Return by how much the slowest mode grows in a cycle: above 1 the loop swings up.

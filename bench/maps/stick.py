@@ -6,8 +6,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from maps.grid import Grid, StabilityMap, grid
-from plate_core import PlateCycle, Rig, load_rig
+from plate_core import Rig, load_rig
 from plate_sim import simulate
+from stages.scenes import wave_cycle
 
 PERIOD_S = 0.05
 CYCLES = 100
@@ -71,12 +72,7 @@ def resting_share(rig: Rig, force: float, gamma: float) -> float:
     """Return the share of a cycle that a part rests on the plate, by the simulator."""
     b, omega = overtone(force), 2 * np.pi / PERIOD_S
     speed = gamma * rig.friction.accel / (peak(b) * omega)
-    t = np.linspace(0, 2 * np.pi, 256, endpoint=False)
-    pose, twist, accel = (np.zeros((256, 3)) for _ in range(3))
-    pose[:, 0] = speed / omega * (-np.cos(t) + b / 2 * np.sin(2 * t))
-    twist[:, 0] = speed * (np.sin(t) + b * np.cos(2 * t))
-    accel[:, 0] = speed * omega * (np.cos(t) - 2 * b * np.sin(2 * t))
-    cycle = PlateCycle.from_samples(PERIOD_S, pose, twist, accel)
+    cycle = wave_cycle(1 / PERIOD_S, np.array([speed, 0.0, 0.0]), b)
     none, friction = np.zeros((1, 2)), rig.friction
     run = simulate(cycle, none, none, friction.mu, friction.gravity, CYCLES)
     last = simulate(

@@ -9,14 +9,12 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from harness import text_table
+from harness import paired, places, text_table
 from photographs.fetch import is_there
 from photographs.finders import make_finders
 from photographs.pictures import HALVES, Photograph, load_photographs
@@ -33,59 +31,15 @@ TAUGHT = "ours, taught"
 MISSING = "cd bench && python -m photographs.fetch"
 
 
-@dataclass
-class Score:
-    """What one detector found in some pictures.
+Score = dict[str, list[Any]]
+"""What one detector found in some pictures.
 
-    Attributes
-    ----------
-    parts, found, false : int
-        Parts; those that were found; what was found where no part is.
-    touching, touching_found : int
-        The same of parts that touch others.
-    fresh, fresh_found : int
-        The same of parts that were not shown as examples.
-    named, right : int
-        Found parts that got a class, and those that got theirs.
-    centre_px : list of float
-        Errors of centres [px].
-    angle_deg : list of float
-        Errors of angles, modulo symmetry, apart from one zero for each class of a picture.
-    """
-
-    parts: int = 0
-    found: int = 0
-    false: int = 0
-    touching: int = 0
-    touching_found: int = 0
-    fresh: int = 0
-    fresh_found: int = 0
-    named: int = 0
-    right: int = 0
-    centre_px: list[float] = field(default_factory=list)
-    angle_deg: list[float] = field(default_factory=list)
-
-    def __iadd__(self, other: Score) -> Score:
-        for name, value in vars(other).items():
-            setattr(self, name, getattr(self, name) + value)
-        return self
-
-    def row(self) -> dict[str, float | int | None]:
-        """Return it as the row of a table."""
-        seen = self.found + self.false
-        return {
-            "parts": self.parts,
-            "found": self.found,
-            "false": self.false,
-            "recall": percent(self.found, self.parts),
-            "precision": percent(self.found, seen),
-            "touching": percent(self.touching_found, self.touching),
-            "centre_px": float(np.sqrt(np.mean(np.square(self.centre_px)))) if seen else None,
-            "angle_deg": float(np.median(self.angle_deg)) if self.angle_deg else None,
-            "right": percent(self.right, self.named),
-            "fresh": percent(self.fresh_found, self.fresh),
-        }
-
+`hit`: of each part whether it was found; `touching`, `fresh`: the same of parts that touch others,
+and of those that were not shown as examples. `true`: of each thing found that counts whether it is
+a part. `right`: of each found part that got a class whether that is its own. `centre_px` and
+`angle_deg`: errors of centres, and of angles, modulo symmetry, apart from one zero for each class
+of a picture.
+"""
 
 COLUMNS = {
     "method": "method", "pictures": "pictures", "parts": "parts", "found": "found",
@@ -97,23 +51,22 @@ COLUMNS = {
 """Keys of rows and their headings."""
 
 
-def percent(part: int, whole: int) -> float | None:
-    """Return a share in percent, None of nothing."""
-    return 100 * part / whole if whole else None
+def percent(kept: list[bool]) -> float | None:
+    """Return how many hold [%], None of nothing."""
+    return 100 * sum(kept) / len(kept) if kept else None
 
 
-def match(found: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pair what was found (n,) FOUND with parts (m,) TRUTH, one to one, as many as can be.
-
-    Returns the indices of both, (k,) each.
-    """
-    gap = np.hypot(
-        found["x_px"][:, None] - parts["x_px"], found["y_px"][:, None] - parts["y_px"]
-    ) / np.maximum(parts["radius_px"], 1e-9)
-    cost = np.where(gap < REACH, gap, 1e3)
-    i, j = linear_sum_assignment(cost)
-    near = cost[i, j] < REACH
-    return i[near], j[near]
+def row_of(score: Score) -> dict[str, float | int | None]:
+    """Return a score as the row of a table."""
+    centre_px, angle_deg = score["centre_px"], score["angle_deg"]
+    return {
+        "parts": len(score["hit"]), "found": sum(score["hit"]), "false": score["true"].count(False),
+        "recall": percent(score["hit"]), "precision": percent(score["true"]),
+        "touching": percent(score["touching"]), "right": percent(score["right"]),
+        "fresh": percent(score["fresh"]),
+        "centre_px": float(np.sqrt(np.mean(np.square(centre_px)))) if score["true"] else None,
+        "angle_deg": float(np.median(angle_deg)) if angle_deg else None,
+    }  # fmt: skip
 
 
 def counts(found: np.ndarray, photograph: Photograph) -> np.ndarray:
@@ -136,26 +89,19 @@ def counts(found: np.ndarray, photograph: Photograph) -> np.ndarray:
 def score(found: np.ndarray, photograph: Photograph, shown: np.ndarray | None = None) -> Score:
     """Judge what was found (n,) FOUND in a photograph; `shown` (m,) bool are taught examples."""
     parts = photograph.parts
-    shown = np.zeros(len(parts), bool) if shown is None else shown
-    i, j = match(found, parts)
-    hit = np.zeros(len(parts), bool)
-    hit[j] = True
-    rest = np.delete(found, i)
-    gap = np.hypot(found["x_px"][i] - parts["x_px"][j], found["y_px"][i] - parts["y_px"][j])
-    named = np.isin(found["label"][i], parts["label"])
-    return Score(
-        parts=len(parts),
-        found=len(i),
-        false=int(counts(rest, photograph).sum()),
-        touching=int(parts["touching"].sum()),
-        touching_found=int(hit[parts["touching"]].sum()),
-        fresh=int((~shown).sum()),
-        fresh_found=int(hit[~shown].sum()),
-        named=int(named.sum()),
-        right=int((found["label"][i] == parts["label"][j]).sum()),
-        centre_px=gap.tolist(),
-        angle_deg=angle_errors(found[i], parts[j], bool(named.any())),
-    )
+    i, j, gap = paired(places(found), places(parts), REACH * parts["radius_px"])
+    hit = np.isin(np.arange(len(parts)), j)
+    label = found["label"][i]
+    named = np.isin(label, parts["label"])
+    false = np.count_nonzero(counts(np.delete(found, i), photograph))
+    return {
+        "hit": hit.tolist(), "true": [True] * len(i) + [False] * false,
+        "touching": hit[parts["touching"]].tolist(),
+        "fresh": (hit if shown is None else hit[~shown]).tolist(),
+        "right": (label == parts["label"][j])[named].tolist(),
+        "centre_px": gap.tolist(),
+        "angle_deg": angle_errors(found[i], parts[j], bool(named.any())),
+    }  # fmt: skip
 
 
 def angle_errors(found: np.ndarray, parts: np.ndarray, directed: bool) -> list[float]:
@@ -192,10 +138,10 @@ def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], l
         refused += [f"{photograph.name}: {problem}" for problem in problems]
         for method, find in finders.items():
             shown = taught if method == TAUGHT else None
-            one = total.setdefault(method, Score())
-            one += score(find(image), photograph, shown)
+            for key, values in score(find(image), photograph, shown).items():
+                total.setdefault(method, {}).setdefault(key, []).extend(values)
             pictures[method] += 1
-    rows = [{"method": name, "pictures": pictures[name], **s.row()} for name, s in total.items()]
+    rows = [{"method": m, "pictures": pictures[m], **row_of(s)} for m, s in total.items()]
     return rows, refused
 
 

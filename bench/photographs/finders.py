@@ -6,7 +6,7 @@ names no value for a peer's setting, it has the best of a few on the half for tu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -56,10 +56,15 @@ def find_ours(image: np.ndarray) -> np.ndarray:
     """Find parts by `plate_vision.detect`, without options; groups are no parts."""
     seen = detect(image)
     seen = seen[seen["method"] != "group"]
+    return as_found(seen, seen["label"])
+
+
+def as_found(seen: np.ndarray, label: Sequence[str] | np.ndarray) -> np.ndarray:
+    """Return sightings (n,) of ours with these labels as FOUND."""
     found = np.zeros(len(seen), FOUND)
-    for name in ("x_px", "y_px", "radius_px", "label"):
+    for name in ("x_px", "y_px", "radius_px"):
         found[name] = seen[name]
-    found["angle_deg"] = np.degrees(seen["angle_rad"])
+    found["label"], found["angle_deg"] = label, np.degrees(seen["angle_rad"])
     return found
 
 

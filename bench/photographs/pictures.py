@@ -111,16 +111,12 @@ def _photograph(name: str, entry: dict[str, Any]) -> Photograph:
         for row in kind.get(key, ())
     ]
     crop, plate = entry.get("crop_px"), entry.get("plate")
+    told = {key: entry[key] for key in ("half", "source", "licence", "by", "sha256")}
     return Photograph(
-        name=name,
-        half=entry["half"],
-        source=entry["source"],
-        licence=entry["licence"],
-        by=entry["by"],
-        sha256=entry["sha256"],
+        name, **told,
         crop_px=None if crop is None else (crop[0], crop[1], crop[2], crop[3]),
         shrink=entry.get("shrink", 1),
         parts=np.array(rows, TRUTH),
         ignore=np.array(entry.get("ignore", []), float).reshape(-1, 3),
         plate=None if plate is None else np.array(plate, float),
-    )
+    )  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from photographs.finders import FOUND
+from photographs.finders import FOUND, as_found
 from plate_core import PlateError
 from plate_vision import calibrate_by_scale, find_parts
 from plate_vision.shapes import Example, model_background, teach
@@ -73,12 +73,7 @@ def teach_examples(
             return np.zeros(0, FOUND)
         seen = find_parts(picture, types, scale=SCALE)
         seen = seen[~np.isin(seen["label"], UNNAMED)]
-        found = np.zeros(len(seen), FOUND)
-        for name in ("x_px", "y_px", "radius_px"):
-            found[name] = seen[name]
-        found["label"] = [class_of[label] for label in seen["label"]]
-        found["angle_deg"] = np.degrees(seen["angle_rad"])
-        return found
+        return as_found(seen, [class_of[label] for label in seen["label"]])
 
     return finder, shown, refused
 

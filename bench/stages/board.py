@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
-
-from harness import ROOT, Result, Table
-
-sys.path.append(str(ROOT / "tools"))
 
 from board_host import Host, Ticks, attacked, committed
 from emulated_board import NEEDS, EmulatedBoard, built, unfollowed
 from needs import packages, program
 
+from harness import ROOT, Result, Table
 from plate_core import PlateError
 from plate_core.serial_protocol import Status
 
@@ -37,25 +33,7 @@ def measure(quick: bool) -> Result:
         elf = built(folder, RIG=unfollowed(ROOT / "config" / "rig.yaml", folder))
         commits = commit_rows(elf, pieces)
         attacks = [attack_row(elf, pace, packets) for pace in LINES]
-    of_commit = {"pieces": "pieces", "answer": "answer", **COLUMNS}
-    of_attack = {"bytes": "bytes a tick", "packets": "packets", "kinds": "of these kinds"}
-    of_attack |= {"refused": "refused", **COLUMNS}
-    note = "QEMU netduinoplus2, 8 ns of its time for each instruction; bytes at 92 a tick."
-    return Result(
-        [
-            Table("commits", "A table that comes while another plays", of_commit, commits, note),
-            Table("attacks", "Hostile packets with the right CRC", of_attack, attacks),
-        ]
-    )
-
-
-COLUMNS = {
-    "median": "instructions a tick, median",
-    "worst": "most",
-    "step_mm": "longest step so far [mm]",
-    "speed": "fastest setpoint [m/s]",
-    "late": "ticks too late",
-}
+    return Result([Table.of("commits", commits), Table.of("attacks", attacks)])
 
 
 def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:

@@ -51,16 +51,7 @@ def measure(quick: bool) -> Result:
         }
         for method, setting, run in cases
     ]  # fmt: skip
-    title = f"Centre and rim of the disc after {CYCLES / FREQUENCY:g} s"
-    columns = {
-        "method": "method", "setting": "setting", "error_mm": "error [mm]",
-        "speed": "simulated s per s",
-    }  # fmt: skip
-    note = (
-        "Error: how far centre or rim are off, whichever is more, against scipy's DOP853 "
-        "with 1152 cells."
-    )
-    return Result([Table("bodies", title, columns, rows, note)])
+    return Result([Table.of("bodies", rows, span=CYCLES / FREQUENCY)])
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:

@@ -54,18 +54,7 @@ def measure(quick: bool) -> Result:
     one = race({n: partial(of(cases[0][0]), place) for n, of in methods.items()}, seconds)
     rows = batch_rows(cases, truth, seconds)
     rows += [row("one", name, one.median(name), error[name]) for name in methods]
-    title = "Average forces of many motions at once, and of one cycle"
-    columns = {
-        "case": "case", "method": "method", "us": "time of one force [µs]",
-        "median": "median error [mu mg]", "p99": "worst 1 % [mu mg]",
-    }  # fmt: skip
-    note = (
-        f"{len(cases)} random motions of 12 parameters and places. Many: in one call, from "
-        "coefficients; the closed form has 8 intervals, its error is that of triangles for "
-        "sines. One: step_forces takes twist samples that are there already; average_force "
-        "integrates the cycle's spline."
-    )
-    return Result([Table("force_map", title, columns, rows, note)])
+    return Result([Table.of("force_map", rows, count=len(cases))])
 
 
 @njit(cache=True, fastmath=True)

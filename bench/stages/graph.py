@@ -15,8 +15,6 @@ from typing import Any
 
 from harness import ROOT, Result, Table
 
-sys.path.append(str(ROOT / "tools"))
-
 TRANSPORTS = {"sim": "In simulation", "serial": "Over a serial line"}
 
 MESSAGES, QUICK_MESSAGES = 10_000, 500
@@ -46,7 +44,7 @@ def measure(quick: bool) -> Result:
             f"{found['tables']} motor tables, {len(found['faults'])} broke a limit"
         )
     verdicts = told("fuzz", "--messages", QUICK_MESSAGES if quick else MESSAGES)
-    tables.append(fuzz(verdicts))
+    tables.append(Table.of("fuzz", verdicts))
     summary.append(f"malformed messages: {sum(v['crashes'] for v in verdicts)} crashes")
     goals = told("goals", "--goals", QUICK_GOALS if quick else GOALS)
     reasons = ", ".join(f"{count} {name.lower()}" for name, count in goals.pop("reasons").items())
@@ -81,29 +79,11 @@ def told(tool: str, *words: object) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
 
 
-def fuzz(verdicts: list[dict[str, Any]]) -> Table:
-    """Return what malformed messages did to each node."""
-    columns = {
-        "node": "node", "messages": "messages", "crashes": "crashes",
-        "growth_mb": "memory grew by [MB]", "slowest_ms": "slowest [ms]", "tables": "motions",
-        "moving": "of which moving", "worst_share": "greatest share of a limit",
-    }  # fmt: skip
-    rows = [{key: verdict[key] for key in columns} for verdict in verdicts]
-    return Table("fuzz", "Malformed messages", columns, rows)
-
-
 def memory(hours: dict[str, Any]) -> Table:
     """Return each node's memory over the minutes of sorting, and its share of a core."""
     rows = [
-        {
-            "node": row["node"], "first": row["first_mb"], "last": row["last_mb"],
-            "slope": f"{row['mb_per_hour']:.1f} ± {row['interval']:.1f}",
-            "cpu": 100 * row["cpu_share"],
-        }
+        row | {"slope": f"{row['mb_per_hour']:.1f} ± {row['interval']:.1f}",
+               "cpu": 100 * row["cpu_share"]}
         for row in hours["memory"]
     ]  # fmt: skip
-    columns = {
-        "node": "node", "first": "memory after a third [MB]", "last": "at the end [MB]",
-        "slope": "slope [MB/h]", "cpu": "CPU [%]",
-    }  # fmt: skip
-    return Table("hours", "Memory", columns, rows)
+    return Table.of("hours", rows)

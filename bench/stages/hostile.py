@@ -42,27 +42,28 @@ TRIES = 4000
 
 @dataclass(frozen=True)
 class Part:
-    """A part in a scene: its type, centre (2,) [px] and angle [rad]."""
+    """A part in a scene: its type, centre (2,) [px], angle [rad] and scale [px/m]."""
 
     kind: PartType
     centre_px: np.ndarray
     angle_rad: float
+    scale: float = SCALE_PX_M
 
     @property
     def reach_px(self) -> float:
         """Greatest distance of its rim from its centre [px]."""
-        return self.kind.reach_m * SCALE_PX_M
+        return self.kind.reach_m * self.scale
 
     @property
     def radius_px(self) -> float:
         """Radius of the disc of its area [px]."""
-        return float(np.sqrt(self.kind.area_m2 / np.pi)) * SCALE_PX_M
+        return float(np.sqrt(self.kind.area_m2 / np.pi)) * self.scale
 
     def corners_px(self, polygon: np.ndarray) -> np.ndarray:
         """Corners (n, 2) [px] of a polygon (n, 2) [m] of its type; y down."""
         c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
         return np.asarray(
-            SCALE_PX_M * (polygon @ np.array([[c, s], [-s, c]])) * (1, -1) + self.centre_px
+            self.scale * (polygon @ np.array([[c, s], [-s, c]])) * (1, -1) + self.centre_px
         )
 
     @property
@@ -273,6 +274,11 @@ def solid(part: Part, low: np.ndarray, side: int) -> np.ndarray:
     return np.asarray(inside > 0)
 
 
+def cover(part: Part, low: np.ndarray, side: int) -> np.ndarray:
+    """Return how much of each pixel (side, side) of that window a part covers."""
+    return np.asarray(solid(part, low, side).reshape(side, SUB, side, SUB).mean(axis=(1, 3)))
+
+
 def window(part: Part) -> tuple[np.ndarray, int]:
     """Return the first pixel (2,) and the side [px] of a window of the image around a part."""
     low = np.floor(part.centre_px - part.reach_px - 2).astype(int)
@@ -288,20 +294,20 @@ def draw(
     covers = []
     for part in parts:
         low, side = window(part)
-        cover = solid(part, low, side).reshape(side, SUB, side, SUB).mean(axis=(1, 3))
+        share = cover(part, low, side)
         covers.append(np.zeros((height, width), np.float32))
         x0, y0 = np.maximum(low, 0)
         x1, y1 = np.minimum(low + side, SIZE_PX)
-        covers[-1][y0:y1, x0:x1] = cover[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]]
+        covers[-1][y0:y1, x0:x1] = share[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]]
     if kind.shadow:
         way, depth = rng.uniform(0, 2 * np.pi), rng.uniform(0.2, 0.4)
         shift = np.array([[1, 0, 4 * np.cos(way)], [0, 1, 4 * np.sin(way)]])
         cast = cv2.warpAffine(np.max(covers, axis=0), shift, SIZE_PX)
         picture *= 1 - depth * cv2.GaussianBlur(cast, (0, 0), rng.uniform(1.5, 3))[:, :, None]
-    for part, cover in zip(parts, covers, strict=True):
+    for part, share in zip(parts, covers, strict=True):
         low, side = np.maximum(window(part)[0], 0), window(part)[1]
         here = np.s_[low[1] : low[1] + side, low[0] : low[0] + side]
-        paint = np.tile(bgr(lab_of(part, rng)), (*cover[here].shape, 1))
+        paint = np.tile(bgr(lab_of(part, rng)), (*share[here].shape, 1))
         y, x = np.mgrid[: paint.shape[0], : paint.shape[1]] + low[::-1][:, None, None]
         way = rng.uniform(0, 2 * np.pi)
         along = (x - part.centre_px[0]) * np.cos(way) + (y - part.centre_px[1]) * np.sin(way)
@@ -309,9 +315,9 @@ def draw(
             lab = rng.uniform((25, -40, -40), (60, 40, 40))
             paint[along > rng.uniform(-0.3, 0.3) * part.radius_px] = bgr(lab)
         if kind.highlight:
-            paint = shine(paint, cover[here], x, y, part, rng)
-        cover = cover[here][:, :, None]
-        picture[here] = picture[here] * (1 - cover) + paint * cover
+            paint = shine(paint, share[here], x, y, part, rng)
+        inside = share[here][:, :, None]
+        picture[here] = picture[here] * (1 - inside) + paint * inside
     return photographed(kind, picture, light, rng)
 
 

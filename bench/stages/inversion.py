@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, timed
 from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, Status, average_force
 from stages.scenes import targets
@@ -32,15 +32,7 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     fates = [fate(rig, parts, number, 3 if quick else 30) for parts, number in CASES]
     free = [fate(rig, parts, 0, 2 if quick else 15) for parts in (3, 4, 5, 6, 8)]
-    title = "What becomes of requests up to 0.2 mu m g"
-    columns = {
-        "parts": "parts M", "harmonics": "harmonics N", "solved": "solved [%]",
-        "more": "by ten times the starts [%]", "proven": "proven out of reach [%]",
-        "wrong": "wrong successes",
-        "share": "share met of the rest, median", "median_ms": "median [ms]",
-    }  # fmt: skip
-    note = "Harmonics: as asked for, or as the solver chooses (in brackets)."
-    return Result([Table("fate", title, columns, [*fates, *free], note)])
+    return Result([Table.of("fate", [*fates, *free])])
 
 
 def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
@@ -51,9 +43,8 @@ def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
     answers, more, wrong, times = [], 0, 0, []
     for position, force in targets(rig, parts, count, rng):
         solver.reset()
-        began = cpu_time()
-        answer = solver.solve(position, force)
-        times.append(1e3 * (cpu_time() - began))
+        answer, seconds = timed(solver.solve, position, force)
+        times.append(1e3 * seconds)
         answers.append(answer)
         error = np.max(np.abs(average_force(answer.cycle, position) - force))
         wrong += answer.success and bool(error > TOLERANCE)

@@ -8,16 +8,13 @@ own pace does not count.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from harness import ROOT, Result, Table
-
-sys.path.append(str(ROOT / "tools"))
+from harness import Result, Table
 
 TASKS = 4
 QUICK_S = 6.0
@@ -29,9 +26,9 @@ def measure(quick: bool) -> Result:
     apart, together = measured(quick, one_process=False), measured(quick, one_process=True)
     shares = apart[1] | {"all in one process": together[1]["one_process"]}
     tables = [
-        table("latency", "nodes in processes of their own", apart[0]),
-        table("latency_one_process", "all nodes in one process", together[0]),
-        Table("cpu", "Share of one core", {"node": "process", "cpu": "CPU [%]"}, cpu(shares)),
+        Table.of("latency", apart[0]),
+        Table.of("latency_one_process", together[0]),
+        Table.of("cpu", cpu(shares)),
     ]
     return Result(tables)
 
@@ -55,19 +52,6 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
         *_, series = run
     real, beside = stages_ms(series.hops()), stages_ms(series.hops("beside"))
     return [row(name, real[name], beside[name]) for name in real], series.cpu
-
-
-def table(name: str, what: str, rows: list[dict[str, Any]]) -> Table:
-    """Return the table of the stages."""
-    columns = {
-        "stage": "stage", "median": "median [ms]", "p99": "99 % [ms]",
-        "beside": "forwarding: median [ms]", "beside_p99": "99 % [ms]",
-        "ratio": "ratio of medians", "ratio_p99": "of 99 %",
-        "more": "median more [ms]", "images": "images",
-    }  # fmt: skip
-    title = f"Ten parts, {what}: when messages are published, after those they answer"
-    note = "camera: from stamp to published image; here it includes the simulation's picture."
-    return Table(name, title, columns, rows, note)
 
 
 def cpu(shares: dict[str, float]) -> list[dict[str, Any]]:

@@ -45,14 +45,9 @@ def measure(quick: bool) -> Result:
     """Learn, and judge after each iteration."""
     rig = load_rig()
     rows = iterations(rig, 3 if quick else CYCLES)
-    title = "Error of the realised harmonics after each iteration"
-    columns = {"iteration": "iteration", "median": "median [%]", "most": "largest [%]"}
-    note = (
-        f"{HZ:g} Hz, damping {100 * DAMPING:g} %, motors {100 * MISMATCH:g} % apart, "
-        f"accelerometers with {NOISE:g} m/s2 of noise every {1e3 * SAMPLE_S:g} ms. 1 to 3: "
-        "the calibration, x, y, theta; then the same with other phases, believed by 0.3."
-    )
-    return Result([Table("learning", title, columns, rows, note)])
+    facts = {"hz": HZ, "damping": 100 * DAMPING, "mismatch": 100 * MISMATCH, "noise": NOISE}
+    facts |= {"sample": 1e3 * SAMPLE_S, "trust": TRUST}
+    return Result([Table.of("learning", rows, **facts)])
 
 
 def hung(rig: Rig, frequency: float = HZ) -> Rig:

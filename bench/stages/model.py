@@ -140,16 +140,7 @@ def measure(quick: bool) -> Result:
     for kind in KINDS:
         for count in COUNTS[::2] if quick else COUNTS:
             rows += scene_rows(Scene.of(kind, count), 0.1 if quick else 1.0)
-    columns = {
-        "scene": "scene", "parts": "parts", "method": "method", "cpu_ms": "core [ms/cycle]",
-        "error_um": "error [um]",
-    }  # fmt: skip
-    note = (
-        "Error: root mean square over the parts after one cycle. The judge's points never turn nor "
-        "meet, and pymunk's parts do not turn with the plate: so they err where parts do."
-    )
-    title = "What a plate cycle costs, by what the scene has"
-    return Result([Table("model", title, columns, rows, note)], missing(PYMUNK))
+    return Result([Table.of("model", rows)], missing(PYMUNK))
 
 
 def scene_rows(scene: Scene, seconds: float) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, timed
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
 from plate_solver import (
@@ -51,20 +51,7 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     cases = {2: 2, 10: 1} if quick else CASES
     rows = [row for parts, count in cases.items() for row in rows_of(rig, parts, count)]
-    title = f"Random drifts up to {1e3 * DRIFT:g} mm/s along each axis, from a cold start"
-    columns = {
-        "parts": "parts M", "method": "method", "option": "option",
-        "default": "default", "median_ms": "median [ms]", "p99_ms": "99 % [ms]",
-        "missed_percent": "missed, RMS [%]", "worst_percent": "worst request [%]",
-        "runs": "requests",
-    }  # fmt: skip
-    note = (
-        "Missed: root mean square of asked minus simulated drift, over asked. Paper's map: "
-        "a force that would move a part from rest by what is asked, met on the averages "
-        "(5). scipy: least_squares(method='trf'), Method B's unknowns, prediction, limits "
-        "and most iterations."
-    )
-    return Result([Table("options", title, columns, rows, note)])
+    return Result([Table.of("options", rows, drift=1e3 * DRIFT)])
 
 
 def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
@@ -76,9 +63,8 @@ def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
     found: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in runners}
     for goal in goals:
         for key, run in runners.items():
-            began = cpu_time()
-            cycle = run(goal)
-            found[key].append((1e3 * (cpu_time() - began), miss(rig, goal, cycle)))
+            cycle, seconds = timed(run, goal)
+            found[key].append((1e3 * seconds, miss(rig, goal, cycle)))
     rows = []
     for (method, option), pairs in found.items():
         ms, missed = np.array(pairs[1:]).T

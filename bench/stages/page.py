@@ -12,8 +12,6 @@ import asyncio
 import json
 import multiprocessing
 import signal
-import socket
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,24 +20,31 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from graph.hops import Hops
+from graph.proc import cpu_s
+from graph.series import one_task
+from graph.session import session
+from page_flood import connect
 
-from harness import ROOT, Result, Table
-
-sys.path.append(str(ROOT / "tools"))
+from harness import Result, Table
+from plate_bringup import RunOptions
 
 ROUNDS, QUICK_ROUNDS = 2, 1
 SCENARIO = "sort_10"
 TASK_S, QUICK_S = 30.0, 4.0
 """A task is broken off after that long [s]."""
 
+HANGS = -1
+"""In place of a number: one browser that reads nothing."""
+
 CONDITIONS = {
     "no page": None,
     "no browser": 0,
     "1 browser": 1,
     "10 browsers": 10,
-    "1 that hangs": -1,
+    "1 that hangs": HANGS,
 }
-"""Number of browsers; -1: one that reads nothing."""
+"""Number of browsers."""
 
 
 def measure(quick: bool) -> Result:
@@ -47,14 +52,8 @@ def measure(quick: bool) -> Result:
     with TemporaryDirectory() as logs:
         found, shares = measured(quick, Path(logs))
     rows = [row(name, found[name], shares[name]) for name in CONDITIONS]
-    columns = {
-        "browsers": "who looks on", "median": "median [ms]", "p99": "99 % [ms]",
-        "ratio": "ratio of medians", "held": "repeated cycles", "late": "late cycles",
-        "images": "images", "cpu": "page: share of a core [%]",
-    }  # fmt: skip
     compared = [{**r, "ratio": r["median"] / rows[0]["median"]} for r in rows]
-    title = f"Scenario {SCENARIO}, image to setpoints, by who looks on"
-    return Result([Table("page", title, columns, compared)])
+    return Result([Table.of("page", compared, scenario=SCENARIO)])
 
 
 def row(name: str, tasks: list[Any], share: list[float]) -> dict[str, Any]:
@@ -70,12 +69,6 @@ def row(name: str, tasks: list[Any], share: list[float]) -> dict[str, Any]:
 
 def measured(quick: bool, logs: Path) -> tuple[dict[str, list[Any]], dict[str, list[float]]]:
     """Return tasks and the page's shares of a core by condition."""
-    from graph.hops import Hops
-    from graph.series import cpu_s, one_task
-    from graph.session import session
-
-    from plate_bringup import RunOptions
-
     options = RunOptions(scenario=SCENARIO, autostart=False, view=True)
     found: dict[str, list[Any]] = {name: [] for name in CONDITIONS}
     shares: dict[str, list[float]] = {name: [] for name in CONDITIONS}
@@ -104,11 +97,7 @@ def measured(quick: bool, logs: Path) -> tuple[dict[str, list[Any]], dict[str, l
 
 @contextmanager
 def browsers(url: str, count: int) -> Iterator[None]:
-    """Look on with so many browsers; -1: one that reads nothing."""
-    if count < 0:
-        with hung(url):
-            yield
-        return
+    """Look on with so many browsers."""
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=look_on, args=(url, count), daemon=True)
     process.start()
@@ -121,33 +110,17 @@ def browsers(url: str, count: int) -> Iterator[None]:
 
 
 def look_on(url: str, count: int) -> None:
-    """Read all that the page sends to so many browsers."""
-
-    from page_flood import connect
+    """Read all that the page sends to so many browsers; or nothing of what it sends to one."""
 
     async def read() -> None:
         connection = await connect(url)
         await connection.write_message(json.dumps({"do": "watch", "image": True, "field": True}))
+        if count == HANGS:
+            await asyncio.Event().wait()
         while await connection.read_message() is not None:
             pass
 
     async def all_of_them() -> None:
-        await asyncio.gather(*(read() for _ in range(count)))
+        await asyncio.gather(*(read() for _ in range(abs(count))))
 
     asyncio.run(all_of_them())
-
-
-@contextmanager
-def hung(url: str) -> Iterator[None]:
-    """Ask for everything, and read nothing."""
-    port = int(url.rstrip("/").rsplit(":", 1)[1])
-    lines = (
-        "GET /socket HTTP/1.1", f"Host: 127.0.0.1:{port}", f"Origin: http://127.0.0.1:{port}",
-        "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
-        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "", "",
-    )  # fmt: skip
-    watch = json.dumps({"do": "watch", "image": True, "field": True}).encode()
-    with socket.create_connection(("127.0.0.1", port)) as line:
-        line.sendall("\r\n".join(lines).encode())
-        line.sendall(bytes([0x81, 0x80 | len(watch), 0, 0, 0, 0]) + watch)  # masked with zeros
-        yield

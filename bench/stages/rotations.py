@@ -42,16 +42,8 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     count = 6 if quick else 40
     rows = force_rows(rig, count) + realised_rows(rig, 4 if quick else count)
-    title = f"Forces at {PARTS} random parts, and time of the linear problem"
-    columns = {"value": "value [mu mg or ms]", "case": "case", "label": "label", "ours": "ours"}
-    rows = rows + time_rows(rig, 0.2 if quick else 3.0)
-    note = (
-        f"Forces: 10 % quantile of {count} trials, guaranteed before realisation: turning "
-        "takes no time. The paper's way: 24 centres, SVD. Realised: in closed motions of "
-        f"0.2 s within the limits, Gamma = {rig.gamma:.1f}, the largest of 8 shares of the "
-        "guaranteed force that `solve` meets to 1e-3, by the exact average of its motion."
-    )
-    return Result([Table("rotations", title, columns, rows, note)])
+    rows += time_rows(rig, 0.2 if quick else 3.0)
+    return Result([Table.of("rotations", rows, parts=PARTS, count=count, gamma=rig.gamma)])
 
 
 def row(case: str, label: str, value: float, ours: bool) -> dict[str, Any]:

@@ -66,21 +66,36 @@ class Scene:
         return np.asarray(run.position[-1] - self.position)
 
 
+def wave_cycle(
+    frequency: float, speed: np.ndarray, overtone: float = 0.5, late: np.ndarray | float = 0.0
+) -> PlateCycle:
+    """Return a motion whose velocity is a sine with an overtone of twice its frequency.
+
+    Parameters
+    ----------
+    frequency : float
+        [Hz].
+    speed : (3,)
+        Of the plate along x, y and about its centre: u = speed (sin w t + overtone cos 2 w t).
+    late : (3,) or float
+        Phases by which they come later [rad].
+    """
+    w, wt = 2 * np.pi * frequency, 2 * np.pi * np.arange(256)[:, None] / 256 - late
+    pose = speed / w * (-np.cos(wt) + 0.5 * overtone * np.sin(2 * wt))
+    twist = speed * (np.sin(wt) + overtone * np.cos(2 * wt))
+    accel = speed * w * (np.cos(wt) - 2 * overtone * np.sin(2 * wt))
+    return PlateCycle.from_samples(1 / frequency, pose, twist, accel)
+
+
 def exact_cycle(gamma: float, spin: float = 0.0) -> PlateCycle:
     """Return the exact scene's motion with peak acceleration gamma mu g.
 
     With `spin`, theta' follows the same wave a quarter of a cycle later.
     """
-    w = 2 * np.pi * FREQUENCY
     phase = np.linspace(0, 2 * np.pi, 20001)
-    speed = gamma * MU_G / w / np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
-    pose, twist, accel = np.zeros((3, 256, 3))
-    for axis, size, late in ((0, speed, 0.0), (2, speed * spin, 0.5 * np.pi)):
-        wt = 2 * np.pi * np.arange(256) / 256 - late
-        pose[:, axis] = size / w * (-np.cos(wt) + 0.25 * np.sin(2 * wt))
-        twist[:, axis] = size * (np.sin(wt) + 0.5 * np.cos(2 * wt))
-        accel[:, axis] = size * w * (np.cos(wt) - np.sin(2 * wt))
-    return PlateCycle.from_samples(1 / FREQUENCY, pose, twist, accel)
+    most = np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
+    speed = gamma * MU_G / (2 * np.pi * FREQUENCY) / most * np.array([1.0, 0.0, spin])
+    return wave_cycle(FREQUENCY, speed, late=np.array([0.0, 0.0, 0.5 * np.pi]))
 
 
 def alike(gamma: float, count: int) -> Scene:

@@ -5,15 +5,15 @@ Nothing is known of the parts; the plate was seen bare before. The scenes: `host
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, paired, places, timed
 from plate_vision import calibrate_by_scale, find_types
 from plate_vision.shapes import GROUP, UNKNOWN, Patch, find_patches, make_catalogue
 from stages.hostile import (
@@ -46,37 +46,26 @@ SEEN = np.dtype([("x_px", "f8"), ("y_px", "f8"), ("label", "U32"), ("whole", "?"
 """What is read of a sighting; the label is empty if the method knows no types."""
 
 
-@dataclass
-class Tally:
-    """What was found in the scenes of one kind."""
+Tally = dict[str, list[Any]]
+"""What was found in some scenes. `hit`: of each part that lies wholly in the image whether it was
+found; `true`: of each thing found that counts whether it is such a part; `label`, `name`, `gap_px`:
+of each such part that was found what it was called, what it is, and how far it is off."""
 
-    true: int = 0
-    found: int = 0
-    false: int = 0
-    wrong: int = 0
-    unknown: int = 0
-    errors: list[float] = field(default_factory=list)
 
-    def add(self, seen: np.ndarray, parts: list[Part]) -> None:
-        """Count one scene: pairs of sightings (n,) SEEN and parts, nearest first."""
-        centres = np.array([part.middle_px for part in parts]).reshape(-1, 2)
-        inside = np.array([seen_whole(part) for part in parts], bool)
-        used = np.zeros(len(parts), bool)
-        gaps = np.hypot(
-            seen["x_px"][:, None] - centres[:, 0], seen["y_px"][:, None] - centres[:, 1]
-        )
-        free = seen["label"] != GROUP
-        for k, i in zip(*np.unravel_index(np.argsort(gaps, axis=None), gaps.shape), strict=True):
-            part = parts[i]
-            if free[k] and not used[i] and gaps[k, i] <= REACH * part.radius_px:
-                used[i], free[k] = True, False
-                if inside[i]:
-                    self.errors.append(float(gaps[k, i]))
-                    self.unknown += bool(seen["label"][k] == UNKNOWN)
-                    self.wrong += seen["label"][k] not in ("", UNKNOWN, part.kind.name)
-        self.true += int(np.sum(inside))
-        self.found += int(np.sum(used & inside))
-        self.false += int(np.sum(free & seen["whole"]))
+def add(tally: Tally, seen: np.ndarray, parts: list[Part]) -> None:
+    """Count one scene: sightings (n,) SEEN and parts."""
+    seen = seen[seen["label"] != GROUP]
+    centres = np.array([part.middle_px for part in parts]).reshape(-1, 2)
+    reach = REACH * np.array([part.radius_px for part in parts])
+    i, j, gaps = paired(places(seen), centres, reach)
+    inside = np.array([seen_whole(part) for part in parts], bool)
+    hit = np.isin(np.arange(len(parts)), j)[inside]
+    whole = inside[j]
+    tally["hit"] += hit.tolist()
+    tally["true"] += hit[hit].tolist() + [False] * int(np.sum(np.delete(seen["whole"], i)))
+    tally["label"] += seen["label"][i][whole].tolist()
+    tally["name"] += [parts[k].kind.name for k in j[whole]]
+    tally["gap_px"] += gaps[whole].tolist()
 
 
 def measure(quick: bool) -> Result:
@@ -84,27 +73,8 @@ def measure(quick: bool) -> Result:
     cv2.setNumThreads(1)
     count = QUICK_SCENES if quick else SCENES
     rows = [row for kind in kinds() for row in kind_rows(kind, count)]
-    title = (
-        f"{PARTS} parts of any outline in hostile scenes, {SIZE_PX[0]} x {SIZE_PX[1]} px, "
-        "the bare plate known"
-    )
-    columns = {
-        "kind": "scenes", "method": "method", "true": "parts",
-        "recall_percent": "recall [%]", "precision_percent": "precision [%]",
-        "wrong": "wrong type", "unknown": "unknown",
-        "rms_px": "centre RMS [px]",
-        "ms": "median [ms]",
-    }  # fmt: skip
-    note = (
-        f"{OURS} knows nothing of the parts, {TAUGHT} all nine types of the file, sharp. "
-        "Found: a whole patch, not called a group, within half a radius (of the disc of "
-        "the part's area) of a true centre, one to one. Patches said to hold several "
-        "parts are neither found nor false. Parts cut by the image's border count "
-        "neither as true nor as false. Times of the core. Thresholds were chosen on other "
-        "scenes, three of each kind."
-    )
     told = [sentence(rows, name) for name in METHODS]
-    return Result([Table("shapes", title, columns, rows, note)], told)
+    return Result([Table.of("shapes", rows, parts=PARTS, size=SIZE_PX)], told)
 
 
 def sentence(rows: list[dict[str, Any]], method: str) -> str:
@@ -126,7 +96,7 @@ def sentence(rows: list[dict[str, Any]], method: str) -> str:
 def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
     """Measure ours, with and without types, and their peer in scenes of one kind."""
     catalogue, calibration = make_catalogue(all_types()), calibrate_by_scale(SCALE_PX_M)
-    tallies = {name: Tally() for name in METHODS}
+    tallies: dict[str, Tally] = {name: defaultdict(list) for name in METHODS}
     times: dict[str, list[float]] = {name: [] for name in tallies}
     for learned, image, parts in scenes(kind, range(FIRST, FIRST + count)):
         background = learned.followed(image)
@@ -137,26 +107,22 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
         for name, find in finders.items():
             if not times[name]:
                 find()  # warms up
-            began = cpu_time()
-            found = find()
-            times[name].append(cpu_time() - began)
-            tallies[name].add(as_seen(found), parts)
+            found, seconds = timed(find)
+            times[name].append(seconds)
+            add(tallies[name], as_seen(found), parts)
     rows = []
     for name, tally in tallies.items():
-        errors = np.array(tally.errors)
-        rows.append(
-            {
-                "kind": kind.name,
-                "method": name,
-                "true": tally.true,
-                "recall_percent": 100 * tally.found / max(tally.true, 1),
-                "precision_percent": 100 * tally.found / max(tally.found + tally.false, 1),
-                "wrong": tally.wrong if name == TAUGHT else None,
-                "unknown": tally.unknown if name == TAUGHT else None,
-                "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
-                "ms": 1e3 * float(np.median(times[name])),
-            }
-        )
+        gaps = np.array(tally["gap_px"])
+        unlike = [a for a, b in zip(tally["label"], tally["name"], strict=True) if a != b]
+        rows.append({
+            "kind": kind.name, "method": name, "true": len(tally["hit"]),
+            "recall_percent": 100 * sum(tally["hit"]) / max(len(tally["hit"]), 1),
+            "precision_percent": 100 * sum(tally["true"]) / max(len(tally["true"]), 1),
+            "wrong": len(unlike) - unlike.count(UNKNOWN) if name == TAUGHT else None,
+            "unknown": unlike.count(UNKNOWN) if name == TAUGHT else None,
+            "rms_px": float(np.sqrt(np.mean(gaps**2))) if len(gaps) else None,
+            "ms": 1e3 * float(np.median(times[name])),
+        })  # fmt: skip
     return rows
 
 

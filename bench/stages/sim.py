@@ -17,7 +17,7 @@ from plate_sim.world import STEP
 from stages.mujoco_scene import MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, all_ways
-from stages.tray import tray_table
+from stages.tray import tray_rows
 
 EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
 """Methods: our judge, our model of parts, and the peers."""
@@ -40,26 +40,13 @@ SPACING_M = 0.02
 
 def measure(quick: bool) -> Result:
     """Measure error by setting, speed at the peer's error, colliding discs, and cost."""
-    error = Table(
-        "error", "Error of one part's travel after 1 s, and speed",
-        {"method": "method", "gamma": "peak accel / mu g", "setting": "setting",
-         "error_mm": "error [mm]", "error_percent": "error [%]", "speed": "simulated s per s"},
-        error_rows(quick),
-        "In steps: root mean square over neighbouring steps, as the error of a single one depends "
-        "on where the steps fall.",
-    )  # fmt: skip
-    speed = Table(
-        "speed", f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
-        {"parts": "parts", "lead": "times as fast as pymunk"},
-        speed_rows(quick), "Error: root mean square over the parts.",
-    )  # fmt: skip
-    cost = Table(
-        "cost", "Cost by number of parts, 20 mu g, default settings",
-        {"parts": "parts", EVENTS: "by events [s/s]", STEPS: "in steps [s/s]",
-         PYMUNK: "pymunk, 1 ms [s/s]"},
-        cost_rows(quick), f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
-    )  # fmt: skip
-    return Result([error, speed, cost, tray_table(quick)], missing(PYMUNK, "mujoco"))
+    tables = [
+        Table.of("error", error_rows(quick)),
+        Table.of("speed", speed_rows(quick), step=PEER_STEP_MS),
+        Table.of("cost", cost_rows(quick), step=1e3 * STEP),
+        Table.of("discs", tray_rows(quick)),
+    ]
+    return Result(tables, missing(PYMUNK, "mujoco"))
 
 
 def rms(values: Any) -> float:

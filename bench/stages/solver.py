@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from harness import Result, cpu_time
+from harness import Result, timed
 from plate_core import Rig, load_rig
 from plate_solver import Limits, RotationSolver, SinusoidSolver
 from plate_solver.maps import step_force_gradient, step_forces
@@ -71,9 +71,7 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
         for method, solver in ((OURS, ours), (PEER, peer), (ROTATIONS, rotations)):
             if method == ROTATIONS and index and index % ROTATION_SHARE != 1:
                 continue
-            began = cpu_time()
-            answer = solver.solve(position, force)
-            seconds = cpu_time() - began
+            answer, seconds = timed(solver.solve, position, force)
             if not index:  # the first one warms up
                 continue
             t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, timed
 from plate_bringup.loop import Moment, Setup, run
 from plate_core import PlateCycle, Rig, load_rig, part_class
 from plate_core.tasks import Scenario
@@ -29,14 +29,7 @@ IMAGES = 40
 FIRST = 4
 """Images that are not counted: the parts are not known yet, or something is made only once."""
 
-STAGES = {
-    "camera": "camera (simulated)",
-    "vision": "vision",
-    "planner": "planner",
-    "solver": "solver",
-    "driver": "driver",
-    "simulator": "simulator",
-}
+STAGES = ("camera", "vision", "planner", "solver", "driver", "simulator")
 
 
 def measure(quick: bool) -> Result:
@@ -47,17 +40,7 @@ def measure(quick: bool) -> Result:
         scenario = sorting(parts)
         moments = list(islice(run(Setup(scenario), rig), 15 if quick else IMAGES))
         rows.append(stages_row(rig, scenario, moments))
-    title = "Median time for one image, parts to be sorted, method sinusoids"
-    columns = {
-        "parts": "parts M",
-        **{name: f"{label} [ms]" for name, label in STAGES.items()},
-        "answer": "image to setpoints [ms]", "period": "cycle [ms]",
-    }  # fmt: skip
-    note = (
-        "Cores only, no ROS; the first images of a sort, when all parts move. Image to "
-        "setpoints: vision, planner, solver and driver; it has to fit into one cycle."
-    )
-    return Result([Table("stages", title, columns, rows, note)])
+    return Result([Table.of("stages", rows)])
 
 
 def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str, Any]:
@@ -69,21 +52,20 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
     rng = np.random.default_rng(0)
     seconds: dict[str, list[float]] = {name: [] for name in STAGES}
 
-    def timed(stage: str, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-        began = cpu_time()
-        result = call(*arguments, **named)
-        seconds[stage].append(cpu_time() - began)
+    def run_stage(stage: str, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        result, spent = timed(call, *arguments, **named)
+        seconds[stage].append(spent)
         return result
 
     running = PlateCycle.rest(0.1)
     for moment in moments:
         world, now = moment.world, round(moment.time * 1e9)
-        timed("camera", camera.render, world.position, grey, rng, world.velocity)
-        tracker = timed("vision", observe, vision, tracker, moment.image, moment.time)
-        state, _, _ = timed("planner", planner.plan, state, tracker.parts, moment.time)
-        answer = timed("solver", controller.answer, moment.wanted, running)
-        table, _ = timed("driver", prepare, rig, answer.cycle, now, before=running)
-        timed("simulator", run_cycle, world, running, rig)
+        run_stage("camera", camera.render, world.position, grey, rng, world.velocity)
+        tracker = run_stage("vision", observe, vision, tracker, moment.image, moment.time)
+        state, _, _ = run_stage("planner", planner.plan, state, tracker.parts, moment.time)
+        answer = run_stage("solver", controller.answer, moment.wanted, running)
+        table, _ = run_stage("driver", prepare, rig, answer.cycle, now, before=running)
+        run_stage("simulator", run_cycle, world, running, rig)
         running = table.cycle
     medians = {name: 1e3 * float(np.median(seconds[name][FIRST:])) for name in STAGES}
     return {

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import Result, Table, cpu_time
+from harness import Result, Table, timed
 from plate_core import Parts, PlateCycle, Rig, Wanted, load_rig
 from plate_sim import simulate
 from plate_solver import Controller
@@ -37,22 +37,7 @@ def measure(quick: bool) -> Result:
         controller = Controller(rig, method)
         for parts in (2, 10) if quick else PARTS:
             rows.append(scenes_row(rig, controller, parts, 2 if quick else SCENES))
-    title = f"Random steady drifts up to {1e3 * DRIFT:g} mm/s along each axis"
-    columns = {
-        "method": "method", "parts": "parts M", "period_s": "period [s]",
-        "cold_ms": "cold, median [ms]", "cold_p99_ms": "cold, 99 % [ms]",
-        "cold_percent": "cold, missed [%]", "warm_ms": "warm, median [ms]",
-        "warm_p99_ms": "warm, 99 % [ms]", "missed_percent": "warm, missed [%]",
-        "predicted_percent": "predicted miss [%]", "met_percent": "cycles met [%]",
-    }  # fmt: skip
-    note = (
-        "Missed: root mean square of asked minus simulated displacement, over asked; "
-        "cold: the first cycle of a scene, warm: the others. "
-        "Predicted: as the solver's own map has it. "
-        f"Met: less than {100 * GOOD:g} % missed in a cycle. No peer is known that solves "
-        "this problem."
-    )
-    return Result([Table("steering", title, columns, rows, note)])
+    return Result([Table.of("steering", rows, drift=1e3 * DRIFT, good=100 * GOOD)])
 
 
 def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict[str, Any]:
@@ -102,15 +87,15 @@ def scene(
     milliseconds, missed, predicted, asked = [], [], [], []
     ids = tuple(f"black_{i}" for i in range(len(position)))
     for number in range(CYCLES + 1):
-        began = cpu_time()
-        answer = controller.answer(Wanted.make(Parts.make(ids, position, drift)), running)
-        milliseconds.append(1e3 * (cpu_time() - began))
+        wanted = Wanted.make(Parts.make(ids, position, drift))
+        answer, seconds = timed(controller.answer, wanted, running)
+        milliseconds.append(1e3 * seconds)
         run = simulate(running, position, velocity, rig.friction.mu, rig.friction.gravity)
         if number:
-            wanted = drift * running.period
-            error = wanted - (run.position[-1] - position)
+            way = drift * running.period
+            error = way - (run.position[-1] - position)
             missed.append(float(np.sqrt(np.mean(error**2))))
-            asked.append(float(np.sqrt(np.mean(wanted**2))))
+            asked.append(float(np.sqrt(np.mean(way**2))))
         if number < CYCLES:
             predicted.append(answer.error_m)
         position, velocity, running = run.position[-1], run.velocity[-1], answer.cycle

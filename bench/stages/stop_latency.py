@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import queue
-import signal
-import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rclpy
+from graph.domains import own_domain
+from graph.hops import Listener
+from graph.processes import ONE_PROCESS, Processes
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from harness import Result, Table
+from plate_bringup import RunOptions, load_graph
+from plate_client import PlateClient
 from plate_core.driver_status import DriverState
+from plate_core.ros import DATA, LATCHED, cycle_to_msg, to_time
 from plate_core.serial_protocol import Reader, Stop, parse
 from plate_core.tasks import load_scenario
+from plate_interfaces.msg import DriverStatus
 from stages.device import PERIOD_S, device, shaking
+
+NODES = ("simulator", "detector", "planner", "solver", "driver")
+"""Of the whole graph; the simulator follows the setpoints that the driver publishes."""
 
 LONGEST_MS = 50.0
 """From call to wire, at most."""
@@ -60,7 +69,6 @@ data = serialize_message(JointTrajectory(joint_names=["x", "y", "theta"], points
 rclpy.init()
 node = rclpy.create_node("flood")
 publisher = node.create_publisher(JointTrajectory, "plate_cycle", DATA)
-print("ready", flush=True)
 while True:
     publisher.publish(data)
     time.sleep(pause)
@@ -68,60 +76,30 @@ while True:
 
 BUSY = "while True: sum(range(100000))"
 
-GRAPH = ("plate_sim", "plate_vision", "plate_planner", "plate_solver")
-"""The other nodes; the simulator follows the setpoints that the driver publishes."""
-
 CONDITIONS: dict[str, dict[str, Any]] = {
     "cycles each 200 ms": {},
     "the whole graph, sorting ten parts": {"graph": True},
     "the same in one process": {"graph": True, "one_process": True},
     "20,000 points, again and again": {"points": 20_000, "pause_s": 0.02},
     "1,000,000 points, again and again": {"points": 1_000_000, "pause_s": 0.2},
-    "clock that stands still": {"parameters": ["use_sim_time:=true"]},
+    "clock that stands still": {"simulated_time": True},
     "cycles each 5 ms, queues full": {"period_s": 0.005},
     "two programs that take all cores": {"busy": 2},
     "all at once": {"points": 1_000_000, "pause_s": 0.2, "period_s": 0.005, "busy": 2,
-                    "parameters": ["use_sim_time:=true"]},
+                    "simulated_time": True},
 }  # fmt: skip
 
 
-@contextmanager
-def program(*words: str, wait: bool = False) -> Iterator[None]:
-    """Run a Python program beside ours."""
-    process = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True)
-    try:
-        if wait and process.stdout is not None:
-            process.stdout.readline()
-        yield
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
-
-
-class Bench:
+class Bench(Listener):
     """A node that enables, plays and stops."""
 
     def __init__(self, period_s: float | None) -> None:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-        from std_srvs.srv import SetBool, Trigger
-        from trajectory_msgs.msg import JointTrajectory
-
-        from plate_client import PlateClient
-        from plate_core.ros import DATA, LATCHED, cycle_to_msg, to_time
-        from plate_interfaces.msg import DriverStatus
-
-        self.node = rclpy.create_node("stop_latency")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
+        super().__init__("stop_latency")
         self.state: int | None = None
         self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
         self.stop = self.node.create_client(Trigger, "emergency_stop")
         self.enable = self.node.create_client(SetBool, "enable")
         self.plate = PlateClient(self.node, self.until)
-        self.kinds = Trigger, SetBool
         if period_s is not None:  # else the solver alone publishes cycles
             cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
             table = shaking(64, 5e-4)
@@ -130,10 +108,8 @@ class Bench:
                 cycles.publish(cycle_to_msg(table.cycle, to_time(time.time_ns())))
 
             self.node.create_timer(period_s, send)
-        self._thread = threading.Thread(target=self.executor.spin, daemon=True)
-        self._thread.start()
 
-    def _on_status(self, msg: Any) -> None:
+    def _on_status(self, msg: DriverStatus) -> None:
         self.state = msg.state
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
@@ -143,62 +119,51 @@ class Bench:
             time.sleep(0.005)
         return condition()
 
-    def call(self, client: Any, request: Any, seconds: float = 20.0) -> Any:
-        """Call a service; None if there is no answer."""
-        future = client.call_async(request)
-        return future.result() if self.until(future.done, seconds) else None
+    def is_enabled(self) -> bool:
+        """Enable, and wait until the driver is ready."""
+        future = self.enable.call_async(SetBool.Request(data=True))
+        answered = self.until(future.done, 20.0) and future.result().success
+        return answered and self.until(lambda: self.state == DriverState.READY, 10.0)
 
     def begin_task(self) -> None:
         """Start a task, as soon as the planner takes it."""
         self.until(lambda: self.plate.found("sort_parts"), START_S)
         self.plate.start(load_scenario("sort_10"), START_S)
 
-    def close(self) -> None:
-        """End."""
-        self.executor.shutdown()
-        self._thread.join(5)
-        self.node.destroy_node()
-
 
 def latencies(
-    count: int, points: int = 0, pause_s: float = 0.1, period_s: float = PERIOD_S, busy: int = 0,
-    parameters: list[str] | None = None, graph: bool = False, one_process: bool = False,
+    count: int, domain: int, points: int = 0, pause_s: float = 0.1, period_s: float = PERIOD_S,
+    busy: int = 0, graph: bool = False, **options: Any,
 ) -> list[tuple[float, float]]:  # fmt: skip
     """Return the times [ms] from the call of emergency_stop to the frame, at most and at least."""
     context = multiprocessing.get_context("spawn")
     ready, done, stops = context.Event(), context.Event(), context.Queue()
     found: list[tuple[float, float]] = []
-    package = "plate_bringup.one_process" if one_process else "plate_driver.node"
-    driver = f"from {package} import main; main()"
+    nodes = [node for node in load_graph() if node.name in (NODES if graph else NODES[-1:])]
+    others = {f"busy_{k}": [sys.executable, "-c", BUSY] for k in range(busy)}
+    if points:
+        others["flood"] = [sys.executable, "-c", FLOOD, str(points), str(pause_s)]
+    # The planner is to hear of the cycles that the device begins, not of the simulator's.
+    unheard = dict.fromkeys((ONE_PROCESS, "simulator"), ("simulator:cycle_started", "unheard"))
     with tempfile.TemporaryDirectory() as folder:
         link = str(Path(folder) / "port")
         process = context.Process(target=serve, args=(link, ready, done, stops), daemon=True)
         process.start()
         ready.wait(START_S)
-        words = ["driver:transport:=serial", f"driver:port:={link}", *(parameters or [])]
-        # The planner is to hear of the cycles that the device begins, not of the simulator's.
-        unheard = "simulator:cycle_started:=simulated_start"
-        alone = ["--ros-args", "--log-level", "fatal", "-r", unheard]
-        arguments = [*alone, *(word for given in words for word in ("-p", given))]
-        bench = Bench(None if graph else period_s)
+        run = RunOptions(transport="serial", port=link, hardware=True, **options)
         try:
-            with program("-c", driver, *arguments):
+            with (
+                Processes(nodes, run, Path(folder), domain, remaps=unheard) as processes,
+                Bench(None if graph else period_s) as bench,
+            ):
                 bench.until(lambda: bench.state == DriverState.DISABLED, START_S)
                 for client in (bench.stop, bench.enable):
                     client.wait_for_service(START_S)
-                with ExitStack() as stack:
-                    for package in GRAPH if graph and not one_process else ():
-                        main = f"from {package}.node import main; main()"
-                        stack.enter_context(program("-c", main, *alone))
-                    for _ in range(busy):
-                        stack.enter_context(program("-c", BUSY))
-                    if points:
-                        flood = program("-c", FLOOD, str(points), str(pause_s), wait=True)
-                        stack.enter_context(flood)
-                    for number in range(count):
-                        found += one(bench, stops, number, graph)
+                processes.add(others)
+                bench.until(lambda: not points or "flood" in bench.node.get_node_names(), START_S)
+                for number in range(count):
+                    found += one(bench, stops, number, graph)
         finally:
-            bench.close()
             done.set()
             process.join(10)
     return found
@@ -207,10 +172,7 @@ def latencies(
 def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, float]]:
     """Enable, start a task if there is one, play for a while, stop; returns the time from call to
     wire [ms]."""
-    trigger, set_bool = bench.kinds
-    answer = bench.call(bench.enable, set_bool.Request(data=True))
-    ready = answer is not None and answer.success
-    if not (ready and bench.until(lambda: bench.state == DriverState.READY, 10.0)):
+    if not bench.is_enabled():
         return []
     if task:
         bench.begin_task()
@@ -219,7 +181,7 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
     while not stops.empty():
         stops.get()
     began = time.monotonic()
-    future = bench.stop.call_async(trigger.Request())
+    future = bench.stop.call_async(Trigger.Request())
     try:
         told, looked = stops.get(timeout=10.0)
     except queue.Empty:
@@ -231,30 +193,17 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
 
 def measure(quick: bool) -> Result:
     """Measure all conditions; quick: a few stops of each."""
-    import rclpy
-
-    os.environ["ROS_DOMAIN_ID"] = os.environ.get("ROS_DOMAIN_ID", "71")
-    rclpy.init()
     rows: list[dict[str, Any]] = []
-    try:
+    with ExitStack() as stack:
+        domain = stack.enter_context(own_domain())
+        rclpy.init(domain_id=domain)
+        stack.callback(rclpy.try_shutdown)
         for name, condition in CONDITIONS.items():
-            times = latencies(QUICK_STOPS if quick else STOPS, **condition)
+            times = latencies(QUICK_STOPS if quick else STOPS, domain, **condition)
             rows.append({
                 "condition": name, "stops": len(times),
                 "median_ms": float(np.median([most for most, _ in times])) if times else None,
                 "worst_ms": max((most for most, _ in times), default=None),
                 "least_ms": max((least for _, least in times), default=None),
             })  # fmt: skip
-    finally:
-        rclpy.try_shutdown()
-    title = "From the call of emergency_stop to the Stop frame on the wire"
-    columns = {
-        "condition": "while", "stops": "stops", "median_ms": "median [ms]",
-        "worst_ms": "worst [ms]", "least_ms": "of which surely [ms]",
-    }  # fmt: skip
-    note = (
-        "Over ROS, driver and device as processes of their own, the plate in motion. "
-        "Surely: until the judge's last look before, which waits for processors too. "
-        f"Allowed: {LONGEST_MS:g} ms."
-    )
-    return Result([Table("stops", title, columns, rows, note)])
+    return Result([Table.of("stops", rows, most=LONGEST_MS)])

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import LEAST_ROUNDS, Table, cpu_time, optional
+from harness import LEAST_ROUNDS, cpu_time, optional
 from plate_core import load_rig
 from plate_sim import BodyTrajectory, Contacts, simulate_bodies
 from plate_sim.friction import disc
@@ -105,21 +105,10 @@ def overlap(path: np.ndarray) -> float:
     return max(0.0, 2 * RADIUS - least, float(np.max(np.abs(path) - (HALF - RADIUS))))
 
 
-def tray_table(quick: bool) -> Table:
+def tray_rows(quick: bool) -> list[dict[str, Any]]:
     """Measure speed and overlap in the tray, by number of discs and step."""
-    columns = {
-        "parts": "parts", "method": "method", "step_ms": "step [ms]",
-        "speed": "simulated s per s", "overlap_um": "deepest overlap [um]",
-    }  # fmt: skip
     counts = (10, 100) if quick else GRIDS
-    rows = [row for count in counts for row in disc_rows(shaken(count), quick)]
-    note = (
-        "1 s; discs are thrown together and come to rest in heaps. Overlap: deepest at any step. "
-        "Pymunk with 10 iterations and a slop of 0.01 mm."
-    )
-    return Table(
-        "discs", "Colliding discs in a shaken tray: speed, and overlap", columns, rows, note
-    )
+    return [row for count in counts for row in disc_rows(shaken(count), quick)]
 
 
 def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:

@@ -87,23 +87,12 @@ PRESLIDING_M = 1e-6
 def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate what is left out."""
     there = [method for peer, method in PEERS if optional(peer)]
-    creep = Table(
-        "creep", "Drift in the plate of a part that friction holds",
-        {"method": "method", "step_ms": "step [ms]", **{one: f"{one} [um]" for one in RIDES}},
-        creep_rows([*OURS, *there], 0.5 if quick else CREEP_S),
-        f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and solimp.",
-    )  # fmt: skip
-    effects = Table(
-        "left_out", "What is not modelled, and how large it is", dict(zip(LEFT, LEFT, strict=True)),
-        left_out(load_rig()), "The default rig: `config/rig.yaml`.",
-    )  # fmt: skip
-    worlds = Table(
-        "worlds", "Tasks under laws of friction that the loop does not know",
-        {"world": "world", "scenario": "scenario", "runs": "runs", "good": "done",
-         "dropped": "parts lost", "time_s": "time, median [s]"},
-        world_rows(1 if quick else 3), "Seeds 0, 1, 2, Method B.",
-    )  # fmt: skip
-    return Result([creep, effects, worlds], missing("pymunk", "mujoco"))
+    tables = [
+        Table.of("creep", creep_rows([*OURS, *there], 0.5 if quick else CREEP_S), span=CREEP_S),
+        Table.of("left_out", left_out(load_rig())),
+        Table.of("worlds", world_rows(1 if quick else 3)),
+    ]
+    return Result(tables, missing("pymunk", "mujoco"))
 
 
 def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harness import Result, Table, cpu_time, missing, optional
+from harness import Result, Table, missing, optional, paired, timed
 from plate_core import Rig, load_rig
 from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
@@ -42,24 +42,8 @@ def measure(quick: bool) -> Result:
     finders = make_finders(rig)
     scenes = [(count, touching) for count in (10, 100) for touching in (False, True)]
     rows = [row for scene in scenes for row in scene_rows(rig, finders, *scene, quick)]
-    title = f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise"
-    columns = {
-        "discs": "discs", "place": "place", "method": "method",
-        "frames": "images", "loop_ms": "in a loop [ms]",
-        "turns_ms": "in turns [ms]", "loop_lead": "this / ours, in a loop",
-        "turns_lead": "this / ours, in turns",
-        "rms_px": "centre RMS [px]", "missed_percent": "missed [%]",
-        "false_percent": "false [%]",
-    }  # fmt: skip
-    note = (
-        "Found: within half a radius of a true centre, each once. Touching: groups of "
-        "three. The peers get the plate's outline and a fixed threshold between parts and "
-        "plate; ours fits the light itself and tells black from grey. Times of the core, "
-        "medians. In a loop: one method alone, image after image. In turns: all methods, "
-        "one after the other, with each image, so that each finds the caches full of "
-        "what the others left."
-    )
-    return Result([Table("vision", title, columns, rows, note)], missing("skimage"))
+    table = Table.of("vision", rows, width=rig.camera.width_px, height=rig.camera.height_px)
+    return Result([table], missing("skimage"))
 
 
 def make_finders(rig: Rig) -> dict[str, Finder]:
@@ -131,25 +115,22 @@ def scene_rows(
     """Measure all methods on the same images."""
     rng = np.random.default_rng(count + touching)
     camera, matrix = Camera(rig), homography(rig)
-    scale = (
-        float(np.linalg.norm(np.diff(project(matrix, np.array([[0, 0], [0.01, 0]])), axis=0)))
-        / 0.01
-    )
+    # A centimetre in the middle of the plate tells the scale.
+    centimetre = np.diff(project(matrix, np.array([[0, 0], [0.01, 0]])), axis=0)
+    reach = 0.5 * rig.parts.radius_m * float(np.linalg.norm(centimetre)) / 0.01
     images, truths = [], []
     for _ in range(3 if quick else FRAMES):
         position = layout(rig, count, touching, rng)
         grey = part_greys([("black", "grey")[i % 2] for i in range(count)])
         images.append(camera.render(position, grey, rng))
         truths.append(project(matrix, position))
-    loop, turns = timed(finders, images[:PEER_FRAMES], 1 if quick else ROUNDS)
+    loop, turns = times_of(finders, images[:PEER_FRAMES], 1 if quick else ROUNDS)
     rows = []
     for name, find in finders.items():
         frames = len(images) if name == OURS else min(PEER_FRAMES, len(images))
-        results = [
-            match(find(image), truth, 0.5 * rig.parts.radius_m * scale)
-            for image, truth in zip(images[:frames], truths[:frames], strict=True)
-        ]
-        errors = np.concatenate([r[0] for r in results])
+        found = [find(image) for image in images[:frames]]
+        pairs = [paired(*two, reach) for two in zip(found, truths[:frames], strict=True)]
+        errors = np.concatenate([gap for _, _, gap in pairs])
         true = count * frames
         rows.append(
             {
@@ -163,32 +144,26 @@ def scene_rows(
                 "turns_lead": float(np.median(turns[name] / turns[OURS])),
                 "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
                 "missed_percent": 100 * (1 - len(errors) / true),
-                "false_percent": 100 * sum(r[1] for r in results) / true,
+                "false_percent": 100 * (sum(map(len, found)) - len(errors)) / true,
             }
         )
     return rows
 
 
-def timed(
+def times_of(
     finders: dict[str, Finder], images: list[np.ndarray], rounds: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return the times (rounds, images) [s] of every method: in a loop of its own, and in turns
     with the others."""
-
-    def seconds(find: Finder, image: np.ndarray) -> float:
-        began = cpu_time()
-        find(image)
-        return cpu_time() - began
-
     loop = {name: np.empty((rounds, len(images))) for name in finders}
     turns = {name: np.empty((rounds, len(images))) for name in finders}
     for k in range(rounds):
         for name, find in finders.items():
             find(images[0])
-            loop[name][k] = [seconds(find, image) for image in images]
+            loop[name][k] = [timed(find, image)[1] for image in images]
         for i, image in enumerate(images):
             for name, find in finders.items():
-                turns[name][k, i] = seconds(find, image)
+                turns[name][k, i] = timed(find, image)[1]
     return loop, turns
 
 
@@ -206,20 +181,3 @@ def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np
     angle = rng.uniform(0, 2 * np.pi, len(centre))[:, None] + 2 * np.pi / 3 * np.arange(3)
     ray = 2 * radius / np.sqrt(3) * np.stack([np.cos(angle), np.sin(angle)], axis=2)
     return (centre[:, None] + ray).reshape(-1, 2)[:count]
-
-
-def match(found: np.ndarray, truth: np.ndarray, reach: float) -> tuple[np.ndarray, int]:
-    """Pair centres (n, 2) with true ones (M, 2) [px], nearest first; errors [px] and false ones."""
-    if not len(found):
-        return np.zeros(0), 0
-    distance = np.linalg.norm(found[:, None] - truth, axis=2)
-    errors, used_found, used_true = [], set(), set()
-    for flat in np.argsort(distance, axis=None):
-        i, j = divmod(int(flat), len(truth))
-        if distance[i, j] > reach:
-            break
-        if i not in used_found and j not in used_true:
-            errors.append(distance[i, j])
-            used_found.add(i)
-            used_true.add(j)
-    return np.array(errors), len(found) - len(errors)

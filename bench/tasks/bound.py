@@ -45,13 +45,6 @@ SETTLED, FINE = 20, 1000
 SEEDS = range(50_000, 50_005)
 """Of the closed loop."""
 
-COLUMNS = {
-    "parts": "parts", "period_s": "cycle [s]", "rest_mm_s": "found, plate at rest between [mm/s]",
-    "free_mm_s": "found, without rest [mm/s]", "solver": "the solver's cycle",
-    "loop_mm_s": "closed loop [mm/s]", "accel_mm_s": "bound of acceleration [mm/s]",
-    "stroke_mm_s": "bound of stroke [mm/s]",
-}  # fmt: skip
-
 
 def measure(quick: bool) -> Result:
     """Search for all numbers of parts and lengths of a cycle, and run the loop."""
@@ -84,15 +77,8 @@ def measure(quick: bool) -> Result:
                     "accel_mm_s": 1e3 * bounds.accel, "stroke_mm_s": 1e3 * bounds.stroke,
                 }
             )  # fmt: skip
-    note = (
-        f"Default rig, mean speed of the parts towards their sides; mean of {scenes} scenes. "
-        f"Found: the best of {STARTS} random starts and {DISTURBED} disturbances. "
-        "Closed loop: uneven friction, until half of all ways are done, median of seeds "
-        f"{seeds[0]} to {seeds[-1]}. "
-        "Bounds are of one part along a line. What is found is no bound: twice the harmonics in "
-        "twice the time do at least as well, so where the table has less the search fell short."
-    )
-    return Result([Table("bound", "How fast parts can be moved", COLUMNS, rows, note)])
+    facts = {"scenes": scenes, "starts": STARTS, "disturbed": DISTURBED}
+    return Result([Table.of("bound", rows, first=seeds[0], last=seeds[-1], **facts)])
 
 
 def fastest(

@@ -20,11 +20,6 @@ SEEDS = {
 FIRST_SEED = 56_000
 """Nothing was tuned on this seed or a later one."""
 
-COLUMNS = {
-    "task": "task", "well": "ended well", "time": "plate time, median (most)", "error": "error",
-    "dropped": "dropped", "step": "image to motors, median [ms]",
-}  # fmt: skip
-
 
 def measure(quick: bool) -> Result:
     """Run scenarios with several seeds."""
@@ -34,12 +29,7 @@ def measure(quick: bool) -> Result:
         rig, seeds = load_rig(load_scenario(scenario).rig), range(FIRST_SEED, FIRST_SEED + count)
         cases[scenario] = [(Setup(scenario, seed), UNEVEN, rig) for seed in seeds]
     rows = [row(*found) for found in runs_of(Cache.of(__name__), cases).items()]
-    note = (
-        f"Gamma = {rig.gamma:.1f}; seeds from {FIRST_SEED} on; friction uneven by 10 % between "
-        "parts and over the plate. Time is simulated; times and errors are of the runs that ended "
-        "well, intervals of 95 %."
-    )
-    return Result([Table("tasks", "Tasks", COLUMNS, rows, note)])
+    return Result([Table.of("tasks", rows, gamma=rig.gamma, seed=FIRST_SEED)])
 
 
 def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:

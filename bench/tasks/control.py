@@ -26,12 +26,6 @@ EFFORTS: dict[str, tuple[dict[str, int], ...]] = {
 }  # fmt: skip
 """Options of the solver by method; none: the controller's own."""
 
-COLUMNS = {
-    "scenario": "scenario", "method": "method", "iterations": "iterations", "restarts": "restarts",
-    "default": "default", "runs": "runs", "good": "ended well", "rms_mm": "RMS error [mm]",
-    "time_s": "time [s]", "solve_ms": "answer, median [ms]", "solve_p99_ms": "99 % [ms]",
-}  # fmt: skip
-
 
 def measure(quick: bool) -> Result:
     """Run every scenario with every effort."""
@@ -50,9 +44,5 @@ def measure(quick: bool) -> Result:
                 rows[-1] |= EFFORT[method] | effort
     for row, runs in zip(rows, runs_of(Cache.of(__name__), cases).values(), strict=True):
         row |= summed(runs)
-    title = f"Effort of the solver, seeds {seeds[0]} to {seeds[-1]}, Gamma = {rig.gamma:.1f}"
-    note = (
-        "Medians over the runs; time is simulated, of the runs that ended well. Answer: time of "
-        "the cores of the controller for one cycle; the cycle lasts 100 to 200 ms."
-    )
-    return Result([Table("control", title, COLUMNS, rows, note)])
+    facts = {"first": seeds[0], "last": seeds[-1], "gamma": rig.gamma}
+    return Result([Table.of("control", rows, **facts)])

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from harness import Cache, Result, Table, by_case
-from plate_bringup.loop import Direct, Setup, as_asked, run, with_settings
+from plate_bringup.loop import Direct, Setup, summary, with_settings
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import quintic_pieces
 from plate_sim import PlateMotion
-from tasks.runs import UNEVEN, median
+from tasks.runs import UNEVEN, median, summed
 
 DRIVES = ("interpolated", "held, with its speed", "held")
 """A straight line to the setpoint over 2 ms, as by CiA 402; as by an ODrive; neither."""
@@ -34,12 +34,6 @@ BUS_STEPS, STEP_S = 4, 5e-4
 
 FIRST_SEED, SEEDS = 83000, 3
 """Nothing was tuned on these seeds."""
-
-COLUMNS = {
-    "drive": "setpoints", "changed": "changed", "value": "to", "succeeded": "succeeded",
-    "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
-    "plate_um": "plate off its cycle, RMS [µm]",
-}  # fmt: skip
 
 
 class Driven(Direct):
@@ -97,13 +91,9 @@ class Driven(Direct):
 
 def driven_run(drive: str, seed: int, bus: dict[str, float]) -> dict[str, Any]:
     """Return how a run ended with a kind of drives, or with bridges, which follow exactly."""
-    setup, rig = with_settings(Setup("follow_2", seed), UNEVEN), load_rig()
     line = Driven(drive, seed, **bus) if bus else Direct()
-    moments = list(run(setup, rig, line))
-    error, last = np.concatenate([moment.error_m for moment in moments]), moments[-1]
-    good = last.progress.phase == "done" and as_asked(setup.recipe.task, rig, last, error)
-    found = {"rms_mm": 1e3 * float(np.sqrt(np.mean(error**2))), "good": good}
-    return found | {"plate_um": 1e6 * float(np.sqrt(np.mean(getattr(line, "squares", 0))))}
+    row = summary(with_settings(Setup("follow_2", seed), UNEVEN), load_rig(), line)
+    return row | {"plate_um": 1e6 * float(np.sqrt(np.mean(getattr(line, "squares", 0))))}
 
 
 def measure(quick: bool) -> Result:
@@ -119,14 +109,11 @@ def measure(quick: bool) -> Result:
     for drive, changed, value in cases:
         bus = USUAL | {changed: value} if changed else {}
         work[drive, changed, value] = [(drive, seed, bus) for seed in seeds]
-    rows = []
-    for (drive, changed, value), runs in by_case(driven_run, work, Cache.of(__name__)).items():
-        good, rms = sum(one["good"] for one in runs), [one["rms_mm"] for one in runs]
-        rows.append({
-            "drive": drive, "changed": changed, "value": value,
-            "succeeded": f"{good} of {len(runs)}", "rms_mm": median(rms),
-            "worst_rms_mm": max(rms), "plate_um": median([one["plate_um"] for one in runs]),
-        })  # fmt: skip
+    rows = [
+        {"drive": drive, "changed": changed, "value": value}
+        | summed(runs)
+        | {"plate_um": median([one["plate_um"] for one in runs])}
+        for (drive, changed, value), runs in by_case(driven_run, work, Cache.of(__name__)).items()
+    ]
     usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    note = f"Where not changed: {usual}."
-    return Result([Table("drives", "Drives on a bus", COLUMNS, rows, note)])
+    return Result([Table.of("drives", rows, usual=usual)])

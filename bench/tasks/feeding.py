@@ -82,17 +82,6 @@ CASES = {
 }
 """What is changed -> cases, the base among them."""
 
-COLUMNS = {
-    "changed": "changed", "kind": "parts", "fill": "fill", "clearance_mm": "clearance [mm]",
-    "window_mm": "window's side [mm]",
-    "cycle_s": "robot's cycle [s]", "method": "feeder", "runs": "runs",
-    "parts_per_min": "parts a minute", "least_per_min": "worst run",
-    "waiting": "robot waits [%]", "most_waiting": "worst run [%]", "first_s": "first pick [s]",
-    "failed": "picks failed", "lost": "over the edge", "error_mm": "pose error, median [mm]",
-    "error_95_mm": "95 % [mm]", "error_most_mm": "worst [mm]", "turn_95_deg": "turned, 95 % [deg]",
-    "turn_most_deg": "worst [deg]", "cpu": "core [%]",
-}  # fmt: skip
-
 
 CASE = {
     "kind": "parts", "fill": "on the plate", "clearance_mm": "clearance [mm]",
@@ -113,20 +102,9 @@ def measure(quick: bool) -> Result:
     }
     found = by_case(run_case, work, Cache.of(__name__))
     rows = [row(changed, case, method, runs) for (changed, case, method, _), runs in found.items()]
-    note = (
-        f"{time_s:g} s of production from an almost empty plate, seeds {seeds[0]} to {seeds[-1]}; "
-        "means over the runs. Waiting: since the first pick. vibrated: the plate shaken in its "
-        "plane, looks, shakes again; thrown: idealised, each shake of 0.6 s lays all parts anew "
-        "at random. Parts over the edge are put back by the hopper; a rim would have kept the "
-        "peer's. Window: 310 x 240 mm, of nuts and bars 300 x 220, where no side is given."
-    )
-    columns = CASE | {
-        "ours": "part by part", "vibrated": "shaken in the plane",
-        "thrown": "thrown anew (idealised)",
-    }  # fmt: skip
-    title = "Parts a minute, and share of time that the robot waits"
-    every = Table("feeding", "A feeder in production", COLUMNS, rows, note)
-    return Result([every, Table("by_case", title, columns, side_by_side(rows), note)])
+    facts = {"time": time_s, "first": seeds[0], "last": seeds[-1]}
+    beside = Table.of("by_case", side_by_side(rows), **facts)
+    return Result([Table.of("feeding", rows, **facts), beside])
 
 
 def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any]:

@@ -7,8 +7,9 @@ come late or never. Nothing may be lost, nothing stop, and memory may not grow.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
+
+from graph.proc import memory_mb
 
 from harness import Result, Table
 from plate_bringup.loop import Setup
@@ -31,13 +32,6 @@ WORLD = Disturbances(
 EVERY_S, HOUR_S, QUICK_S = 300.0, 3600.0, 20.0
 """Time between two rows, of the whole production, and of a quick one [s]."""
 
-COLUMNS = {
-    "minute": "minute", "picks": "parts picked", "failed": "picks failed",
-    "waiting": "robot waits [%]", "discharged": "to the chute", "lost": "lost",
-    "error_95_mm": "pose error 95 % [mm]", "error_most_mm": "worst [mm]",
-    "refused": "robot refused", "rss_mb": "memory [MB]",
-}  # fmt: skip
-
 
 def measure(quick: bool) -> Result:
     """Produce for an hour."""
@@ -58,11 +52,8 @@ def measure(quick: bool) -> Result:
         f"{rows[0]['rss_mb']:.0f} MB after {rows[0]['minute']:.1f} minutes, "
         f"{rows[-1]['rss_mb']:.0f} MB at the end"
     )
-    note_text = (
-        f"Recipe {RECIPE}, fill {FILL}, robot's cycle {CYCLE_S:g} s, seed {SEED}; images "
-        "40 ms late, 5 % missed; 5 % of the grips slip, 10 % of the parts are grey."
-    )
-    table = Table("feeding_hour", "An hour of production", COLUMNS, rows, note_text)
+    facts = {"recipe": RECIPE, "fill": FILL, "cycle": CYCLE_S, "seed": SEED}
+    table = Table.of("feeding_hour", rows, **facts)
     return Result([table], [text, *dict.fromkeys(found.refused)])
 
 
@@ -72,11 +63,5 @@ def row(now: Production, cell: FeederCell) -> dict[str, Any]:
         "minute": cell.tally.time_s / 60, "picks": now.picks, "failed": now.failed,
         "waiting": 100 * now.waiting, "discharged": now.discharged, "lost": now.lost,
         "error_95_mm": now.error_mm[1], "error_most_mm": now.error_mm[2],
-        "refused": len(now.refused), "rss_mb": rss_mb(),
+        "refused": len(now.refused), "rss_mb": memory_mb(os.getpid()),
     }  # fmt: skip
-
-
-def rss_mb() -> float:
-    """Return how much memory this process has [MB]."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -32,12 +32,6 @@ ALLOWED_MM = 0.2
 FIRST_SEED, SEEDS = 82000, 5
 """Nothing was tuned on these seeds."""
 
-COLUMNS = {
-    "changed": "changed", "value": "to", "succeeded": "succeeded",
-    "rms_mm": "RMS error, median [mm]",
-    "worst_rms_mm": "of the worst run [mm]", "pace": "pace", "kept": "good for it",
-}  # fmt: skip
-
 
 def measure(quick: bool) -> Result:
     """Follow two rectangles with one camera after the other."""
@@ -55,12 +49,7 @@ def measure(quick: bool) -> Result:
     rows = []
     for (changed, value), runs in runs_of(Cache.of(__name__), cases).items():
         found = summed(runs)
-        rows.append({"changed": changed, "value": value, **found, "kept": kept(found)})
-    note = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
-    note = f"Where not changed: {note}."
-    return Result([Table("cameras", "Cameras that run free", COLUMNS, rows, note)])
-
-
-def kept(found: dict[str, object]) -> bool:
-    """Whether all runs of a camera ended well and kept the error."""
-    return found["good"] == found["runs"] and float(str(found["rms_mm"])) <= ALLOWED_MM
+        kept = found["good"] == found["runs"] and found["rms_mm"] <= ALLOWED_MM
+        rows.append({"changed": changed, "value": value, **found, "kept": kept})
+    usual = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
+    return Result([Table.of("cameras", rows, usual=usual)])

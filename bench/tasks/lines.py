@@ -98,14 +98,5 @@ def measure(quick: bool) -> Result:
     kinds = [(b, n, d, seconds, stops) for b in bauds for n in lost for d in delays]
     found = by_case(line_run, {kind: [kind] for kind in kinds}, Cache.of(__name__))
     rows = [row for [row] in found.values()]
-    title = f"A new cycle of {PIECES} pieces each {1e3 * PERIOD_S:.0f} ms, for {seconds:.0f} s"
-    columns = {
-        "baud": "baud", "lost": "bytes lost [%]", "delay_ms": "delay each way [ms]",
-        "tables": "tables played a minute", "stops_own": "stops by itself",
-        "brake_ms": "stop() to braking, median [ms]", "brake_most_ms": "most [ms]",
-    }  # fmt: skip
-    note = (
-        "Driver's transport, line, device in simulated time; the host looks each 5 ms. "
-        "At most 300 tables a minute."
-    )
-    return Result([Table("lines", title, columns, rows, note)])
+    facts = {"pieces": PIECES, "period": 1e3 * PERIOD_S, "seconds": seconds}
+    return Result([Table.of("lines", rows, **facts)])

@@ -38,17 +38,6 @@ SEEDS = range(50_000, 50_003)
 FULL_PACE = 0.95
 """Share of the speed asked for from which on it is not told."""
 
-COLUMNS = {
-    "rig": "rig", "gamma": "shaking ratio", "scenario": "scenario", "succeeded": "succeeded",
-    "dropped": "dropped", "time_s": "time, median [s]", "longest_s": "longest [s]",
-    "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
-    "pace": "speed kept, median", "feasible": "feasible says", "feasible_s": "its time [s]",
-    "binds": "what binds",
-}  # fmt: skip
-
-
-BY_RIG = {"rig": "rig", "gamma": "Gamma"} | {name: f"`{name}`" for name in SCENARIOS}
-
 
 def measure(quick: bool) -> Result:
     """Run all tasks on all rigs."""
@@ -67,13 +56,8 @@ def measure(quick: bool) -> Result:
         {"rig": kind[0], "gamma": kinds[kind].gamma, "scenario": kind[1]} | summed(runs) | said[0]
         for (kind, runs), said in zip(runs_of(cache, cases).items(), told.values(), strict=True)
     ]
-    note = (
-        f"Seeds {seeds[0]} to {seeds[-1]}, friction uneven by 10 % between parts and over the "
-        "plate; time is simulated. A rig is the default one but for what its name says."
-    )
-    title = "Small and weak rigs"
-    every = Table("rigs", title, COLUMNS, rows, note)
-    return Result([every, Table("by_rig", title, BY_RIG, by_rig(rows), note)])
+    facts = {"first": seeds[0], "last": seeds[-1]}
+    return Result([Table.of("rigs", rows, **facts), Table.of("by_rig", by_rig(rows), **facts)])
 
 
 def rigs() -> dict[str, Rig]:

@@ -32,11 +32,6 @@ ALIKE = {
 PIECES = ("simulator", "camera", "vision", "planner", "solver")
 """In the order in which a cycle goes through them."""
 
-COLUMNS = {
-    "variation": "variation", "settings": "environment", "scenario": "scenario", "runs": "runs",
-    "same": "the same", "piece": "differs first in", "cycle": "in cycle",
-}  # fmt: skip
-
 BUSY = 4
 """Loops beside a loaded run."""
 
@@ -88,12 +83,8 @@ def measure(quick: bool) -> Result:
             pairs = list(zip(reference[scenario], found[scenario], strict=True))
             row = {"variation": name, "settings": settings, "scenario": scenario}
             rows.append(row | compared(pairs))
-    note = (
-        "Compared are all places of parts, images, sightings, requests and plate cycles. Quiet: "
-        "one process alone, " + " ".join(f"{key}='{value}'" for key, value in ALIKE.items())
-    )
-    title = f"Runs that are the same to the last bit as the quiet one, {len(seeds)} seeds each"
-    return Result([Table("sameness", title, COLUMNS, rows, note)])
+    alike = " ".join(f"{key}='{value}'" for key, value in ALIKE.items())
+    return Result([Table.of("sameness", rows, seeds=len(seeds), alike=alike)])
 
 
 def traces(

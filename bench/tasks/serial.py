@@ -53,51 +53,27 @@ def measure(quick: bool) -> Result:
     faults = [
         fault_row(*found) for found in by_case(accident_run, work, Cache.of(__name__)).items()
     ]
-    title = f"{runs} runs each of a short task over 921,600 baud"
-    columns = {
-        "kind": "accident", "done": "went on to the end", "enables": "enables, most",
-        "told": "stopped, told why",
-        "stuck": "neither", "kept": "limits kept", "resting": "at rest in the end",
-        "used": "of limits, most [%]",
-    }  # fmt: skip
-    note = (
-        "An operator enables at the start, and again 1 s after a stop was told: who had an "
-        "accident and two enables went on after an enable. Limits: stroke, speed and force "
-        "of the motors, acceleration of motors and plate "
-        "corners in all setpoints that the device commands, to 0.2 %, and no jump of more "
-        "than 2 um; stroke of the plate as it glides without current. Judged apart from "
-        "the device."
-    )
-    return Result([Table("accidents", title, columns, faults, note)])
+    return Result([Table.of("accidents", faults, runs=runs)])
 
 
 def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Sum up the runs with one kind of accident."""
-    done, told, kept, resting = (
-        sum(row[key] for row in runs) for key in ("done", "told", "kept", "resting")
-    )
-    return {
-        "kind": kind,
-        "done": done,
-        "enables": max(row["enables"] for row in runs),
-        "told": told,
-        "stuck": len(runs) - done - told,
-        "kept": kept,
-        "resting": resting,
-        "used": max(row["used"] for row in runs),
-    }
+    sums = {key: sum(row[key] for row in runs) for key in ("done", "told", "kept", "resting")}
+    most = {key: max(row[key] for row in runs) for key in ("enables", "used")}
+    return {"kind": kind, **sums, **most, "stuck": len(runs) - sums["done"] - sums["told"]}
 
 
 def accident_run(kind: str, seed: int) -> dict[str, Any]:
     """Run the short task with one kind of accident."""
     trouble, event = KINDS[kind]
     at = 1.2 + 1.8 * float(np.random.default_rng(seed).random())
-    line = FaultSchedule(LineFaults(baud=BAUD, **trouble))
+    faults = FaultSchedule(LineFaults(baud=BAUD, **trouble))
     short = read_scenario(Fields(SHORT, "short", PlateError), "short")
-    outcome = serial_run(Setup(short, seed), line, event, at)
-    done = outcome.phase == "done" and outcome.dropped == 0
-    told = not done and bool(outcome.troubles) and outcome.phase in ("stuck", "aborted")
+    last, line = serial_run(Setup(short, seed), faults, event, at)
+    phase, verdict = last.progress.phase, line.judge.verdict()
+    done = phase == "done" and last.world.dropped == 0
     return {
-        "done": done, "told": told, "kept": outcome.verdict.kept,
-        "resting": outcome.resting, "used": 100 * outcome.verdict.worst, "enables": outcome.enables,
+        "done": done, "told": not done and bool(line.troubles) and phase in ("stuck", "aborted"),
+        "kept": verdict.kept, "used": 100 * verdict.worst, "resting": line.resting,
+        "enables": line.operator.enables,
     }  # fmt: skip

@@ -14,12 +14,6 @@ COUNTS = {50: 2, 32: 2, 24: 3, 16: 5, 10: 5}
 """Parts that are sorted, and how many seeds; the longest first: a run of 50 parts takes as long as
 thirty of 10."""
 
-COLUMNS = {
-    "scenario": "scenario", "gamma": "shaking ratio", "parts": "parts", "succeeded": "succeeded",
-    "dropped": "dropped", "time_s": "time, median [s]", "longest_s": "longest [s]",
-    "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
-}  # fmt: skip
-
 
 def measure(quick: bool) -> Result:
     """Sort all numbers of parts."""
@@ -29,5 +23,4 @@ def measure(quick: bool) -> Result:
         {"scenario": f"sort_{count}", "gamma": rig.gamma, "parts": count} | summed(runs)
         for count, runs in by_case(summary, cases, Cache.of(__name__)).items()
     ]
-    note = "Seeds from 0 on; time is simulated. Image noise, even friction, parts that collide."
-    return Result([Table("parts", "How many parts are sorted", COLUMNS, rows[::-1], note)])
+    return Result([Table.of("parts", rows[::-1])])

@@ -59,15 +59,6 @@ CASES = (
 """Scenario, method, world, seeds."""
 
 
-COLUMNS = {
-    "scenario": "scenario", "method": "method", "world": "world", "succeeded": "succeeded",
-    "dropped": "dropped", "time_s": "time, median [s]", "longest_s": "longest [s]",
-    "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
-    "max_mm": "largest error [mm]", "turn_deg": "largest angle left [deg]",
-    "step_ms": "step, median [ms]", "step_p99_ms": "step, 99 % [ms]",
-}  # fmt: skip
-
-
 def measure(quick: bool) -> Result:
     """Run all cases."""
     rig, cases = load_rig(), {}
@@ -77,16 +68,10 @@ def measure(quick: bool) -> Result:
         loops = [(Setup(name, seed, method), WORLDS[world], played) for seed in seeds]
         cases[name, method, world] = loops
     rows = [
-        dict(zip(COLUMNS, case, strict=False)) | summed(runs)
+        dict(zip(("scenario", "method", "world"), case, strict=True)) | summed(runs)
         for case, runs in runs_of(Cache.of(__name__), cases).items()
     ]
-    note = (
-        f"Seeds from {FIRST_SEED} on, Gamma = {rig.gamma:.1f}. Disturbances: friction uneven by "
-        "10 % between parts and over the plate. Time is simulated. Errors of assembling are those "
-        "at the end. A step goes from the image to the motors' table: time of all cores together; "
-        "99 % of the steps of one run, median over runs."
-    )
-    return Result([Table("tasks", "Tasks over many seeds", COLUMNS, rows, note)])
+    return Result([Table.of("many_seeds", rows, seed=FIRST_SEED, gamma=rig.gamma)])
 
 
 def weak(rig: Rig) -> Rig:

@@ -53,20 +53,9 @@ def measure(quick: bool) -> Result:
         for (method, count, _), runs in runs_of(cache, cases).items():
             rows[method, count].append(row_of(rig, method, count, speed, runs))
         going = [kind for kind in going if rows[kind][-1]["kept"]]
-    speeds = {
-        "method": "method", "parts": "parts", "speed_mm_s": "speed [mm/s]",
-        "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
-        "max_mm": "largest error [mm]", "runs": "runs", "good": "ended well", "delay": "time taken",
-        "kept": "kept", "solve_ms": "solve, median [ms]", "bound_mm_s": "a T / 16 [mm/s]",
-    }  # fmt: skip
-    note = (
-        f"Circles of {1e3 * RADIUS_M:g} mm radius, some to the left, some to the right; images "
-        f"with noise, friction uneven by 10 % between parts and over the plate; seeds {SEEDS}. "
-        f"Kept: all runs end well, RMS at most {1e3 * MOST_RMS_M:g} mm, time at most "
-        f"{MOST_DELAY:g} of what the speed asks for. a T / 16: no part can be faster on average."
-    )
     found = [row for mine in rows.values() for row in mine]
-    return Result([Table("tracking", "Tracking error against speed", speeds, found, note)])
+    facts = {"radius": 1e3 * RADIUS_M, "rms": 1e3 * MOST_RMS_M, "delay": MOST_DELAY}
+    return Result([Table.of("tracking", found, seeds=SEEDS, **facts)])
 
 
 def laps(speed: float) -> float:

@@ -220,17 +220,16 @@ def own_folder(scenario: str) -> Path:
         If that cannot be done.
     """
     stem = f"{LAST}-{time.strftime('%Y-%m-%d-%H%M%S')}_{scenario}"
-    number = 0
+    path, number = Path(stem), 1
     while True:
-        number += 1
-        path = Path(stem if number == 1 else f"{stem}_{number}")
         try:
             path.mkdir(parents=True)
+            return path
         except FileExistsError:
-            continue
+            number += 1
+            path = Path(f"{stem}_{number}")
         except OSError as problem:
             raise unmade(path, problem) from None
-        return path
 
 
 def run(plan: Plan) -> int:

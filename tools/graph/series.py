@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -17,14 +16,12 @@ from plate_bringup import RunOptions
 from plate_core import load_rig
 
 from .hops import Hops
+from .proc import cpu_s, memory_mb
 from .relays import CHAIN, NAMESPACE, NODES, command
 from .session import Session, session
 
 TASK_S = 240.0
 """Longest wait for a task's end [s]."""
-
-TICK_S = os.sysconf("SC_CLK_TCK")
-PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 
 STAGES = ("camera", "detector", "planner", "solver", "driver")
 """What happens until the messages of `CHAIN` are published."""
@@ -79,17 +76,6 @@ class Series:
     def hops(self, kind: str = "hops") -> np.ndarray:
         """Return those of all tasks."""
         return np.concatenate([getattr(task, kind) for task in self.tasks])
-
-
-def memory_mb(pid: int) -> float:
-    """Return the memory of a process that is in use [MB]."""
-    return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * PAGE_MB
-
-
-def cpu_s(pid: int) -> float:
-    """Return the time that a process has had of the cores [s]."""
-    words = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
-    return (int(words[11]) + int(words[12])) / TICK_S
 
 
 def work_again(

@@ -542,12 +542,12 @@ def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
     return there
 
 
-def summary(setup: Setup, rig: Rig) -> dict[str, object]:
+def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, asks = [], [], [], [], []
     shares, scaled, held, late = [], 0, 0, 0
     task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
-    for moment in run(setup, rig):
+    for moment in run(setup, rig, transport):
         cycle = moment.answer.cycle
         for knots in (cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel):
             cycles.update(knots.tobytes())
