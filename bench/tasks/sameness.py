@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,11 +47,20 @@ class Variation:
         Variables of the environment.
     workers, busy : int
         Processes that share the runs, and loops that only take time.
+    needs : str
+        What the processor has to have, as /proc/cpuinfo calls it.
     """
 
     settings: Mapping[str, str] = field(default_factory=dict)
     workers: int = 1
     busy: int = 0
+    needs: str = ""
+
+    @property
+    def possible(self) -> bool:
+        """Whether it runs on this processor."""
+        flags = Path("/proc/cpuinfo").read_text(encoding="ascii").split()
+        return not self.needs or self.needs in flags
 
 
 VARIATIONS = {
@@ -60,7 +70,7 @@ VARIATIONS = {
     "four threads": Variation({"OPENBLAS_NUM_THREADS": "4", "OMP_NUM_THREADS": "4"}),
     "libraries' own choice": Variation(dict.fromkeys(ALIKE, "")),
     "BLAS for SSE3": Variation({"OPENBLAS_CORETYPE": "Prescott"}),
-    "BLAS for Skylake with AVX-512": Variation({"OPENBLAS_CORETYPE": "SkylakeX"}),
+    "BLAS for Skylake with AVX-512": Variation({"OPENBLAS_CORETYPE": "SkylakeX"}, needs="avx512f"),
     "numpy with AVX-512": Variation({"NPY_DISABLE_CPU_FEATURES": ""}),
     "numpy without AVX2": Variation({"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL"}),
     "C library without AVX2 and FMA": Variation(
@@ -77,6 +87,8 @@ def measure(quick: bool) -> Result:
     reference = traces("quiet", Variation(), seeds, cache)
     rows: list[dict[str, Any]] = []
     for name, variation in VARIATIONS.items():
+        if not variation.possible:
+            continue
         found = traces(name, variation, seeds, cache)
         settings = " ".join(f"{key}='{value}'" for key, value in variation.settings.items())
         for scenario in SCENARIOS:
