@@ -553,7 +553,8 @@ class Feeder:
         if self._task is _Task.ASKED and silent > START_S:
             return f"the planner has not begun feed_parts within {START_S:g} s"
         if self._task is _Task.RUNNING and silent > SILENT_S:
-            return f"no feed_status for {silent:.1f} s: does the planner run?"
+            question = "does the planner run, or is the computer too slow?"
+            return f"no feed_status for {silent:.1f} s: {question}"
         return ""
 
     # Commands

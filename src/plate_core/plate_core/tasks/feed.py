@@ -142,6 +142,8 @@ def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
         return ""
     free = clearance_m / 2 + float(np.min(rim_distance(outline, centre)))
     most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
+    if np.hypot(*(high - low)) < 2 * free:  # from one corner to the other
+        most = 1
     if pick.ready <= max(most, 1):
         return ""
     return (

@@ -115,7 +115,8 @@ class Inputs:
 
     def heard_order(self, now: float) -> Inputs:
         """Take in that a feeder has said what a feed is to do."""
-        orders = Input("feed_orders", "feed_orders", "does the feeder run?", FEEDER_S, now, now)
+        question = "does the feeder run, or is the computer too slow?"
+        orders = Input("feed_orders", "feed_orders", question, FEEDER_S, now, now)
         return replace(self, orders=orders)
 
     def asked(self, now: float) -> Inputs:
