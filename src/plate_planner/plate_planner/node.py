@@ -752,8 +752,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if task.phase.is_failure:
             failure = Level.WARN if task.reason in BY_PERSON else Level.ERROR
             level = max(level, failure, key=lambda each: each.rank)
-        texts = [task.text, *([found.message] if found.message not in task.text else [])]
-        return Finding(level, "; ".join(texts))
+        new = [each for each in findings if each is not None and each.message not in task.text]
+        return Finding(level, "; ".join(filter(None, (task.text, worst(new, "").message))))
 
     def _values(self) -> Mapping[str, str]:
         run = self._run

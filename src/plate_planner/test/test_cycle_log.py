@@ -298,3 +298,13 @@ def test_cycles_that_move_the_plate_without_an_answer_are_counted():
     log = CycleLog().started(SHORT, 0.9).hear(LEAVES, 0.95, 0.9).started(LEAVES, 1.0)
     assert log.started(LEAVES.tail, 1.1).unanswered == 1
     assert log.hear(SHORT, 1.05, 1.0).started(LEAVES.tail, 1.1).unanswered == 0
+
+
+def test_a_cycle_that_is_played_otherwise_than_sent_is_no_lack_of_an_answer():
+    log = played(12, 0).hear(swinging(12), 1.15, 1.1)
+    smaller = swinging(12).scaled(0.9)  # beyond a limit
+    log = log.started(smaller, 1.2)
+    assert (log.begun, log.unanswered) == (13, 0)
+    assert log.started(smaller, 1.3).unanswered == 1
+    # Nor is one whose report overtakes the cycle itself.
+    assert played(12, 0).started(swinging(12), 1.2).unanswered == 0

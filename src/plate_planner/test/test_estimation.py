@@ -418,6 +418,24 @@ def test_it_says_when_answers_begin_late():
         assert bool(told) == bool(problem)
 
 
+@pytest.mark.parametrize("triggered", [True, False])
+def test_it_says_how_many_cycles_had_no_answer_and_what_may_lack(triggered):
+    rng = np.random.default_rng(0)
+    estimator, cycle = Estimator.of(RIG, T, 0.0), shaken(rng)
+    for k in range(100):
+        if k % 10:  # else it begins again
+            cycle = shaken(rng)
+            estimator = estimator.hear(cycle, T * (k - 0.5), T * (k - 1))
+        if k == 20:
+            estimator = estimator.begin_task()
+            assert not estimator.unanswered
+        estimator = estimator.started(cycle, T * k, triggered)
+    lacking = "images are missing, or " if triggered else ""  # else answers need none
+    assert estimator.unanswered == (
+        f"8 of 80 cycles had no answer in time: {lacking}the computer or the line is too slow"
+    )
+
+
 def test_a_type_is_as_slippery_as_its_file_says_until_it_is_seen_to_be_otherwise():
     steel = PartType("nut", radius_m=0.008, symmetry=0, mass_kg=0.01, mu=0.1)
     rig = replace(load_rig(), types={"nut": steel})

@@ -232,6 +232,22 @@ def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, status):
     assert graph.image(0.5, APART).parts.ids == ()
 
 
+def test_what_ended_a_task_is_told_once_beside_what_else_is_wrong(graph):
+    graph = graph(input_timeout_s=30.0)
+    graph.begin()
+    graph.driver = NOT_READY[0]
+    aborted = f"aborted after 0.1 s: driver: {graph.driver.text}"
+    graph.until(lambda: graph.states[-1] == aborted)
+    other = rclpy.create_node("other_driver")
+    other.create_publisher(DriverStatus, graph.drivers.topic_name, LATCHED)
+    try:
+        graph.until(lambda: graph.planner._rivals())
+        text = f"{aborted}; {graph.planner._rivals()}"
+        graph.until(lambda: graph.report() == (DiagnosticStatus.ERROR, text))
+    finally:
+        other.destroy_node()
+
+
 def test_a_second_driver_is_told_of_and_no_task_begins(graph):
     graph = graph(input_timeout_s=30.0)
     graph.image(0.0, APART)

@@ -201,7 +201,9 @@ class CycleLog:
         kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
         sent, delays = self.sent, self.delays
         rest_asked = bool(sent) and not sent[-1].cycle.moves
-        unanswered = self.known and cycle.moves and not rest_asked
+        last = before[-1][1] if before else None
+        goes_on = last is not None and any(_same(cycle, part) for part in last.parts)
+        unanswered = cycle.moves and goes_on and not rest_asked
         for k, one in enumerate(self.sent):
             if _same(one.cycle, cycle):
                 sent, unanswered = self.sent[k + 1 :], False

@@ -354,9 +354,10 @@ class Estimator:
         log = self.log
         if log.unanswered <= FEW_UNANSWERED * log.begun:
             return ""
+        lacking = "" if log.reported else "images are missing, or "
         return (
-            f"{log.unanswered} of {log.begun} cycles had no answer in time: the computer or the "
-            "line is too slow"
+            f"{log.unanswered} of {log.begun} cycles had no answer in time: {lacking}the computer "
+            "or the line is too slow"
         )
 
     def ask(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
