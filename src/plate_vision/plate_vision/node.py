@@ -284,6 +284,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._picture is None:
             return
         name, image = self._picture
+        if Path(self.options.path).is_dir():  # photographs, each by itself
+            self._tracker, self._expected = Tracker(self._tracker.options), None
         if self._answer(name, self.get_clock().now().to_msg(), lambda: image):
             self._tell(name, image)
         try:

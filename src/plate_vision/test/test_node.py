@@ -609,6 +609,19 @@ def test_pictures_of_a_folder_for_a_camera(draw, rng, tmp_path):
         graph.close()
 
 
+def test_pictures_of_a_folder_are_taken_each_by_itself(draw, rng, tmp_path):
+    labels = [LABEL, LABEL, LABEL[::-1]]
+    frames = [draw(CENTRE_PX, label, rng, radius=7.9) for label in labels]
+    graph = Graph(source="file", path=files(tmp_path, frames), rate=20.0)
+    try:
+        graph.until(lambda: len(graph.parts) == 3)
+        places = [dict(zip(p.ids, p.position, strict=True)) for p in map(msg_to_parts, graph.parts)]
+        assert places[1]["black_1"] == pytest.approx(places[0]["black_1"], abs=1e-3)
+        assert places[2]["black_1"] == pytest.approx(places[0]["grey_1"], abs=1e-3)
+    finally:
+        graph.close()
+
+
 def test_photographs_of_another_size_show_the_whole_plate(draw, rng, tmp_path):
     """Of a plate 0.6 m long on 480 px a part of 8 mm radius has 6.4 px."""
     picture = np.full((300, 480), 220, np.uint8)
