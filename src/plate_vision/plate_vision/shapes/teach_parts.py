@@ -138,7 +138,8 @@ def _teach(args: argparse.Namespace) -> None:
         calibration, region = vision.calibration, vision.region
     bare = None if args.bare is None else load_bare(args.bare, size)
     if bare is None:
-        print("no bare plate (--bare): its light is taken from each picture", file=sys.stderr)
+        text = "its light is taken from each picture; of a part with a hole it may learn the hole"
+        print(f"no bare plate (--bare): {text}, look at what is drawn", file=sys.stderr)
     if args.box:
         cuts = args.scale is not None and bare is None  # then the place does not count
         examples = [
