@@ -59,8 +59,8 @@ PURGED = 6.0
 """What a metre to the chute counts for the part that is nearest to it, in a purge [-]."""
 
 NEAREST_M = 1e-3
-"""Of parts on their way to being ready each counts the more the nearer it is, down to this way [m]:
-the next one is ready the sooner."""
+"""Of parts that are to be ready at an angle each counts the more the nearer it is, down to this way
+[m]: the next one is ready the sooner. Round ones only hinder each other so (by trial)."""
 
 CHANGE_M = 0.02
 """A part that was on its way to being ready is given up for one that is nearer by this [m]."""
@@ -398,12 +398,13 @@ class Aims:
 
     def targets(self, gap_m: float) -> Targets:
         """Return it as targets of parts that keep a gap [m]. Of those that are leaving, and of
-        others that are not needed yet, ways are measured by the longest that counts in full."""
+        others, ways are measured by the longest that counts in full; of those that are to be ready
+        at an angle by their own."""
         left = self.left
         counts, way = np.zeros(len(left)), np.column_stack([left, 0 * left])
         for who in (self.leaving, ~self.leaving):
             counts[who] = way_weight(way[self.full & who])
-        needed = self.full & ~self.leaving
+        needed = self.full & ~self.leaving & self.angled
         counts[needed] = FULL_WAY_M / np.maximum(left[needed], NEAREST_M)
         weight = counts * np.where(self.full, np.maximum(self.weight, 1.0), self.weight)
         angles, turned = None, self.angled & self.full
