@@ -44,6 +44,7 @@ from plate_core.tasks import (
 )
 from plate_driver.setpoints import MotorTable, prepare
 from plate_planner import (
+    FollowOptions,
     Planner,
     PlannerOptions,
     PlannerState,
@@ -86,9 +87,6 @@ NUMBERS = {
     **WORLD_RANGES, "image_age_s": (0.0, 1.0), "exposure_s": (0.0, 0.1), "readout_s": (0.0, 0.1),
 }  # fmt: skip
 """Settings of `Setup` itself that are numbers, and what is allowed."""
-
-FOLLOW = {"kp": (0.0, 2.0), "observer_gain": (0.0, 1.0)}
-"""Settings of `FollowOptions`, and what is allowed."""
 
 BARE_IMAGES = 5
 """From which the bare plate is learned, for rigs with types of parts."""
@@ -173,12 +171,14 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
                 world = replace(world, blur=_flag(key, text))
             elif key in {f.name for f in fields(Disturbances)}:
                 world = replace(world, **{key: float(text)})  # type: ignore[arg-type]
-            elif key in FOLLOW:
-                follow = replace(follow, **{key: _number(key, float(text), *FOLLOW[key])})
+            elif key in FollowOptions.RANGES:
+                limits = FollowOptions.RANGES[key]
+                follow = replace(follow, **{key: _number(key, float(text), *limits)})
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", *NUMBERS, *EFFORT, *(f.name for f in fields(Disturbances)), *FOLLOW]
+            known = ["method", *NUMBERS, *EFFORT]
+            known += [f.name for f in fields(Disturbances)] + [*FollowOptions.RANGES]
             names = ", ".join(dict.fromkeys(known))
             hint = did_you_mean(key, known)
             raise PlateError(f"setting {key!r}{hint}, allowed: {names}") from None

@@ -152,8 +152,7 @@ class PlannerParameters(NodeOptions):
     kp: float = parameter(
         FollowOptions.kp,
         "Following: fraction of the error corrected a cycle [-]",
-        0.0,
-        2.0,
+        *FollowOptions.RANGES["kp"],
         live=True,
     )
 

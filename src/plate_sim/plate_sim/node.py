@@ -235,11 +235,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._playback = Playback(PlateCycle.rest(options.idle_period), resting=True)
         self._newest: PlateCycle | None = None
         self._tally = Tally()
-        what, topic, question = (
-            "motor table",
-            "motor_setpoints",
-            "is the driver active, or the computer too slow?",
-        )
+        what, topic = "motor table", "motor_setpoints"
+        question = "is the driver active, or the computer too slow?"
         if self._driven:
             what, topic, question = "motion", "motor_motion", "does the device run?"
         self._input = Input(what, topic, question, options.input_timeout_s, time.monotonic())

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -93,6 +94,12 @@ class FollowOptions:
 
     kp: float = 0.8
     observer_gain: float = 0.7
+
+    RANGES: ClassVar[dict[str, tuple[float, float]]] = {
+        "kp": (0.0, 2.0),
+        "observer_gain": (0.0, 1.0),
+    }
+    """Of each: least and most that is allowed."""
 
 
 def pd_drift(
