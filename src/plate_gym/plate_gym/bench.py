@@ -418,8 +418,11 @@ def commit() -> str:
         subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
     )
     try:
-        git(["git", "ls-files", "--error-unmatch", here.name])
-        return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip())
+        top = Path(git(["git", "rev-parse", "--show-toplevel"]).stdout.strip())
+        kept = top / "src/plate_gym/plate_gym" / here.name  # set-up copies files into install/
+        git(["git", "ls-files", "--error-unmatch", str(kept)])
+        same = kept.read_bytes() == here.read_bytes()
+        return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip()) if same else ""
     except (OSError, subprocess.SubprocessError):
         return ""
 

@@ -161,8 +161,8 @@ def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, go
 
 
 def test_code_is_known_by_what_it_says(bench, tmp_path, monkeypatch):
-    """The commit is that of this file only, even inside another repository; a change of any source
-    is another digest."""
+    """The commit is that of this file or of what it is a copy of, even inside another repository;
+    a change of any source is another digest."""
     before = bench.sources()
     package = tmp_path / "plate_core"
     package.mkdir()
@@ -175,11 +175,16 @@ def test_code_is_known_by_what_it_says(bench, tmp_path, monkeypatch):
     subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
     done = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "a"]
     subprocess.run([*done, "--allow-empty"], cwd=tmp_path, check=True)
-    monkeypatch.setattr(bench, "__file__", str(tmp_path / "bench.py"))
-    (tmp_path / "bench.py").write_text("")
+    kept, copy = tmp_path / "src/plate_gym/plate_gym/bench.py", tmp_path / "install/bench.py"
+    for path in (kept, copy):
+        path.parent.mkdir(parents=True)
+        path.write_text("")
+    monkeypatch.setattr(bench, "__file__", str(copy))  # as set-up does
     assert bench.commit() == ""
-    subprocess.run(["git", "add", "bench.py"], cwd=tmp_path, check=True)
+    subprocess.run(["git", "add", "src"], cwd=tmp_path, check=True)
     assert bench.commit()
+    copy.write_text("1")
+    assert bench.commit() == ""
 
 
 CHEATS = {
