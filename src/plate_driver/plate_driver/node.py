@@ -82,6 +82,9 @@ QUIET_S = 2.0
 REST_S = 3.0
 """Longest wait for motors that brake, go home and lose their current [s]."""
 
+UNPLAYED_S = 0.5
+"""Something is wrong with motors that have played nothing for longer since a table failed [s]."""
+
 NO_START = "starts of cycles are not told where the device's ticks cannot be"
 """What is said of a device that is wrong of how long a table has played."""
 
@@ -154,6 +157,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._outcome, self._failed = "", False  # of the last calibration
         self._measured: Measured | None = None
         self._ready_since = 0.0
+        self._unplayed: tuple[float, str] | None = None  # since when [s, steady], and why
         self._freshness, self._refusal = Freshness(), ""
         self.heard: tuple[tuple[UnlockedSubscription, Take], ...] = ()  # tasks, and cycles
         self._heard_at = 0.0  # when it was last looked whether a task has ended [s, steady]
@@ -529,6 +533,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         for measured in transport.measured():
             self._measured = measured
+            self._unplayed = None if measured.table else self._unplayed
             self._note_start(measured)
             if self._experiment is not None:
                 self._experiment = self._experiment.with_sample(measured)
@@ -536,6 +541,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._warned = {t: at for t, at in self._warned.items() if at > quiet_since}
         for trouble in transport.troubles():
             self._guard = self._guard.noted(trouble)
+            self._unplayed = self._unplayed or (time.monotonic(), trouble)
             if trouble not in self._warned:
                 self._warned[trouble] = time.monotonic()
                 self.get_logger().warning(trouble)
@@ -550,6 +556,7 @@ class DriverNode(SafeLifecycleNode[Options]):
                 self._calibrated(f"failed: {status.text}", now, failed=True)
             if self._guard.table is not None:
                 self._halted()
+            self._unplayed = None
             return
         if self._experiment is not None:
             self._calibrate(transport, now)
@@ -672,7 +679,12 @@ class DriverNode(SafeLifecycleNode[Options]):
         quiet_s = self._quiet_s(self._now())
         if quiet_s is not None and self._refusal:
             lasting.append(f"the last was refused: {self._refusal}")
-        return health(self.status, self._guard.statistics, self._again, quiet_s, lasting)
+        since, why = self._unplayed or (math.inf, "")
+        silent_s, unplayed = time.monotonic() - since, ""
+        if silent_s > UNPLAYED_S:
+            unplayed = f"no plate_cycle has been played for {silent_s:.1f} s: {why}"
+        statistics = self._guard.statistics
+        return health(self.status, statistics, self._again, quiet_s, lasting, unplayed)
 
     def _values(self) -> dict[str, str]:
         """Return what diagnostics tell, name to value."""

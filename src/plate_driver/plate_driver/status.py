@@ -89,6 +89,7 @@ def health(
     retries: int,
     quiet_s: float | None,
     lasting: Sequence[str] = (),
+    unplayed: str = "",
 ) -> Finding:
     """Return how well the driver is, and why.
 
@@ -103,6 +104,8 @@ def health(
         Time for which no cycle came [s], if the plate rests because of that.
     lasting : sequence of str
         What is wrong until somebody changes it.
+    unplayed : str
+        Why the motors have played nothing of what was sent, if that is so for long.
     """
     if status.state in (DriverState.ERROR, DriverState.STOPPED):
         return Finding(Level.ERROR, status.text)
@@ -111,6 +114,8 @@ def health(
     if quiet_s is not None:
         quiet = f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
         return Finding(Level.STALE, "; ".join([quiet, *lasting]))
+    if unplayed:
+        return Finding(Level.STALE, "; ".join([unplayed, *lasting]))
     problems = (*statistics.problems, *lasting)
     if retries > MANY_RETRIES:
         problems = (*problems, f"{retries} messages were repeated: the line is bad")

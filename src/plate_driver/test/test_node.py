@@ -232,6 +232,40 @@ def test_starts_of_cycles_and_of_tails_are_told(make, monkeypatch):
     assert after[moving[-1] + 1] == pytest.approx(0.25, abs=2e-3)
 
 
+class Refusing(Player):
+    """Motors whose controller takes no table, as long as it says so."""
+
+    refusal = "device refuses Commit: limit"
+
+    def send(self, table, repeats):
+        if not self.refusal:
+            super().send(table, repeats)
+
+    def troubles(self):
+        return [self.refusal] if self.refusal else []
+
+
+def test_motors_that_take_no_table_are_told_within_two_seconds(make, monkeypatch):
+    monkeypatch.setattr(
+        "plate_driver.node.make_transport", lambda _, context: Refusing(context.clock)
+    )
+    driven = make("use_sim_time:=false")
+    assert driven.enable().success
+
+    def play() -> None:
+        for _ in range(18):
+            driven.send(GENTLE)
+            driven.pass_time(0.1)
+
+    play()
+    assert driven.report.level == DiagnosticStatus.STALE
+    said = r"no plate_cycle has been played for \d\.\d s: device refuses Commit: limit"
+    assert re.fullmatch(said, driven.report.message)
+    driven.node.transport._transport.refusal = ""
+    play()
+    assert driven.report.level == DiagnosticStatus.OK
+
+
 def test_with_a_calibration_cycles_in_motion_are_refused(make, tmp_path, rig):
     path = tmp_path / "response.npz"
     save_response(path, Response.identity(rig, np.arange(1.0, 100.0)))
