@@ -74,7 +74,7 @@ def driver_status(
             return status(DriverState.STOPPED, f"stopped: {known.text}; {LOOK}", known.reason)
         if asked or not known.reason:
             return status(DriverState.DISABLED, OFF, asked)
-        text = f"stopped: before this driver began; {LOOK}"
+        text = f"stopped: while this driver was not connected; {LOOK}"
         return status(DriverState.STOPPED, text, known.reason)
     if condition is Condition.ENABLING or latch.enabling:
         return status(DriverState.ENABLING, "enabling: the plate goes home")

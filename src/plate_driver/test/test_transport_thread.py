@@ -323,7 +323,7 @@ SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not ans
         (True, NONE, FOLLOWING, DriverState.STOPPED, DriverReason.FOLLOWING,
          f"stopped: following; {LOOK}"),
         (True, NONE, EARLIER, DriverState.STOPPED, DriverReason.EARLIER_STOP,
-         f"stopped: before this driver began; {LOOK}"),
+         f"stopped: while this driver was not connected; {LOOK}"),
         (True, NONE, Report(Condition.ENABLING), DriverState.ENABLING, NONE,
          "enabling: the plate goes home"),
         (True, OFF_SWITCH, Report(Condition.BRAKING, DriverReason.EARLIER_STOP, "stopped"),
