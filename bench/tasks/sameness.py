@@ -20,15 +20,10 @@ from typing import Any
 import numpy as np
 
 from harness import Cache, Result, Table, by_case
-from plate_bringup.loop import Moment, Setup, run
+from plate_bringup.loop import ALIKE, Moment, Setup, run
 
 SCENARIOS = ("sort_10", "follow_2", "assemble_8", "align_6")
 SEEDS = range(9000, 9020)
-
-ALIKE = {
-    "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
-}  # fmt: skip
-"""By which a seed gives the same run on each processor that has AVX2 and FMA."""
 
 PIECES = ("simulator", "camera", "vision", "planner", "solver")
 """In the order in which a cycle goes through them."""

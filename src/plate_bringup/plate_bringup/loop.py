@@ -67,9 +67,15 @@ from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.shapes import learn_plate
 
 __all__ = [
-    "BARE_IMAGES", "HOLD_CYCLES", "IDLE_PERIOD", "Cell", "Direct", "Moment", "Setup", "Transport",
-    "as_asked", "load_planner", "predicted", "run", "seen_by", "summary", "with_settings",
+    "ALIKE", "BARE_IMAGES", "HOLD_CYCLES", "IDLE_PERIOD", "Cell", "Direct", "Moment", "Setup",
+    "Transport", "as_asked", "load_planner", "predicted", "run", "seen_by", "summary", "with_settings",
 ]  # fmt: skip
+
+ALIKE = {
+    "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
+}  # fmt: skip
+"""Variables of the environment by which a seed gives the same run, to the last bit, on each
+processor that has AVX2 and FMA. Libraries read them when they are loaded."""
 
 EFFORT = ("iterations", "restarts")
 """Options of the solvers that make an answer take longer, and better."""

@@ -1,5 +1,6 @@
 """Judge agents: `python -m plate_gym.bench --agent B --task Sort10-v1 --json B.json`; check
-what others hand in: `python -m plate_gym.bench --check B.json`."""
+what others hand in: `python -m plate_gym.bench --check B.json`. The same to the last bit on each
+processor that has AVX2 and FMA."""
 
 from __future__ import annotations
 
@@ -23,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from plate_bringup.loop import ALIKE
 from plate_core import PlateError, did_you_mean
 from plate_core.intervals import of_median, of_share
 
@@ -502,4 +504,6 @@ def seed_range(text: str) -> range:
 
 
 if __name__ == "__main__":
+    if not ALIKE.items() <= os.environ.items():  # libraries have read them: once more
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
     sys.exit(main())
