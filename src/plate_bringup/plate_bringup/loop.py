@@ -68,7 +68,8 @@ from plate_vision.shapes import learn_plate
 
 __all__ = [
     "ALIKE", "BARE_IMAGES", "HOLD_CYCLES", "IDLE_PERIOD", "Cell", "Direct", "Moment", "Setup",
-    "Transport", "as_asked", "load_planner", "predicted", "run", "seen_by", "summary", "with_settings",
+    "Transport", "as_asked", "load_planner", "predicted", "run", "seen_by", "summary",
+    "with_settings",
 ]  # fmt: skip
 
 ALIKE = {
