@@ -42,6 +42,7 @@ def measure(quick: bool) -> Result:
         if cell.simulation is not None and cell.tally.time_s >= every_s * (len(rows) + 1):
             task = cell.feeder.task
             rows.append(row(Production.of(cell.tally, cell.robot, cell.simulation, task), cell))
+            print(f"{cell.tally.time_s / 60:.0f} min ... ", end="", flush=True)
 
     setup = Setup(filled(load_scenario(RECIPE), FILL), SEED, disturbances=WORLD)
     found = produce(setup, CYCLE_S, time_s, note=note)

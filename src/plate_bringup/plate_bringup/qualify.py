@@ -252,27 +252,28 @@ class Progress:
 
     def __init__(self, fill: int, seeds: int, time_s: float) -> None:
         self._fill, self._seeds, self._time_s = fill, seeds, time_s
-        self._told = -1
+        self._told = 0
+        terminal = sys.stderr.isatty()
+        self._begin, self._end, self._each = ("\r\033[K", "", 1) if terminal else ("", "\n", 10)
 
     def __call__(self, seed: int, cell: FeederCell) -> None:
         """Take in one image."""
         tally = cell.tally
         done = int(100 * (seed + min(tally.time_s / self._time_s, 1.0)) / self._seeds)
-        if done == self._told or not sys.stderr.isatty():
+        if done < self._told + self._each:
             return
         self._told = done
         print(
-            f"\r\033[Kfill {self._fill}: {done} %, seed {seed}: {tally.picks} parts in "
+            f"{self._begin}fill {self._fill}: {done} %, seed {seed}: {tally.picks} parts in "
             f"{tally.time_s:.0f} s",
-            end="", file=sys.stderr, flush=True,
+            end=self._end, file=sys.stderr, flush=True,
         )  # fmt: skip
 
     def done(self, row: Row) -> None:
         """Tell what came of it."""
-        begin = "\r\033[K" if sys.stderr.isatty() else ""
         print(
-            f"{begin}fill {row.fill}: {row.parts_per_min:.1f} parts a minute, the robot waits "
-            f"{100 * row.waiting:.1f} % of the time",
+            f"{self._begin}fill {row.fill}: {row.parts_per_min:.1f} parts a minute, the robot "
+            f"waits {100 * row.waiting:.1f} % of the time",
             file=sys.stderr, flush=True,
         )  # fmt: skip
 
