@@ -3,9 +3,10 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from plate_core import PlateError
+from plate_core import PlateError, load_rig
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "benchmarks").glob("*"))
@@ -85,3 +86,26 @@ def test_the_network_that_has_learned_says_where_parts_are_to_come(monkeypatch):
         actions.append(agent.act(seen, info))
         assert env.action_space.contains(actions[-1])
     assert abs(actions[1] - actions[0]).max() > 1e-3
+
+
+def test_proposed_starts_count_and_mirrors_show_true_motions(monkeypatch):
+    """A mirrored goal's parts end where a mirror shows those of the goal."""
+    monkeypatch.syspath_prepend(ROOT / "examples/agents")
+    from warm_starts import mirrored, played
+
+    from plate_solver import SinusoidSolver
+    from plate_solver.sinusoids.steer import BEYOND, ROUGH, limited_sinusoids
+
+    (row,), solved = played("Sort4-v1", range(1), 2, lambda goal: [])
+    (other,), _ = played("Sort4-v1", range(1), 2, lambda goal: [solved[-1][1]])
+    assert row["success"]
+    assert other["success"]
+    assert row["places"] != other["places"]
+    limits = SinusoidSolver(load_rig())._steering._limits
+    for goal, motion in solved[::7]:
+        ends = []
+        for own, parameters in ((goal, motion), mirrored(goal, motion, np.array([-1, 1]))):
+            family = limited_sinusoids(8, 0.1, limits, BEYOND, ROUGH, True, own.plate)
+            ends.append(own.end(*family.samples(parameters)))
+        x, y = ends[0].reshape(2, -1)
+        np.testing.assert_allclose(ends[1], np.concatenate([-x, y]), atol=1e-9)

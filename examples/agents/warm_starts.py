@@ -13,7 +13,6 @@ from unittest.mock import patch
 
 import numpy as np
 from scipy.spatial import cKDTree
-from sklearn.neural_network import MLPRegressor
 
 from plate_core.intervals import of_median
 from plate_gym.agents import AGENTS, Ours
@@ -108,6 +107,8 @@ def mirrored(goal: Goal, motion: np.ndarray, signs: np.ndarray) -> tuple[Goal, n
 
 def taught(solved: Solved) -> dict[str, Propose]:
     """Return what proposes starts, by name, after learning from solved goals and their mirrors."""
+    from sklearn.neural_network import MLPRegressor  # --help and `played` do not need it
+
     mirrors = [np.array(signs) for signs in itertools.product((1, -1), repeat=2)]
     pairs = [mirrored(*each, signs) for each in solved for signs in mirrors]
     known = np.array([features(goal) for goal, _ in pairs])
