@@ -541,11 +541,14 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._warned = {t: at for t, at in self._warned.items() if at > quiet_since}
         for trouble in transport.troubles():
             self._guard = self._guard.noted(trouble)
-            self._unplayed = self._unplayed or (time.monotonic(), trouble)
+            if self._measured is not None and not self._measured.table:
+                self._unplayed = self._unplayed or (time.monotonic(), trouble)
             if trouble not in self._warned:
                 self._warned[trouble] = time.monotonic()
                 self.get_logger().warning(trouble)
         self._hear_tasks()
+        if self._guard.table is None:  # nothing is to be played
+            self._unplayed = None
         if not self.active:
             return
         status, now = self._look(), self._now()
@@ -556,7 +559,6 @@ class DriverNode(SafeLifecycleNode[Options]):
                 self._calibrated(f"failed: {status.text}", now, failed=True)
             if self._guard.table is not None:
                 self._halted()
-            self._unplayed = None
             return
         if self._experiment is not None:
             self._calibrate(transport, now)

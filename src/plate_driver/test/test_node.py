@@ -233,16 +233,16 @@ def test_starts_of_cycles_and_of_tails_are_told(make, monkeypatch):
 
 
 class Refusing(Player):
-    """Motors whose controller takes no table, as long as it says so."""
+    """Motors whose controller says that it takes no table, which is true or not."""
 
-    refusal = "device refuses Commit: limit"
+    takes = False
 
     def send(self, table, repeats):
-        if not self.refusal:
+        if self.takes:
             super().send(table, repeats)
 
     def troubles(self):
-        return [self.refusal] if self.refusal else []
+        return ["device refuses Commit: limit"]
 
 
 def test_motors_that_take_no_table_are_told_within_two_seconds(make, monkeypatch):
@@ -261,9 +261,9 @@ def test_motors_that_take_no_table_are_told_within_two_seconds(make, monkeypatch
     assert driven.report.level == DiagnosticStatus.STALE
     said = r"no plate_cycle has been played for \d\.\d s: device refuses Commit: limit"
     assert re.fullmatch(said, driven.report.message)
-    driven.node.transport._transport.refusal = ""
+    driven.node.transport._transport.takes = True
     play()
-    assert driven.report.level == DiagnosticStatus.OK
+    assert driven.report.level == DiagnosticStatus.WARN
 
 
 def test_with_a_calibration_cycles_in_motion_are_refused(make, tmp_path, rig):
