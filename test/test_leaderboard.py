@@ -94,7 +94,7 @@ def test_proposed_starts_count_and_mirrors_show_true_motions(monkeypatch):
     from warm_starts import mirrored, played
 
     from plate_solver import SinusoidSolver
-    from plate_solver.sinusoids.steer import BEYOND, ROUGH, limited_sinusoids
+    from plate_solver.sinusoids import BEYOND, ROUGH, limited_sinusoids
 
     (row,), solved = played("Sort4-v1", range(1), 2, lambda goal: [])
     (other,), _ = played("Sort4-v1", range(1), 2, lambda goal: [solved[-1][1]])

@@ -19,7 +19,7 @@ from plate_gym.agents import AGENTS, Ours
 from plate_gym.bench import episode, seed_range
 from plate_solver import Controller
 from plate_solver.requests import Goal
-from plate_solver.sinusoids.steer import BEYOND, ROUGH, SinusoidSteering, limited_sinusoids
+from plate_solver.sinusoids import BEYOND, ROUGH, SinusoidSteering, limited_sinusoids
 
 Solved = list[tuple[Goal, np.ndarray]]
 """Goals, and the parameters of the motions that were found for them."""

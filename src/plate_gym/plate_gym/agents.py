@@ -23,7 +23,7 @@ from .env import PlateEnv, check_begun
 from .motions import Motions
 from .plates import IDLE_S
 
-__all__ = ["AGENTS", "KNOWN", "Agent", "Brief"]
+__all__ = ["AGENTS", "KNOWN", "Agent", "Brief", "Ours"]
 
 KNOWN = (
     "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",

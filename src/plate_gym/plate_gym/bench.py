@@ -33,7 +33,10 @@ from .env import PlateEnv, drawn
 from .plates import clocks
 from .tasks import TASKS, WORLDS, chosen, digest
 
-__all__ = ["ROW", "agent_class", "check", "evaluate", "ranges", "read", "summary", "validate"]
+__all__ = [
+    "ROW", "agent_class", "check", "episode", "evaluate", "ranges", "read", "seed_range", "summary",
+    "validate",
+]  # fmt: skip
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
 """Whose versions a result names, those of them that are installed."""
@@ -506,4 +509,5 @@ def seed_range(text: str) -> range:
 if __name__ == "__main__":
     if not ALIKE.items() <= os.environ.items():  # libraries have read them: once more
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # workers end, as after Ctrl-C
     sys.exit(main())
