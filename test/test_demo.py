@@ -23,12 +23,18 @@ import play
 from demo import arguments
 from graph.demo import LAST, clear, own_folder, rig_title, watch
 from graph.demo import demo as run
+from graph.observer import Record, Said
 from graph.processes import Interrupted
 from PIL import Image
+from rclpy.serialization import serialize_message
+from record.film import develop
 from short_task import short_task
+from std_msgs.msg import Header
 
 from plate_bringup import load_graph
-from plate_core import PlateError
+from plate_core import PlateError, load_rig
+from plate_core.ros import to_time
+from plate_interfaces.msg import Parts, TaskStatus
 
 ROOT = Path(__file__).resolve().parents[1]
 MARK = "PLATE_TEST_RUN"
@@ -262,6 +268,19 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
     monkeypatch.setattr(sys, "argv", ["demo", "--scenario", "sort_4", "--out", str(tmp_path)])
     assert run(arguments()) == 130
     assert concluded == [None]
+
+
+def test_what_an_interrupted_task_did_counts_to_the_last_that_is_known():
+    """The planner says every second how long, in whole milliseconds: 0.1173 s is 0.117."""
+    starts = [10.0, 10.1173, 10.2346, 10.3519]
+    parts = (Parts(header=Header(stamp=to_time(round(1e9 * t)))) for t in starts)
+    record = Record(truth=[serialize_message(part) for part in parts])
+    record.said["planner"] = [Said(0.0, 10_117_300_000, "", values={"time_s": "0.117"})]
+    film = develop(record, load_rig())
+    assert film.cycles == 3
+    assert film.end == pytest.approx(0.352, abs=1e-3)
+    record.status = TaskStatus(state=TaskStatus.DONE)
+    assert develop(record, load_rig()).cycles == 1
 
 
 def test_a_folder_that_cannot_be_made_is_said_before_anything_starts(monkeypatch, capsys):

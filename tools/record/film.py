@@ -15,6 +15,9 @@ from plate_core import PlateCycle, PlateError, Rig
 from plate_core.ros import image_to_array, msg_to_motors, msg_to_parts, nanoseconds
 from plate_interfaces.msg import Parts
 
+ROUNDING = 1e-3
+"""Times that a planner reports are of whole milliseconds [s]."""
+
 
 @dataclass(frozen=True)
 class Film:
@@ -31,7 +34,7 @@ class Film:
     angle : (n, M)
         Their angles [rad].
     end : float
-        When the task was over [s].
+        When the task was over [s], or of one that never was, what is known last.
     table_time : (m,)
         Stamps of motor tables: of the images that they answer [s].
     tables : tuple of PlateCycle
@@ -59,7 +62,7 @@ class Film:
     @property
     def cycles(self) -> int:
         """Number of cycles that the task took."""
-        return int(np.sum((self.time >= 0) & (self.time < self.end)))
+        return int(np.sum((self.time > -ROUNDING) & (self.time < self.end - ROUNDING)))
 
     def running(self, t: float) -> PlateCycle | None:
         """Return the plate's motion at a time: the answer to the image before the newest."""
@@ -107,12 +110,13 @@ def develop(record: Record, rig: Rig) -> Film:
     def since(messages: list) -> np.ndarray:
         return np.array([1e-9 * (nanoseconds(msg.header.stamp) - began) for msg in messages])
 
+    time = since(truth)
     return Film(
         ids=ids,
-        time=since(truth),
+        time=time,
         position=position,
         angle=angle,
-        end=float(reports[-1].values["time_s"]),
+        end=float(reports[-1].values["time_s"]) if record.ended else max(0.0, float(time[-1])),
         table_time=since(tables),
         tables=tuple(cycles),
         image_time=since(images),
