@@ -20,7 +20,11 @@ PAGE, RESULTS = ROOT / "docs/guide/leaderboard.md", ROOT / "benchmarks"
 MARK = "<!-- made of benchmarks/ -->\n"
 """What stands above it in the page is written by hand."""
 
-COLUMNS = ("agent", "seeds", "done [%]", "plate time [s]", "error [mm]", "lost", "decision [ms]")
+ERRORS = {"error_mm": "error [mm]", "turn_error_deg": "error [degrees]"}
+"""Columns of a task in which there are any."""
+
+LEAST = 20
+"""Seeds that a result has of a task: those from 0 on."""
 
 
 def page() -> str:
@@ -34,10 +38,10 @@ def tables(folder: Path) -> str:
     Raises
     ------
     PlateError
-        If a file is no result: names it.
+        If a file is no result, or not of seeds from 0 on: names it.
     """
     from plate_gym import TASKS  # needs gymnasium: --help does not
-    from plate_gym.bench import read, validate
+    from plate_gym.bench import ranges, read, validate
 
     results = {path.name: read(path) for path in folder.glob("*.json")}
     for name, result in results.items():
@@ -45,23 +49,35 @@ def tables(folder: Path) -> str:
             validate(result)
         except PlateError as problem:
             raise PlateError(f"{name}: {problem}") from problem
+        for task, found in result["tasks"].items():
+            seeds = sorted(own["seed"] for own in found["rows"])
+            if seeds != list(range(max(len(seeds), LEAST))):
+                raise PlateError(
+                    f"{name}: {task}: seeds are {ranges(seeds)}, allowed: from 0 on, {LEAST} or more"
+                )
     text = ""
     for task in TASKS:
         there = {name: result for name, result in results.items() if task in result["tasks"]}
         worlds = {result["world"] for result in there.values()}
+        every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
+        errors = [key for key in ERRORS if any(own[key] for own in every)]
+        columns = [
+            "agent", "seeds", "done [%]", "plate time [s]", *map(ERRORS.get, errors), "lost",
+            "decision [ms]",
+        ]  # fmt: skip
         for world in sorted(worlds, key=lambda world: (world != "nominal", world)):
             rows = sorted(
-                row(name, result["agent"], result["tasks"][task])
+                row(name, result["agent"], result["tasks"][task], errors)
                 for name, result in there.items()
                 if result["world"] == world
             )
-            lines = [" | ".join(COLUMNS), " | ".join(["---"] * len(COLUMNS))]
+            lines = [" | ".join(columns), " | ".join(["---"] * len(columns))]
             lines += [line for _, _, line in rows]
             text += f"\n## {task}, {world}\n\n" + "".join(f"| {line} |\n" for line in lines)
     return text
 
 
-def row(file: str, agent: str, found: dict[str, Any]) -> tuple[float, float, str]:
+def row(file: str, agent: str, found: dict[str, Any], errors: list[str]) -> tuple[float, float, str]:
     """Return the row of an agent's result, behind what rows are ordered by."""
     from plate_gym.bench import ranges, summary
 
@@ -73,7 +89,7 @@ def row(file: str, agent: str, found: dict[str, Any]) -> tuple[float, float, str
         ranges(sorted(own["seed"] for own in found["rows"])),
         f"{share:.0f} ({low:.0f} to {high:.0f})",
         f"{took:.1f}" if np.isfinite(took) else "-",
-        f"{np.median([own['error_mm'] for own in found['rows']]):.3g}",
+        *(f"{np.median([own[key] for own in found['rows']]):.3g}" for key in errors),
         str(found["dropped"]),
         f"{found['decision_ms']:.3g}",
     ]

@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from contextlib import redirect_stdout
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -91,7 +92,9 @@ def agent_class(name: str) -> type[Agent]:
     try:
         found: type[Agent] = getattr(importlib.import_module(module), label)
     except (Exception, SystemExit) as problem:
-        raise PlateError(f"agent {name} cannot be loaded: {said(problem)}") from problem
+        absent = isinstance(problem, ModuleNotFoundError) and problem.name == module
+        where = f"; is {module}.py in this folder, {Path.cwd()}?" if absent else ""
+        raise PlateError(f"agent {name} cannot be loaded: {said(problem)}{where}") from problem
     kinds = (getattr(found, key, None) for key in ("action", "observation"))
     if (
         not isinstance(found, type)
@@ -110,7 +113,7 @@ def said(problem: BaseException) -> str:
 
 
 def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
-    """Run one episode, in the world of a seed.
+    """Run one episode, in the world of a seed; what the agent prints goes to the standard error.
 
     Returns
     -------
@@ -132,21 +135,22 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
     places = hashlib.blake2b(digest_size=8)
     ended = over = False
     try:
-        env = PlateEnv(task, world, kind.action, kind.observation)
-        seen, info = env.reset(seed=seed)
-        plate, brief = env.plates.plates[0], Brief.of(env)
-        began = clocks()
-        mind = kind(brief, seed_of_agent(seed))
-        start = clocks() - began
-        while not (ended or over):
-            known = {name: info[name] for name in KNOWN if name in info}
-            before, began = plate.solving_s.copy(), clocks()
-            action = mind.act(seen, known)
-            passed = clocks() - began
-            seen, reward, ended, over, info = env.step(action)
-            spent.append(passed + plate.solving_s - before)
-            total, used = total + reward, max(used, float(info["limit_share"]))
-            places.update(plate.simulation.state.position.tobytes())
+        with redirect_stdout(sys.stderr):
+            env = PlateEnv(task, world, kind.action, kind.observation)
+            seen, info = env.reset(seed=seed)
+            plate, brief = env.plates.plates[0], Brief.of(env)
+            began = clocks()
+            mind = kind(brief, seed_of_agent(seed))
+            start = clocks() - began
+            while not (ended or over):
+                known = {name: info[name] for name in KNOWN if name in info}
+                before, began = plate.solving_s.copy(), clocks()
+                action = mind.act(seen, known)
+                passed = clocks() - began
+                seen, reward, ended, over, info = env.step(action)
+                spent.append(passed + plate.solving_s - before)
+                total, used = total + reward, max(used, float(info["limit_share"]))
+                places.update(plate.simulation.state.position.tobytes())
     except (Exception, SystemExit) as problem:
         where = f"agent {agent}, {task}, seed {seed}, step {len(spent)}"
         raise PlateError(f"{where}: {said(problem)}") from problem
@@ -181,7 +185,7 @@ def evaluate(
     tasks: Iterable[str] = tuple(TASKS),
     seeds: Iterable[int] = range(100),
     world: str = "nominal",
-    workers: int = 1,
+    workers: int = 0,
     tell: Callable[[str], None] = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
@@ -194,7 +198,7 @@ def evaluate(
     tasks, seeds, world
         Names of tasks (or one), seeds from 0 on, each once, and a key of `WORLDS`.
     workers : int
-        Processes that work at the same time.
+        Processes that work at the same time; 0: this one works.
     tell : callable
         Takes a line of text for each task that is done.
     keep : callable
@@ -239,7 +243,7 @@ def episodes(
 ) -> Iterator[dict[str, Any]]:
     """Run episodes, in so many processes; yields them in the order of seeds."""
     run = partial(episode, agent, world, task)
-    if workers == 1:
+    if not workers:
         yield from map(run, seeds)
         return
     try:
@@ -282,8 +286,9 @@ def line(task: str, found: dict[str, Any]) -> str:
 def check(
     result: Any,
     tell: Callable[[str], None] = lambda text: None,
-    workers: int = 1,
+    workers: int = 0,
     fresh: int = 0,
+    world: str | None = None,
 ) -> list[str]:
     """Run up to `CHECKED` seeds of each task of a result again, and sum up its rows again.
 
@@ -294,16 +299,18 @@ def check(
     tell : callable
         Takes lines: what is installed here in another version, which seeds are claimed.
     workers : int
-        Processes that work at the same time.
+        As of `evaluate`.
     fresh : int
         So many seeds of each task are drawn and run besides.
+    world : str, optional
+        Of the fresh seeds; that of the result, if left out.
 
     Returns
     -------
     list of str
-        What differs, but for computing times; empty if nothing does. A share of fresh seeds differs
-        where its interval has nothing in common with the one that is claimed. A digest of places
-        also differs between machines whose libraries compute other last bits.
+        What differs, but for computing times; empty if nothing does. A share of fresh seeds of the
+        same world differs where its interval has nothing in common with the one that is claimed. A
+        digest of places also differs between machines whose libraries compute other last bits.
 
     Raises
     ------
@@ -311,6 +318,9 @@ def check(
         If it is no result of `evaluate`, its agent is not here, or fails.
     """
     validate(result)
+    world = result["world"] if world is None else world
+    chosen("world", world, WORLDS)
+    tell(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
     here = versions() | {"sources": sources()}
     for name, own in here.items():
         made = (result["versions"] | {"sources": result["sources"]}).get(name)
@@ -323,21 +333,26 @@ def check(
         again = summary(claimed["rows"])
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary is not that of its rows")
-        run = partial(episodes, result["agent"], result["world"], task, workers=workers)
+        run = partial(episodes, result["agent"], task=task, workers=workers)
         picks = sorted(chance.permutation(np.array(list(rows), object))[:CHECKED].tolist())
-        for seed, true in zip(picks, run(picks), strict=True):
+        played = list(run(world=result["world"], seeds=picks))
+        for seed, true in zip(picks, played, strict=True):
             wrong += [
                 f"{task}, seed {seed}: {key} is {rows[seed][key]!r}, again: {value!r}"
                 for key, value in true.items()
                 if key not in TIMES and rows[seed][key] != value
             ]
-        tell(f"{task}: {len(picks)} seeds again, {len(wrong)} differences so far")
+        took, took_here = again["decision_ms"], summary(played)["decision_ms"]
+        tell(
+            f"{task}: {len(picks)} seeds again, {len(wrong)} differences so far; {took:.3g} ms for a "
+            f"decision, here {took_here:.3g}"
+        )
         if fresh:
             seeds = [drawn(chance) for _ in range(fresh)]
-            found = summary(list(run(seeds)))
-            tell(f"{line(task, found)}, {fresh} fresh seeds")
+            found = summary(list(run(world=world, seeds=seeds)))
+            tell(f"{line(task, found)}, {fresh} fresh seeds, {world}")
             (low, high), (least, most) = found["success_interval"], again["success_interval"]
-            if high < least or low > most:
+            if world == result["world"] and (high < least or low > most):
                 wrong.append(
                     f"{task}: success is {claimed['success']}, with fresh seeds: {found['success']}"
                 )
@@ -456,22 +471,31 @@ def main() -> int:
         "--task", action="append", help=f"{', '.join(TASKS)} (all); may be given again"
     )
     parser.add_argument("--seeds", type=seed_range, help="0:100 (these), or one")
-    parser.add_argument("--world", help=f"{', '.join(WORLDS)} (nominal)")
+    parser.add_argument(
+        "--world", help=f"{', '.join(WORLDS)} (nominal; with --fresh: that of the result)"
+    )
     parser.add_argument("--json", type=Path, help="file for the result")
-    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count(), help="processes; 0: this one works"
+    )
     parser.add_argument("--check", type=Path, help="file with a result to be run again in part")
     parser.add_argument("--fresh", type=int, metavar="N", help="with --check: draw N seeds besides")
     args = parser.parse_args()
-    own = ("agent", "task", "seeds", "world", "json")
+    own = ("agent", "task", "seeds", "json", *(() if args.fresh else ("world",)))
     given = [f"--{name}" for name in own if getattr(args, name) is not None]
     if args.check and given:
-        parser.error(f"--check goes with --workers and --fresh, not with {', '.join(given)}")
+        parser.error(
+            f"--check goes with --workers, --fresh and, for these, --world, not with "
+            f"{', '.join(given)}"
+        )
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MOST_SEEDS):
         parser.error(f"--fresh goes with --check, and is from 1 to {MOST_SEEDS}")
-    workers = max(args.workers, 1)
+    if args.workers < 0:
+        parser.error(f"--workers is {args.workers}, allowed: from 0 on")
+    tell = partial(print, flush=True)
     try:
         if args.check:
-            wrong = check(read(args.check), partial(print, flush=True), workers, args.fresh or 0)
+            wrong = check(read(args.check), tell, args.workers, args.fresh or 0, args.world)
             print("\n".join(wrong) or "the same again")
             return bool(wrong)
 
@@ -481,7 +505,7 @@ def main() -> int:
 
         evaluate(
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
-            args.world or "nominal", workers, partial(print, flush=True), keep,
+            args.world or "nominal", args.workers, tell, keep,
         )  # fmt: skip
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -289,7 +289,7 @@ def checked_seed(seed: Any) -> int:
         number = operator.index(seed)
     except TypeError:
         number = -1
-    if number < 0:
+    if number < 0 or isinstance(seed, bool):
         raise PlateError(f"seed is {seed!r}, allowed: a whole number from 0 on")
     return number
 

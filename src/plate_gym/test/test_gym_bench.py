@@ -20,6 +20,7 @@ class Lazy:
     action, observation = "motion", "parts"
 
     def __init__(self, brief, seed):
+        print("made", end="")
         self.action_size = brief.action_space.shape
 
     def act(self, observation, info):
@@ -122,10 +123,13 @@ def test_what_is_claimed_and_made_of_other_code_is_told(bench, result, monkeypat
     monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
     told = []
     assert bench.check(result | {"sources": "00"}, told.append) == []
-    assert told[0] == f"sources: made with 00, here {bench.sources()}"
-    assert told[1:] == [
-        "Sort4-v1: claimed are seeds 0:2", "Sort4-v1: 2 seeds again, 0 differences so far"
-    ]  # fmt: skip
+    took = f"{result['tasks']['Sort4-v1']['decision_ms']:.3g}"
+    assert told == [
+        f"agent A, commit {result['commit'] or 'unknown'}",
+        f"sources: made with 00, here {bench.sources()}",
+        "Sort4-v1: claimed are seeds 0:2",
+        f"Sort4-v1: 2 seeds again, 0 differences so far; {took} ms for a decision, here {took}",
+    ]
     assert bench.ranges([0, 1, 2, 5, 8, 9]) == "0:3, 5, 8:10"
 
 
@@ -142,7 +146,7 @@ def test_seeds_of_any_size_are_run_again(bench, result, monkeypatch):
     told = []
     assert bench.check(found, told.append) == []
     assert asked == 2 * seeds
-    assert told[0] == f"Sort4-v1: claimed are seeds 1, {2**63}:{2**63 + 2}"
+    assert told[1] == f"Sort4-v1: claimed are seeds 1, {2**63}:{2**63 + 2}"
 
 
 @pytest.mark.parametrize("good", [True, False])
@@ -151,13 +155,16 @@ def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, go
     row, told = result["tasks"]["Sort4-v1"]["rows"][0], []
 
     def episode(agent, world, task, seed):
-        return row | {"seed": seed, "success": good or seed < 20}
+        return row | {"seed": seed, "success": world == "nominal" and (good or seed < 20)}
 
     monkeypatch.setattr(bench, "episode", episode)
     found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", range(20))))
     wrong = bench.check(found, told.append, fresh=20)
-    assert wrong == [] if good else ["Sort4-v1: success is 1.0, with fresh seeds: 0.0"]
-    assert told[-1].endswith("20 fresh seeds")
+    assert wrong == ([] if good else ["Sort4-v1: success is 1.0, with fresh seeds: 0.0"])
+    assert told[-1].endswith("20 fresh seeds, nominal")
+    assert bench.check(found, told.append, fresh=20, world="held_out") == []  # nothing was claimed
+    assert "   0 % (0 to 16)" in told[-1]
+    assert told[-1].endswith("20 fresh seeds, held_out")
 
 
 def test_code_is_known_by_what_it_says(bench, tmp_path, monkeypatch):
@@ -223,7 +230,7 @@ def test_an_agent_that_kills_its_process_is_named(bench, tmp_path, monkeypatch):
     (tmp_path / "deadly.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(PlateError, match="agent deadly:Lazy, Sort4-v1: its process died: Broken"):
-        bench.evaluate("deadly:Lazy", "Sort4-v1", [0], workers=2)
+        bench.evaluate("deadly:Lazy", "Sort4-v1", [0], workers=1)
 
 
 @pytest.mark.parametrize(
@@ -302,7 +309,7 @@ def test_what_was_done_before_a_failure_is_kept(bench, result, monkeypatch, tmp_
 
     monkeypatch.setattr(bench, "episode", episode)
     place = tmp_path / "found.json"
-    words = ["--task", "Sort4-v1", "--task", "Sort10-v1", "--seeds", "7", "--workers", "1"]
+    words = ["--task", "Sort4-v1", "--task", "Sort10-v1", "--seeds", "7", "--workers", "0"]
     monkeypatch.setattr(sys, "argv", ["bench", "--json", str(place), *words])
     for problem, code in ((PlateError("lost"), 2), (KeyboardInterrupt, 130)):
         problems.append(problem)
@@ -332,6 +339,7 @@ def test_an_agent_of_ones_own_by_the_command(tmp_path, bench, monkeypatch):
     ]  # fmt: skip
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
+    assert done.stderr == "made"  # what it prints is no result
     (row,) = json.loads((tmp_path / "lazy.json").read_text())["tasks"]["Sort4-v1"]["rows"]
     assert (row["success"], row["return"], row["steps"], row["limit_share"]) == (False, 0, 1200, 0)
     assert row["time_s"] == pytest.approx(120)
@@ -343,7 +351,7 @@ def test_an_agent_of_ones_own_by_the_command(tmp_path, bench, monkeypatch):
         ({"agent": "C"}, "agent is 'C', allowed: B, A, "),
         (
             {"agent": "nowhere:Agent"},
-            "agent nowhere:Agent cannot be loaded: ModuleNotFoundError: No module",
+            "No module named 'nowhere'; is nowhere.py in this folder, ",
         ),
         ({"tasks": ["Sort5"]}, "task is 'Sort5'"),
         ({"world": "moon"}, "world is 'moon'"),
@@ -411,9 +419,12 @@ def ended(main):
         (["--check", "false.json", "--json", "x"], 2, "not with --json"),
         (["--check", "false.json", "--seeds", "3", "--agent", "A"], 2, "not with --agent, --seeds"),
         (["--fresh", "3"], 2, "--fresh goes with --check"),
+        (["--check", "false.json", "--world", "latency"], 2, "not with --world"),
+        (["--check", "false.json", "--fresh", "1", "--world", "moon"], 2, "world is 'moon'"),
+        (["--workers", "-1"], 2, "--workers is -1, allowed: from 0 on"),
         (["--json", "nowhere/x.json"], 2, "error: [Errno 2] No such file"),
         (
-            ["--check", "false.json", "--workers", "1"],
+            ["--check", "false.json", "--workers", "0"],
             1,
             "Sort4-v1, seed 0: dropped is 1, again: 0",
         ),
