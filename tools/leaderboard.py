@@ -53,7 +53,8 @@ def tables(folder: Path) -> str:
             seeds = sorted(own["seed"] for own in found["rows"])
             if seeds != list(range(max(len(seeds), LEAST))):
                 raise PlateError(
-                    f"{name}: {task}: seeds are {ranges(seeds)}, allowed: from 0 on, {LEAST} or more"
+                    f"{name}: {task}: seeds are {ranges(seeds)}, allowed: from 0 on, {LEAST} or "
+                    "more"
                 )
     text = ""
     for task in TASKS:
@@ -77,7 +78,9 @@ def tables(folder: Path) -> str:
     return text
 
 
-def row(file: str, agent: str, found: dict[str, Any], errors: list[str]) -> tuple[float, float, str]:
+def row(
+    file: str, agent: str, found: dict[str, Any], errors: list[str]
+) -> tuple[float, float, str]:
     """Return the row of an agent's result, behind what rows are ordered by."""
     from plate_gym.bench import ranges, summary
 

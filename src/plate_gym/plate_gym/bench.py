@@ -344,8 +344,8 @@ def check(
             ]
         took, took_here = again["decision_ms"], summary(played)["decision_ms"]
         tell(
-            f"{task}: {len(picks)} seeds again, {len(wrong)} differences so far; {took:.3g} ms for a "
-            f"decision, here {took_here:.3g}"
+            f"{task}: {len(picks)} seeds again, {len(wrong)} differences so far; {took:.3g} ms for "
+            f"a decision, here {took_here:.3g}"
         )
         if fresh:
             seeds = [drawn(chance) for _ in range(fresh)]
