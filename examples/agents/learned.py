@@ -20,31 +20,58 @@ FAST_MPS = 0.1
 """A drift that counts as 1 [m/s]."""
 
 
-def features(seen: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return what the network sees (4 M,) of parts (M, 6) as `parts` has them: places as shares
-    of the plate's half sides (2,) [m], and drifts."""
-    there = np.hstack([seen[:, :2] / half, np.clip(seen[:, 2:4] / FAST_MPS, -3, 3)])
-    return there.astype(np.float32).ravel()
+def features(place: Any, drift: Any, last: Any, half: Any, of: Any = np) -> Any:
+    """Return what the network sees (N, 4 M + 18), of N plates with M parts.
+
+    Parameters
+    ----------
+    place, drift : (N, M, 2)
+        Of the parts, as `parts` has them [m], [m/s].
+    last : (N, 18)
+        The last action: it is played while this one is sought.
+    half : (2,)
+        Half sides of the plate [m].
+    of : module
+        numpy, or torch if these are its tensors.
+    """
+    count = len(place)
+    shares, drifts = place / half, of.clip(drift / FAST_MPS, -3, 3)
+    return of.concatenate([shares.reshape(count, -1), drifts.reshape(count, -1), last], 1)
+
+
+class Network:
+    """Layers with ReLU between: answers with actions (N, 18), each within its bounds."""
+
+    def __init__(self, layers: list[tuple[np.ndarray, np.ndarray]]) -> None:
+        self._layers = layers
+
+    @classmethod
+    def of(cls, path: Path) -> Network:
+        """Read it from a file."""
+        with np.load(path) as kept:
+            count = len(kept.files) // 2
+            return cls([(kept[f"weight_{k}"], kept[f"bias_{k}"]) for k in range(count)])
+
+    def __call__(self, seen: np.ndarray) -> np.ndarray:
+        """Return the actions for features (N, 4 M + 18)."""
+        *hidden, (weight, bias) = self._layers
+        for w, b in hidden:
+            seen = np.maximum(seen @ w.T + b, 0)
+        found = seen @ weight.T + bias
+        return found / np.maximum(np.max(np.abs(found), axis=1, keepdims=True), 1)
 
 
 class Learned:
-    """Says where each part is to come: `progress`."""
+    """Answers with a motion at once."""
 
-    action, observation = "progress", "parts"
+    action, observation = "motion", "parts"
 
     def __init__(self, brief: Brief, seed: int) -> None:
-        self._half, space = brief.rig.plate.half, brief.action_space
-        self._low, self._high = space.low, space.high
-        with np.load(WEIGHTS) as kept:
-            self._layers = [
-                (kept[f"weight_{k}"], kept[f"bias_{k}"]) for k in range(len(kept.files) // 2)
-            ]
+        self._half, self._network = brief.rig.plate.half, Network.of(WEIGHTS)
+        self._last = np.zeros((1, brief.motions.size))
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        """Return the network's action: its mean, without chance."""
-        values = features(observation, self._half)
-        *hidden, (weight, bias) = self._layers
-        for w, b in hidden:
-            values = np.maximum(w @ values + b, 0)
-        share = (np.tanh(weight @ values + bias) + 1) / 2
-        return self._low + share.reshape(self._low.shape) * (self._high - self._low)
+        """Return the network's action."""
+        place, drift = observation[None, :, :2], observation[None, :, 2:4]
+        self._last = self._network(features(place, drift, self._last, self._half))
+        return self._last[0]

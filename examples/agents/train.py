@@ -1,119 +1,317 @@
-"""Train a small network on Sort4-v1 by SAC, and write its weights and its learning curve.
+"""Train a small network that answers with a motion at once: by gradients through friction.
 
-In this folder, in an environment of its own (pip install ../../src/plate_gym -r requirements.txt):
+In a model of the plate, parts as points, the network acts for some cycles; how far the parts then
+are from where they belong is differentiated back, through friction and motions, to its weights. So
+it learns without a solver, and without rewards. In this folder, in an environment of its own
+(pip install ../../src/plate_gym -r requirements.txt):
 
-    python train.py --minutes 40
+    python train.py --minutes 30
 
-Writes weights.npz, of the last step, and curve.csv, a row for each episode of training.
+Writes weights.npz, and curve.csv, a row for each minute: how it does on plates of plate_gym.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import time
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
-from learned import WEIGHTS, features
-from stable_baselines3 import SAC
-from stable_baselines3.common.callbacks import BaseCallback
+from learned import WEIGHTS, Network, features
+from numba import njit
 
-import plate_gym
+import plate_gym  # noqa: F401, registers the environments
+from plate_gym.motions import PERIOD_S
+from plate_solver import Limits
+from plate_solver.sinusoids import sinusoid_basis
 
-TASK, SEED = "Sort4-v1", 1
-LAYERS = [64, 64]
+WIDTH = 256
+"""Of both hidden layers."""
 
-REWARD = 10.0
-"""Rewards are so many times those of the task: these are 2 in all."""
+PLATES, CYCLES = 512, 8
+"""That learn at once, and cycles through which they look back."""
 
-STEPS = 100
-"""Of an episode of training, at most: the judge's are up to 800."""
+RATE = 3e-3
+"""Of learning, at first; it falls to nothing."""
+
+STEPS = 64
+"""Of a cycle in the model."""
+
+LONGEST = 120
+"""Cycles after which a plate of the model begins anew."""
+
+EDGE_M, EDGE_COST = 0.03, 2.0
+"""Nearer to an edge than this a part costs, at the edge as much [100 mm of way]."""
+
+CLEAR_M = 0.02
+"""So far centres are to keep apart [m]."""
+
+JUDGED, SEED = 64, 200_000
+"""Plates of plate_gym to be judged on, and the first of their seeds; 40 s of the task each."""
+
+JUDGED_CYCLES = 400
 
 CURVE = Path(__file__).with_name("curve.csv")
 
 
-class Told(gymnasium.Wrapper):
-    """The environment as the network sees it; keeps a row for each episode that has ended."""
+@njit(fastmath=True, cache=True)
+def slide(state: Any, pose: Any, twist: Any, most: float, dt: float, kept: Any) -> None:
+    """Let parts slide for a cycle: friction changes a velocity towards that of the plate below, by
+    `most` in a step at most.
 
-    def __init__(self, env: gymnasium.Env) -> None:
-        super().__init__(env)
+    Parameters
+    ----------
+    state : (4, M, N)
+        x, y [m] and velocities of M parts on N plates, changed in place.
+    pose, twist : (n, 3, N)
+        Of the plates, in the middle of steps.
+    most : float
+        mu g dt [m/s].
+    kept : (n, 4, M, N)
+        Filled: where parts were, and their slips.
+    """
+    x, y, u, v = state
+    for i in range(len(pose)):
+        for m in range(x.shape[0]):
+            for k in range(x.shape[1]):
+                turn = twist[i, 2, k]
+                slip_x = twist[i, 0, k] - turn * (y[m, k] - pose[i, 1, k]) - u[m, k]
+                slip_y = twist[i, 1, k] + turn * (x[m, k] - pose[i, 0, k]) - v[m, k]
+                kept[i, 0, m, k], kept[i, 1, m, k] = x[m, k], y[m, k]
+                kept[i, 2, m, k], kept[i, 3, m, k] = slip_x, slip_y
+                share = most / max(np.sqrt(slip_x * slip_x + slip_y * slip_y), most)
+                u[m, k] += share * slip_x
+                v[m, k] += share * slip_y
+                x[m, k] += dt * u[m, k]
+                y[m, k] += dt * v[m, k]
+
+
+@njit(fastmath=True, cache=True)
+def slide_back(
+    by_state: Any, by_pose: Any, by_twist: Any, pose: Any, twist: Any, most: float, dt: float,
+    kept: Any,
+) -> None:  # fmt: skip
+    """Turn derivatives by the state after a cycle into such by the state before, in place, and add
+    those by pose and twist; see `slide`."""
+    x, y, u, v = by_state
+    for i in range(len(pose) - 1, -1, -1):
+        for m in range(x.shape[0]):
+            for k in range(x.shape[1]):
+                slip_x, slip_y, turn = kept[i, 2, m, k], kept[i, 3, m, k], twist[i, 2, k]
+                own_x, own_y = u[m, k] + dt * x[m, k], v[m, k] + dt * y[m, k]
+                square = slip_x * slip_x + slip_y * slip_y
+                slides = square > most * most
+                share = most / np.sqrt(square) if slides else 1.0
+                along = (slip_x * own_x + slip_y * own_y) / square if slides else 0.0
+                by_x, by_y = share * (own_x - along * slip_x), share * (own_y - along * slip_y)
+                u[m, k], v[m, k] = own_x - by_x, own_y - by_y
+                x[m, k] += turn * by_y
+                y[m, k] -= turn * by_x
+                by_twist[i, 0, k] += by_x
+                by_twist[i, 1, k] += by_y
+                off_x, off_y = kept[i, 0, m, k] - pose[i, 0, k], kept[i, 1, m, k] - pose[i, 1, k]
+                by_twist[i, 2, k] += off_x * by_y - off_y * by_x
+                by_pose[i, 0, k] -= turn * by_y
+                by_pose[i, 1, k] += turn * by_x
+
+
+class Slide(torch.autograd.Function):
+    """`slide` with its derivatives."""
+
+    @staticmethod
+    def forward(ctx: Any, state: Any, pose: Any, twist: Any, most: float, dt: float) -> Any:
+        """Return the state after a cycle."""
+        after, *motion = (values.detach().numpy() for values in (state, pose, twist))
+        after, most, dt = after.copy(), np.float32(most), np.float32(dt)
+        kept = np.empty((len(pose), *after.shape), np.float32)
+        slide(after, *motion, most, dt, kept)
+        ctx.made = (*motion, most, dt, kept)
+        return torch.from_numpy(after)
+
+    @staticmethod
+    def backward(ctx: Any, by_after: Any) -> Any:
+        """Return the derivatives by state, pose and twist."""
+        own = by_after.numpy().copy(), *(np.zeros_like(values) for values in ctx.made[:2])
+        slide_back(*own, *ctx.made)
+        return (*map(torch.from_numpy, own), None, None)
+
+
+class Model:
+    """Plate and parts, and what sorting to sides or corners asks for: N plates at once."""
+
+    def __init__(self, env: Any) -> None:
         plates = env.unwrapped.plates
-        self._half, size = plates.rig.plate.half, 4 * plates.scenario.count
-        self.observation_space = gymnasium.spaces.Box(-3, 3, (size,), np.float32)
-        self.rows: list[list[float]] = []
-        self._steps, self._total = 0, 0.0
+        rig, self._scale = plates.rig, tensor(plates.motions.scale)
+        basis = sinusoid_basis(plates.motions.basis.span.shape[0] // 2, PERIOD_S, True, STEPS)
+        self._pose, self._twist = tensor(basis.pose), tensor(basis.twist)
+        self.half, self._dt = tensor(rig.plate.half), basis.dt
+        self._most = rig.friction.mu * rig.friction.gravity * basis.dt
+        limits = Limits.of(rig, 1.0)
+        levers = tensor(limits.levers)
+        signs = tensor(list(itertools.product((1, -1), repeat=2)))
+        (right, up), flat = (signs * self.half).T, torch.zeros(4)
+        self._corners = torch.stack([flat + 1, flat, -up]), torch.stack([flat, flat + 1, right])
+        pose, twist, self._accel = map(tensor, basis.looks)
+        self._most_accel = limits.accel
+        self._looks = [
+            (pose, levers.T, limits.stroke_m),
+            (twist, levers.T, limits.speed),
+            (self._accel, levers.T, limits.accel),
+        ]
+        task = plates.scenario.task
+        sides = [task.regions[label] for label in plates.scenario.labels]
+        self._side = tensor([[side.x, side.y] for side in sides])
+        self._goal = task.goal_fraction * self._side.abs() * self.half
+        self.parts = len(sides)
 
-    def reset(self, **settings):
-        """Begin anew."""
-        seen, info = self.env.reset(**settings)
-        return features(seen, self._half), info
+    def limited(self, actions: Any) -> Any:
+        """Return coefficients (N, 6, 3) of actions (N, 18), scaled down to the limits."""
+        own = actions.reshape(len(actions), -1, 3) * self._scale
+        used = [(basis @ own @ way).abs() / most for basis, way, most in self._looks]
+        along_x, along_y = (self._accel @ own @ way for way in self._corners)
+        used.append(torch.hypot(along_x, along_y) / self._most_accel)
+        most = torch.cat(used, dim=1).amax((1, 2))
+        return own / most.clip(min=1)[:, None, None]
 
-    def step(self, action):
-        """Let a cycle pass."""
-        seen, reward, ended, over, info = self.env.step(action.astype(float))
-        self._steps, self._total = self._steps + 1, self._total + reward
-        if ended or over:
-            self.rows.append(
-                [
-                    self._steps,
-                    round(self._total, 4),
-                    int(info["success"]),
-                    int(info["dropped"]),
-                    round(float(info["time_s"]), 3),
-                ]
-            )
-            self._total = 0.0
-        return features(seen, self._half), REWARD * reward, ended, over, info
+    def after(self, place: Any, speed: Any, own: Any) -> tuple[Any, Any]:
+        """Return where parts (N, M, 2) are after a cycle with coefficients (N, 6, 3), and their
+        velocities."""
+        flat = own.permute(1, 2, 0).reshape(own.shape[1], -1)
+        pose, twist = ((basis @ flat).reshape(STEPS, 3, -1) for basis in (self._pose, self._twist))
+        state = torch.cat([place.permute(2, 1, 0), speed.permute(2, 1, 0)]).contiguous()
+        state = Slide.apply(state, pose, twist, self._most, self._dt)
+        return state[:2].permute(2, 1, 0), state[2:].permute(2, 1, 0)
 
+    def ways(self, place: Any) -> Any:
+        """Return how far (N, M) parts are from where they belong [m]."""
+        ways = (self._goal - place * self._side).clip(min=0)
+        return torch.sqrt((ways**2).sum(-1) + 1e-12)
 
-class Clock(BaseCallback):
-    """Ends training at a time, and keeps what there is from time to time."""
-
-    def __init__(self, minutes: float, told: Told) -> None:
-        super().__init__()
-        self._end, self._told, self._kept = time.monotonic() + 60 * minutes, told, 0
-
-    def _on_step(self) -> bool:
-        if len(self._told.rows) >= self._kept + 20:
-            self._kept = len(self._told.rows)
-            keep(self.model, self._told)
-        return time.monotonic() < self._end
+    def cost(self, place: Any) -> Any:
+        """Return what places cost (N,): ways to go, and parts near edges or to each other."""
+        way = self.ways(place) / 0.1
+        beyond = ((place.abs() - self.half) / EDGE_M + 1).clip(min=0)
+        gap = torch.sqrt(((place[:, :, None] - place[:, None]) ** 2).sum(-1) + 1e-12)
+        near = ((CLEAR_M - gap) / 0.2).clip(min=0).triu(1).sum((1, 2))
+        far = (torch.sqrt(way**2 + 0.01) - 0.1 + way**2 / 2).mean(1)
+        return far + EDGE_COST * (beyond**2).sum((1, 2)) + near
 
 
-def keep(model: SAC, told: Told) -> None:
-    """Write the policy's mean as numpy has it, and the curve."""
-    policy = model.policy.actor
-    layers = [*policy.latent_pi, policy.mu]
-    linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
-    arrays = {}
-    for k, layer in enumerate(linear):
-        arrays[f"weight_{k}"] = layer.weight.detach().numpy().astype(np.float32)
-        arrays[f"bias_{k}"] = layer.bias.detach().numpy().astype(np.float32)
-    np.savez_compressed(WEIGHTS, **arrays)
-    with CURVE.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["steps", "return", "success", "dropped", "time_s"])
-        writer.writerows(told.rows)
+def tensor(values: Any) -> Any:
+    """Return values as a tensor."""
+    return torch.tensor(np.asarray(values), dtype=torch.float32)
+
+
+class Crowd:
+    """Plates of the model on which the network acts, and begins anew where all is done."""
+
+    def __init__(self, model: Model) -> None:
+        self._model, parts = model, (PLATES, model.parts, 2)
+        self.place, self.speed, self.drift = self._drawn(PLATES), *torch.zeros(2, *parts)
+        self.last, self.own = torch.zeros(PLATES, 18), torch.zeros(PLATES, 6, 3)
+        self._age = torch.zeros(PLATES)
+
+    def costs(self, network: Any) -> Any:
+        """Let the network act for `CYCLES`; returns what places cost on the way and in the end."""
+        model, total = self._model, 0.0
+        for _ in range(CYCLES):
+            found = network(features(self.place, self.drift, self.last, model.half, torch))
+            self.last = found / found.abs().amax(1, keepdim=True).clip(min=1)
+            before = self.place
+            self.place, self.speed = model.after(before, self.speed, self.own)
+            self.drift, self.own = (self.place - before) / PERIOD_S, model.limited(self.last)
+            total = total + model.cost(self.place)
+        place, speed = model.after(self.place, self.speed, self.own)  # what is still to be played
+        return (total + 2 * model.cost(place + PERIOD_S / 2 * speed)).mean() / (CYCLES + 2)
+
+    def go_on(self) -> None:
+        """Cut what was looked back through; begin anew where parts fell off, all is done, or it has
+        lasted long enough."""
+        for name, values in list(vars(self).items()):
+            if torch.is_tensor(values):
+                setattr(self, name, values.detach())
+        off = (self.place.abs() > self._model.half).flatten(1).any(1)
+        done = (self._model.ways(self.place) < 1e-5).all(1) & (torch.rand(PLATES) < 0.3)
+        self._age += CYCLES
+        anew = off | done | (self._age > LONGEST)
+        self.place[anew] = self._drawn(int(anew.sum()))
+        for values in (self.speed, self.drift, self.last, self.own, self._age):
+            values[anew] = 0
+
+    def _drawn(self, count: int) -> Any:
+        inner = self._model.half - CLEAR_M
+        return (2 * torch.rand(count, self._model.parts, 2) - 1) * inner
+
+
+def judged(env: Any, network: Network) -> tuple[float, float, int]:
+    """Return the share of plates that were sorted, their median time [s], and parts lost."""
+    half = env.unwrapped.plates.rig.plate.half
+    seen, _ = env.reset(seed=SEED)
+    last, over = np.zeros((JUDGED, 18)), np.zeros(JUDGED, bool)
+    lost, times = 0, []
+    for _ in range(JUDGED_CYCLES):
+        last = network(features(seen[:, :, :2], seen[:, :, 2:4], last, half))
+        seen, _, ended, late, info = env.step(last)
+        fresh = (ended | late) & ~over
+        times += info["time_s"][fresh & info["success"]].tolist()
+        lost += int(info["dropped"][fresh].sum())
+        over |= fresh
+    return len(times) / JUDGED, float(np.median(times)) if times else np.nan, lost
+
+
+def layers_of(network: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return weights and biases as numpy has them."""
+    linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    return [tuple(p.detach().numpy().copy() for p in (own.weight, own.bias)) for own in linear]
 
 
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=40.0, help="of training (40)")
-    minutes = parser.parse_args().minutes
+    parser.add_argument("--task", default="Sort4-v1", help="Sort4-v1 (default), Sort10-v1, ...")
+    parser.add_argument("--minutes", type=float, default=30.0, help="of training (30)")
+    args = parser.parse_args()
+    torch.manual_seed(1)
     torch.set_num_threads(1)
-    plate = plate_gym.PlateEnv(TASK, action="progress")
-    told = Told(gymnasium.wrappers.TimeLimit(plate, STEPS))
-    model = SAC(
-        "MlpPolicy", told, learning_rate=1e-3, buffer_size=200_000, learning_starts=500,
-        batch_size=256, gamma=0.9, tau=0.01, ent_coef="auto_0.02",
-        policy_kwargs={"net_arch": LAYERS}, seed=SEED,
-    )  # fmt: skip
-    model.learn(10**9, callback=Clock(minutes, told))
-    keep(model, told)
+    env = gymnasium.make_vec(f"plate/{args.task}", num_envs=JUDGED)
+    model = Model(env)
+    crowd, sizes = Crowd(model), (4 * model.parts + 18, WIDTH, WIDTH, 18)
+    layers = [torch.nn.Linear(*pair) for pair in itertools.pairwise(sizes)]
+    network = torch.nn.Sequential(layers[0], torch.nn.ReLU(), layers[1], torch.nn.ReLU(), layers[2])
+    optimiser = torch.optim.Adam(network.parameters(), RATE)
+    rows, updates, spent, all_s = [], 0, 0.0, 60 * args.minutes
+    print("minutes  motions [million]  done  plate time [s]  lost", flush=True)
+    while spent < all_s:
+        began = time.monotonic()
+        optimiser.param_groups[0]["lr"] = RATE * (1 - spent / all_s)
+        optimiser.zero_grad()
+        crowd.costs(network).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        crowd.go_on()
+        spent, updates = spent + time.monotonic() - began, updates + 1
+        if spent < min(60 * (len(rows) + 1), all_s):
+            continue
+        found = layers_of(network)
+        done, took, lost = judged(env, Network(found))
+        seen = updates * PLATES * CYCLES / 1e6
+        rows.append([round(spent / 60, 2), round(seen, 2), done, round(took, 2), lost])
+        print("{:7.1f}  {:17.1f}  {:4.2f}  {:14.1f}  {:4d}".format(*rows[-1]), flush=True)
+        arrays = {
+            f"{name}_{k}": values.astype(np.float32)
+            for k, layer in enumerate(found)
+            for name, values in zip(("weight", "bias"), layer, strict=True)
+        }
+        np.savez_compressed(WEIGHTS, **arrays)
+        with CURVE.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(["minutes", "million_motions", "done", "time_s", "lost"])
+            writer.writerows(rows)
 
 
 if __name__ == "__main__":

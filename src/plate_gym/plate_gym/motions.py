@@ -24,17 +24,21 @@ class Motions:
     ----------
     size : int
         Numbers of an action.
+    basis : SinusoidBasis
+        The functions of time.
+    scale : (6, 3)
+        Coefficients of the basis at actions of 1 [m/s, rad/s].
     """
 
     def __init__(self, rig: Rig) -> None:
-        self._basis = sinusoid_basis(HARMONICS, PERIOD_S, True)
+        self.basis = sinusoid_basis(HARMONICS, PERIOD_S, True)
         self._limits = Limits.of(rig, 1.0)
-        spline = self._basis.spline.reshape(len(self._basis.times) - 1, 6, -1)
-        self._bounds = [control_points(self._basis.times, spline, order, 1) for order in range(3)]
-        self.size = 3 * self._basis.size
-        self._scale = np.ones((self._basis.size, 3))
+        spline = self.basis.spline.reshape(len(self.basis.times) - 1, 6, -1)
+        self._bounds = [control_points(self.basis.times, spline, order, 1) for order in range(3)]
+        self.size = 3 * self.basis.size
+        self.scale = np.ones((self.basis.size, 3))
         alone = self._use(np.eye(self.size).reshape(self.size, -1, 3))
-        self._scale = CERTAIN / alone.reshape(-1, 3)
+        self.scale = CERTAIN / alone.reshape(-1, 3)
 
     def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
         """Return the motion of one action (size,), and its share of the limits."""
@@ -51,12 +55,12 @@ class Motions:
             From -1 to 1: for each function of time x, y and theta. One alone uses the whole of a
             limit at 1. Together they are scaled down, all alike, as far as they exceed the limits.
         """
-        own = self._scale * actions.reshape(len(actions), -1, 3)
+        own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
         while (beyond := used > CERTAIN).any():  # turns enter with their square: twice, as a rule
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
-        return self._basis.cycles(own), used
+        return self.basis.cycles(own), used
 
     def _use(self, own: np.ndarray) -> np.ndarray:
         """Return the greatest shares (N,) of a limit that coefficients (N, h, 3) use: bounds."""
