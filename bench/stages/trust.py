@@ -57,7 +57,7 @@ HEIGHT = 0.003
 
 WORLDS: tuple[dict[str, float], ...] = (
     {}, {"static_ratio": 1.3}, {"friction_slope": 0.5}, {"friction_slope": -0.5},
-    {"friction_slope": 2.0}, {"friction_slope": -2.0},
+    {"friction_slope": 2.0}, {"friction_slope": -2.0}, {"heave": 0.01}, {"heave": 0.05},
 )  # fmt: skip
 """Laws of friction in which tasks are run; loop and planner believe the first."""
 

@@ -116,6 +116,9 @@ class Options(NodeOptions):
     friction_slope: float = _disturbance(
         "friction_slope", "How friction changes with the slip [1/(m/s)]."
     )
+    heave: float = _disturbance(
+        "heave", "Motion of the plate up and down, over that along x [-]: weight changes."
+    )
     tilt_x: float = _disturbance("tilt_x", "Lean of the plate that pulls parts along +x [rad].")
     tilt_y: float = _disturbance("tilt_y", "Lean of the plate that pulls parts along +y [rad].")
     latency: float = _disturbance(

@@ -1,4 +1,5 @@
-"""Friction that changes with the slip, against closed forms of a part that comes to rest alone."""
+"""Friction that changes with the slip, or with a plate that moves up and down, against closed forms
+of a part alone."""
 
 import numpy as np
 import pytest
@@ -25,11 +26,11 @@ def stopping(speed, slope):
     return (speed + c * speed**2 / 2) / MU_G, (speed**2 / 2 + c * speed**3 / 3) / MU_G
 
 
-def run(part, velocity, spin, slope, time, cycle=None):
+def run(part, velocity, spin, slope, time, cycle=None, heave=0.0, samples=0):
     """The part after a time [s], from (0, 0)."""
     return simulate_bodies(
         cycle or PlateCycle.rest(time), part, [[0, 0]], 0, [velocity], spin, MU, G,
-        samples=0, ground=Ground(friction_slope=slope),
+        samples=samples, ground=Ground(friction_slope=slope, heave=heave),
     )  # fmt: skip
 
 
@@ -72,11 +73,35 @@ def test_a_part_rides_on_what_it_does_not_slip(slope):
     np.testing.assert_allclose(ends.position[-1], 0, atol=1e-12)
 
 
-def test_a_slope_of_next_to_nothing_changes_next_to_nothing():
+@pytest.mark.parametrize("part", [disc(RADIUS), SQUARE], ids=["disc", "square"])
+def test_a_part_that_slides_on_is_braked_by_its_changing_weight(part):
+    """v' = -mu (g + r a): what it loses is mu g t, and mu r of what the plate gains."""
+    cycle, heave = shaken(30), 0.08
+    ends = run(part, [3, 0], 0, 0, None, cycle, heave, samples=16)
+    gained = cycle.twist(ends.time)[:, 0] - cycle.twist(0.0)[0, 0]
+    assert np.ptp(gained) > 0.5
+    expected = 3 - MU_G * ends.time - MU * heave * gained
+    np.testing.assert_allclose(ends.velocity[:, 0, 0], expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("heave", [0.1, -0.1])
+def test_a_part_rides_where_its_weight_is_least(heave):
+    """mu (g - r a) holds it up to mu g/(1 + mu r), on whichever side of the swing."""
+    most = 1 / (1 + MU * abs(heave))
+    for gamma, rides in ((0.998 * most, True), (1.002 * most, False)):
+        cycle = shaken(gamma)
+        start = cycle.twist(0.0)[0, :2]
+        ends = run(disc(RADIUS), start, 0, 0, None, cycle, heave)
+        assert (np.abs(ends.position[-1]).max() < 1e-12) == rides
+
+
+@pytest.mark.parametrize("name", ["slope", "heave"])
+def test_next_to_nothing_of_either_changes_next_to_nothing(name):
     """Discs are then moved one by one, not together: by the same law."""
     cycle = shaken(30)
     with_it, without = (
-        run(disc(RADIUS), [0.2, 0.3], 20, slope, None, cycle) for slope in (1e-9, 0)
+        run(disc(RADIUS), [0.2, 0.3], 20, time=None, cycle=cycle, **{"slope": 0.0, name: value})
+        for value in (1e-9, 0)
     )
     np.testing.assert_allclose(with_it.position, without.position, atol=1e-7)
     np.testing.assert_allclose(with_it.spin, without.spin, atol=1e-3)
@@ -86,5 +111,8 @@ def test_what_is_out_of_range_or_not_there_is_refused():
     with pytest.raises(PlateError, match=r"friction_slope is 6\.0, allowed: -5 to 5"):
         Ground(friction_slope=6.0)
     assert Disturbances(friction_slope=-1).ground == Ground(friction_slope=-1)
-    with pytest.raises(PlateError, match="friction_slope is 1, allowed: 0 for point parts"):
-        simulate(PlateCycle.rest(0.1), [[0, 0]], [[0, 0]], MU, ground=Ground(friction_slope=1))
+    with pytest.raises(PlateError, match=r"heave is -0\.2, allowed: -0\.1 to 0\.1"):
+        Ground(heave=-0.2)
+    for name, value in (("friction_slope", 1), ("heave", 0.1)):
+        with pytest.raises(PlateError, match=f"{name} is {value}, allowed: 0 for point parts"):
+            simulate(PlateCycle.rest(0.1), [[0, 0]], [[0, 0]], MU, ground=Ground(**{name: value}))

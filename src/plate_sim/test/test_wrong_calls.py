@@ -23,7 +23,7 @@ def run_arguments():
     return {
         "times": np.array([0, 0.1, 0, 0.05, 0.1]), "coefficients": factors,
         "counts": np.array([[1, 2], [2, 2]]), "cycles": 3, "every": 1,
-        "ground": np.tile([0, 0, 1.0, 0], (2, 1)), "states": states, "limit": np.ones((2, 2)),
+        "ground": np.tile([0, 0, 1.0, 0, 0], (2, 1)), "states": states, "limit": np.ones((2, 2)),
         "here": np.ones((2, 2), bool), "record": np.zeros((2, 7, 2, 6)), "bodies": bodies,
         "mesh": np.ones((4, 3)), "pieces": np.array([[0, 4], [4, 8]]),
         "corners": np.column_stack([*np.tile(square, (2, 1)).T, np.ones((8, 3))]),

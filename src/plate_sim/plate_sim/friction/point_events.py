@@ -106,8 +106,9 @@ def simulate(
     samples = whole("samples", SAMPLES if samples is None else samples)
     if not 0 < tolerance <= LARGEST:
         raise PlateError(f"tolerance is {tolerance!r} m, allowed: a positive number")
-    if ground.friction_slope != 0:
-        raise PlateError(f"friction_slope is {ground.friction_slope:g}, allowed: 0 for point parts")
+    for name in ("friction_slope", "heave"):
+        if getattr(ground, name) != 0:
+            raise PlateError(f"{name} is {getattr(ground, name):g}, allowed: 0 for point parts")
     effect = ground.effect(gravity)
     table, scales = tabulate(cycle, effect[:2])
     if not scales.max() <= LARGEST:

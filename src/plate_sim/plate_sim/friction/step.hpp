@@ -215,7 +215,8 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
 inline Attempt attempt(const PlateSample* plate, double h, bool last, double none,
                        const GroundEffect& ground, const Motion& m, const Body& body,
                        const Mesh& mesh) {
-    const double slow = body.mu_g * h, g2 = body.gyration2, static_dv = ground.static_ratio * slow;
+    const double weight = ground.weight((plate[2].vx - plate[0].vx) / h), g2 = body.gyration2;
+    const double slow = body.mu_g * h * weight, static_dv = ground.static_ratio * slow;
     const Vec fall{h * ground.gravity_x, h * ground.gravity_y};
     if (slow <= 0) return {true, moved(m, h, m.vx + fall.x, m.vy + fall.y, m.spin)};
     Slip start = slip(plate[0], m.x, m.y, m.vx, m.vy, m.spin);
@@ -320,7 +321,7 @@ inline void advance(const Course& course, double start, double step, const Plate
                         state(VX, i), state(VY, i), state(SPIN, i)};
     const double none = STUCK * body.mu_g * step;
     Attempt made{false, motion};
-    if (body.radius > 0 && motion.spin == 0 && body.even() && ground.slope == 0)
+    if (body.radius > 0 && motion.spin == 0 && body.even() && ground.even())
         made = reverse(plate, step, ground, motion, body);
     if (!made.fine) made = attempt(plate, step, false, none, ground, motion, body, mesh);
     if (!made.fine)

@@ -146,7 +146,7 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         }
         together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
-    together &= job.ground.slope == 0;
+    together &= job.ground.even();
     const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);  // without the walls
     const int points = shapes.mesh.size(1);
     std::vector<double> forces(7 * points);

@@ -7,13 +7,14 @@ from functools import cached_property
 
 from plate_core import PlateError
 
-from ..plate.ground import SLOPE, STATIC, TILT, Ground
+from ..plate.ground import HEAVE, SLOPE, STATIC, TILT, Ground
 
 RANGES: dict[str, tuple[float, float]] = {
     "friction_spread": (0.0, 0.9),
     "friction_patches": (0.0, 0.9),
     "static_ratio": STATIC,
     "friction_slope": SLOPE,
+    "heave": HEAVE,
     "tilt_x": (-TILT, TILT),
     "tilt_y": (-TILT, TILT),
     "latency": (0.0, 1.0),
@@ -46,6 +47,8 @@ class Disturbances:
         Static over dynamic friction.
     friction_slope : float
         How friction changes with the slip [1/(m/s)] (`Ground`).
+    heave : float
+        How far the plate moves up and down, over its motion along x (`Ground`).
     tilt_x, tilt_y : float
         How far the plate leans [rad]: parts are pulled along +x and +y if positive.
     latency : float
@@ -81,6 +84,7 @@ class Disturbances:
     friction_patches: float = 0.0
     static_ratio: float = 1.0
     friction_slope: float = 0.0
+    heave: float = 0.0
     tilt_x: float = 0.0
     tilt_y: float = 0.0
     latency: float = 0.0
@@ -109,7 +113,8 @@ class Disturbances:
     @cached_property
     def ground(self) -> Ground:
         """Return the plate's surface."""
-        return Ground(self.static_ratio, (self.tilt_x, self.tilt_y), self.friction_slope)
+        tilt = self.tilt_x, self.tilt_y
+        return Ground(self.static_ratio, tilt, self.friction_slope, self.heave)
 
     @property
     def summary(self) -> str:

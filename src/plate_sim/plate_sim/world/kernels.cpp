@@ -40,8 +40,8 @@ nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
                 limit.shape(1) == count && here.shape(0) == plates && here.shape(1) == count,
             "run: parts differ, allowed: states (N, M, 6), limit and here (N, M), bodies (M, 10)");
     require(counts.shape(0) == plates && counts.shape(1) == 2 && ground.shape(0) == plates &&
-                ground.shape(1) == 4 && cycles > 0 && every > 0,
-            "run: plates differ, allowed: counts (N, 2), ground (N, 4), cycles and every above 0");
+                ground.shape(1) == 5 && cycles > 0 && every > 0,
+            "run: plates differ, allowed: counts (N, 2), ground (N, 5), cycles and every above 0");
     require(record.shape(0) == plates && record.shape(2) == count && record.shape(3) == 6,
             "run: record has another shape, allowed: (N, k, M, 6)");
     require(mesh.shape(0) == 4 && pieces.shape(1) == 2 && half.size() == 2,
@@ -75,7 +75,7 @@ nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
                 "run: record has another shape, allowed: (N, cycles * steps / every + 1, M, 6)");
         jobs.push_back({times.data() + knots, coefficients.data() + 18 * rows,
                         static_cast<int>(own), static_cast<int>(steps), cycles, every,
-                        {grounds(k, 0), grounds(k, 1), grounds(k, 2), grounds(k, 3)},
+                        {grounds(k, 0), grounds(k, 1), grounds(k, 2), grounds(k, 3), grounds(k, 4)},
                         entry(all_states, k), limits[k], entry(all_here, k),
                         entry(all_records, k)});
         knots += own + 1, rows += own;
