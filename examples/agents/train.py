@@ -261,6 +261,8 @@ def judged(env: Any, network: Network) -> tuple[float, float, int]:
         times += info["time_s"][fresh & info["success"]].tolist()
         lost += int(info["dropped"][fresh].sum())
         over |= fresh
+        if over.all():
+            break
     return len(times) / JUDGED, float(np.median(times)) if times else np.nan, lost
 
 
