@@ -5,9 +5,10 @@ are from where they belong is differentiated back, through friction and motions,
 it learns without a solver, and without rewards. In this folder, in an environment of its own
 (pip install ../../src/plate_gym -r requirements.txt):
 
-    python train.py --minutes 30
+    python train.py
 
-Writes weights.npz, and curve.csv, a row for each minute: how it does on plates of plate_gym.
+Writes weights.npz, and curve.csv, a row from time to time: how it does on plates of plate_gym. Some
+20 minutes of a core.
 """
 
 from __future__ import annotations
@@ -52,9 +53,10 @@ CLEAR_M = 0.02
 """So far centres are to keep apart [m]."""
 
 JUDGED, SEED = 64, 200_000
-"""Plates of plate_gym to be judged on, and the first of their seeds; 40 s of the task each."""
+"""Plates of plate_gym to be judged on, and the first of their seeds."""
 
-JUDGED_CYCLES = 400
+JUDGED_CYCLES, ROWS = 400, 20
+"""Cycles in which they are to be done, and how often they are judged."""
 
 CURVE = Path(__file__).with_name("curve.csv")
 
@@ -276,7 +278,7 @@ def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--task", default="Sort4-v1", help="Sort4-v1 (default), Sort10-v1, ...")
-    parser.add_argument("--minutes", type=float, default=30.0, help="of training (30)")
+    parser.add_argument("--updates", type=int, default=8000, help="of the weights (8000)")
     args = parser.parse_args()
     torch.manual_seed(1)
     torch.set_num_threads(1)
@@ -286,24 +288,22 @@ def main() -> None:
     layers = [torch.nn.Linear(*pair) for pair in itertools.pairwise(sizes)]
     network = torch.nn.Sequential(layers[0], torch.nn.ReLU(), layers[1], torch.nn.ReLU(), layers[2])
     optimiser = torch.optim.Adam(network.parameters(), RATE)
-    rows, updates, spent, all_s = [], 0, 0.0, 60 * args.minutes
-    print("minutes  motions [million]  done  plate time [s]  lost", flush=True)
-    while spent < all_s:
-        began = time.monotonic()
-        optimiser.param_groups[0]["lr"] = RATE * (1 - spent / all_s)
+    rows, began = [], time.process_time()
+    print("updates  minutes  done  plate time [s]  lost", flush=True)
+    for update in range(1, args.updates + 1):
+        optimiser.param_groups[0]["lr"] = RATE * (1 - update / args.updates)
         optimiser.zero_grad()
         crowd.costs(network).backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
         crowd.go_on()
-        spent, updates = spent + time.monotonic() - began, updates + 1
-        if spent < min(60 * (len(rows) + 1), all_s):
+        if update * ROWS // args.updates == len(rows):
             continue
         found = layers_of(network)
         done, took, lost = judged(env, Network(found))
-        seen = updates * PLATES * CYCLES / 1e6
-        rows.append([round(spent / 60, 2), round(seen, 2), done, round(took, 2), lost])
-        print("{:7.1f}  {:17.1f}  {:4.2f}  {:14.1f}  {:4d}".format(*rows[-1]), flush=True)
+        minutes = round((time.process_time() - began) / 60, 2)
+        rows.append([update, minutes, done, round(took, 2), lost])
+        print("{:7d}  {:7.1f}  {:4.2f}  {:14.1f}  {:4d}".format(*rows[-1]), flush=True)
         arrays = {
             f"{name}_{k}": values.astype(np.float32)
             for k, layer in enumerate(found)
@@ -312,7 +312,7 @@ def main() -> None:
         np.savez_compressed(WEIGHTS, **arrays)
         with CURVE.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["minutes", "million_motions", "done", "time_s", "lost"])
+            writer.writerow(["updates", "minutes", "done", "time_s", "lost"])
             writer.writerows(rows)
 
 
