@@ -27,7 +27,6 @@ from learned import WEIGHTS, Network, features
 from numba import njit
 
 import plate_gym  # noqa: F401, registers the environments
-from plate_gym.motions import PERIOD_S
 from plate_solver import Limits
 from plate_solver.sinusoids import sinusoid_basis
 
@@ -149,9 +148,10 @@ class Model:
     def __init__(self, env: Any) -> None:
         plates = env.unwrapped.plates
         rig, self._scale = plates.rig, tensor(plates.motions.scale)
-        basis = sinusoid_basis(plates.motions.basis.span.shape[0] // 2, PERIOD_S, True, STEPS)
+        own = plates.motions.basis
+        basis = sinusoid_basis(len(own.span) // 2, own.period, True, STEPS)
         self._pose, self._twist = tensor(basis.pose), tensor(basis.twist)
-        self.half, self._dt = tensor(rig.plate.half), basis.dt
+        self.half, self.period, self._dt = tensor(rig.plate.half), own.period, basis.dt
         self._most = rig.friction.mu * rig.friction.gravity * basis.dt
         limits = Limits.of(rig, 1.0)
         levers = tensor(limits.levers)
@@ -226,10 +226,10 @@ class Crowd:
             self.last = found / found.abs().amax(1, keepdim=True).clip(min=1)
             before = self.place
             self.place, self.speed = model.after(before, self.speed, self.own)
-            self.drift, self.own = (self.place - before) / PERIOD_S, model.limited(self.last)
+            self.drift, self.own = (self.place - before) / model.period, model.limited(self.last)
             total = total + model.cost(self.place)
         place, speed = model.after(self.place, self.speed, self.own)  # what is still to be played
-        return (total + 2 * model.cost(place + PERIOD_S / 2 * speed)).mean() / (CYCLES + 2)
+        return (total + 2 * model.cost(place + model.period / 2 * speed)).mean() / (CYCLES + 2)
 
     def go_on(self) -> None:
         """Cut what was looked back through; begin anew where parts fell off, all is done, or it has

@@ -15,11 +15,10 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from contextlib import redirect_stdout
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +112,7 @@ def said(problem: BaseException) -> str:
 
 
 def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
-    """Run one episode, in the world of a seed; what the agent prints goes to the standard error.
+    """Run one episode, in the world of a seed.
 
     Returns
     -------
@@ -135,22 +134,21 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
     places = hashlib.blake2b(digest_size=8)
     ended = over = False
     try:
-        with redirect_stdout(sys.stderr):
-            env = PlateEnv(task, world, kind.action, kind.observation)
-            seen, info = env.reset(seed=seed)
-            plate, brief = env.plates.plates[0], Brief.of(env)
-            began = clocks()
-            mind = kind(brief, seed_of_agent(seed))
-            start = clocks() - began
-            while not (ended or over):
-                known = {name: info[name] for name in KNOWN if name in info}
-                before, began = plate.solving_s.copy(), clocks()
-                action = mind.act(seen, known)
-                passed = clocks() - began
-                seen, reward, ended, over, info = env.step(action)
-                spent.append(passed + plate.solving_s - before)
-                total, used = total + reward, max(used, float(info["limit_share"]))
-                places.update(plate.simulation.state.position.tobytes())
+        env = PlateEnv(task, world, kind.action, kind.observation)
+        seen, info = env.reset(seed=seed)
+        plate, brief = env.plates.plates[0], Brief.of(env)
+        began = clocks()
+        mind = kind(brief, seed_of_agent(seed))
+        start = clocks() - began
+        while not (ended or over):
+            known = {name: info[name] for name in KNOWN if name in info}
+            before, began = plate.solving_s.copy(), clocks()
+            action = mind.act(seen, known)
+            passed = clocks() - began
+            seen, reward, ended, over, info = env.step(action)
+            spent.append(passed + plate.solving_s - before)
+            total, used = total + reward, max(used, float(info["limit_share"]))
+            places.update(plate.simulation.state.position.tobytes())
     except (Exception, SystemExit) as problem:
         where = f"agent {agent}, {task}, seed {seed}, step {len(spent)}"
         raise PlateError(f"{where}: {said(problem)}") from problem
@@ -202,7 +200,7 @@ def evaluate(
     tell : callable
         Takes a line of text for each task that is done.
     keep : callable
-        Takes what there is of the result, before the first task and after each.
+        Takes what there is of the result, after each task.
 
     Returns
     -------
@@ -217,9 +215,10 @@ def evaluate(
     PlateError
         If a name is unknown, a seed is not allowed, or the agent fails.
     """
-    agent_class(agent)
+    if ":" not in agent:  # others' code runs in workers only
+        agent_class(agent)
     chosen("world", world, WORLDS)
-    tasks = [tasks] if isinstance(tasks, str) else list(tasks)
+    tasks = [tasks] if isinstance(tasks, str) else list(dict.fromkeys(tasks))
     for task in tasks:
         chosen("task", task, TASKS)
     seeds = [operator.index(seed) for seed in seeds]
@@ -229,7 +228,6 @@ def evaluate(
         "agent": agent, "world": world, "commit": commit(), "sources": sources(),
         "versions": versions(), "tasks": {},
     }  # fmt: skip
-    keep(result)
     for task in tasks:
         rows = list(episodes(agent, world, task, seeds, workers))
         result["tasks"][task] = summary(rows)
@@ -246,12 +244,31 @@ def episodes(
     if not workers:
         yield from map(run, seeds)
         return
+    others = active_children()
+    error = partial(os.dup2, 2, 1)  # there goes what an agent prints
     try:
-        calm = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for this process
-        with ProcessPoolExecutor(workers, get_context("spawn"), calm) as pool:
-            yield from pool.map(run, seeds)
+        with ProcessPoolExecutor(workers, get_context("spawn"), error) as pool:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # it is for this process
+            found = [pool.submit(run, seed) for seed in seeds]
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            try:
+                for number, row in enumerate(found):
+                    show(f"{task}: {number} of {len(seeds)}")
+                    yield row.result()
+            except BaseException:
+                for child in set(active_children()) - set(others):
+                    child.kill()
+                raise
+            finally:
+                show("")
     except BrokenExecutor as problem:
         raise PlateError(f"agent {agent}, {task}: its process died: {said(problem)}") from problem
+
+
+def show(text: str) -> None:
+    """Rewrite the last line, if a person looks on."""
+    if sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -350,7 +367,7 @@ def check(
         if fresh:
             seeds = [drawn(chance) for _ in range(fresh)]
             found = summary(list(run(world=world, seeds=seeds)))
-            tell(f"{line(task, found)}, {fresh} fresh seeds, {world}")
+            tell(f"{line(task, found)}, {world}, fresh seeds {ranges(sorted(seeds))}")
             (low, high), (least, most) = found["success_interval"], again["success_interval"]
             if world == result["world"] and (high < least or low > most):
                 wrong.append(
@@ -476,7 +493,7 @@ def main() -> int:
     )
     parser.add_argument("--json", type=Path, help="file for the result")
     parser.add_argument(
-        "--workers", type=int, default=os.cpu_count(), help="processes; 0: this one works"
+        "--workers", type=int, default=os.cpu_count(), help="processes (as many as cores)"
     )
     parser.add_argument("--check", type=Path, help="file with a result to be run again in part")
     parser.add_argument("--fresh", type=int, metavar="N", help="with --check: draw N seeds besides")
@@ -490,8 +507,8 @@ def main() -> int:
         )
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MOST_SEEDS):
         parser.error(f"--fresh goes with --check, and is from 1 to {MOST_SEEDS}")
-    if args.workers < 0:
-        parser.error(f"--workers is {args.workers}, allowed: from 0 on")
+    if args.workers < 1:  # in this process an agent could end it, and say what it likes
+        parser.error(f"--workers is {args.workers}, allowed: from 1 on")
     tell = partial(print, flush=True)
     try:
         if args.check:
@@ -503,6 +520,8 @@ def main() -> int:
             if args.json:
                 args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
+        if args.json:
+            args.json.open("a").close()  # now, not when hours have passed
         evaluate(
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
             args.world or "nominal", args.workers, tell, keep,
