@@ -63,7 +63,7 @@ def tables(folder: Path) -> str:
         every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
         errors = [key for key in ERRORS if any(own[key] for own in every)]
         columns = [
-            "agent", "seeds", "done [%]", "plate time [s]", *map(ERRORS.get, errors), "lost",
+            "agent", "seeds", "done [%]", "plate time [s]", *(ERRORS[key] for key in errors), "lost",
             "decision [ms]",
         ]  # fmt: skip
         for world in sorted(worlds, key=lambda world: (world != "nominal", world)):
