@@ -62,10 +62,8 @@ def tables(folder: Path) -> str:
         worlds = {result["world"] for result in there.values()}
         every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
         errors = [key for key in ERRORS if any(own[key] for own in every)]
-        columns = [
-            "agent", "seeds", "done [%]", "plate time [s]", *(ERRORS[key] for key in errors), "lost",
-            "decision [ms]",
-        ]  # fmt: skip
+        told = [ERRORS[key] for key in errors]
+        columns = ["agent", "seeds", "done [%]", "plate time [s]", *told, "lost", "decision [ms]"]
         for world in sorted(worlds, key=lambda world: (world != "nominal", world)):
             rows = sorted(
                 row(name, result["agent"], result["tasks"][task], errors)
