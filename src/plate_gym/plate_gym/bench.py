@@ -248,10 +248,10 @@ def episodes(
     error = partial(os.dup2, 2, 1)  # there goes what an agent prints
     try:
         with ProcessPoolExecutor(workers, get_context("spawn"), error) as pool:
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # it is for this process
-            found = [pool.submit(run, seed) for seed in seeds]
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             try:
+                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # it is for this process
+                found = [pool.submit(run, seed) for seed in seeds]
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
                 for number, row in enumerate(found):
                     show(f"{task}: {number} of {len(seeds)}")
                     yield row.result()
