@@ -116,9 +116,7 @@ class Options(NodeOptions):
     friction_slope: float = _disturbance(
         "friction_slope", "How friction changes with the slip [1/(m/s)]."
     )
-    heave: float = _disturbance(
-        "heave", "Motion of the plate up and down, over that along x [-]: weight changes."
-    )
+    heave: float = _disturbance("heave", "Motion of the plate up over that along x [-].")
     tilt_x: float = _disturbance("tilt_x", "Lean of the plate that pulls parts along +x [rad].")
     tilt_y: float = _disturbance("tilt_y", "Lean of the plate that pulls parts along +y [rad].")
     latency: float = _disturbance(
@@ -129,7 +127,7 @@ class Options(NodeOptions):
         live=False,
     )  # fmt: skip
     stamp_jitter: float = _disturbance(
-        "stamp_jitter", "Standard deviation of the stamps of a camera that runs free [s].",
+        "stamp_jitter", "Standard deviation of a free camera's stamps [s].",
         live=False,
     )  # fmt: skip
     blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.", live=True)
