@@ -360,7 +360,7 @@ def test_an_agent_of_ones_own_by_the_command(tmp_path, bench, monkeypatch):
 
 
 def test_an_agent_that_hangs_ends_with_the_command(tmp_path):
-    """Whoever of both is interrupted; what it says on the way is no answer of the judge."""
+    """Its worker, too, which hears no interrupt; what the agent writes is no answer of a judge."""
     text = LAZY.replace("return", "os.write(1, b'the same again'); hang()  #")
     hang = """
 import os, time
