@@ -6,6 +6,7 @@ The names below are for all; the chapters `camera`, `plate`, `discs` and `shapes
 from .camera import Calibration, Lens, calibrate, calibrate_by_matrix, calibrate_by_rig
 from .detection import BRIGHT, CLASSES, DETECTION, METHODS, DetectorOptions, detect
 from .errors import CalibrationError, ImageError, OptionError, TeachError, TrackError
+from .overlooked import OVERLOOKED, REASONS
 from .plate import Region, make_region
 from .recognition import calibrate_by_scale, find_parts, find_types
 from .tracking import Prediction, Tracker, TrackerOptions
@@ -16,6 +17,8 @@ __all__ = [
     "CLASSES",
     "DETECTION",
     "METHODS",
+    "OVERLOOKED",
+    "REASONS",
     "Calibration",
     "CalibrationError",
     "DetectorOptions",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from plate_vision import OptionError, Tracker, TrackerOptions, TrackError
+from plate_vision.overlooked import OVERLOOKED
 from plate_vision.tracking import update
 
 DT = 0.05
@@ -269,3 +270,20 @@ def test_wrong_measurements_are_refused(stamp, position, label):
 def test_wrong_options_are_refused(name, value):
     with pytest.raises(OptionError, match=f"{name} is .*allowed: "):
         TrackerOptions(**{name: value})
+
+
+def test_overlooked_things_are_those_of_the_last_image():
+    things = np.array([(10.0, 20.0, 4.0, 0.1, -0.1, "too small")], OVERLOOKED)
+    tracker = update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"], overlooked=things)
+    assert tracker.overlooked["reason"].tolist() == ["too small"]
+    assert len(update(tracker, 0.0, [[0.0, 0.0]], ["grey"]).overlooked) == 1  # the same image
+    assert len(update(tracker, 0.2, [[0.0, 0.0]], ["grey"]).overlooked) == 0
+    assert len(Tracker().overlooked) == 0
+
+
+def test_an_unknown_reason_is_refused():
+    things = np.array([(10.0, 20.0, 4.0, 0.1, -0.1, "ugly")], OVERLOOKED)
+    with pytest.raises(TrackError, match="reason is 'ugly', allowed: too small, too large"):
+        update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"], overlooked=things)
+    with pytest.raises(TrackError, match="overlooked is float64"):
+        update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"], overlooked=np.zeros(3))

@@ -11,6 +11,7 @@ import numpy as np
 from plate_core import Parts
 
 from ..errors import TrackError, check_ranges
+from ..overlooked import NONE_OVERLOOKED, OVERLOOKED, REASONS
 from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
@@ -68,6 +69,8 @@ class Tracker:
         Ids that were given up with the last image.
     renamed : tuple of (id before, id now)
         Parts that have another class since the last image.
+    overlooked : (n,) OVERLOOKED
+        Things in the last image that are not taken for parts.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
@@ -76,6 +79,7 @@ class Tracker:
     last_number: Mapping[str, int] = field(default_factory=dict)
     given_up: tuple[str, ...] = ()
     renamed: tuple[tuple[str, str], ...] = ()
+    overlooked: np.ndarray = field(default_factory=lambda: NONE_OVERLOOKED)
 
     @property
     def found(self) -> tuple[Track, ...]:
@@ -124,6 +128,7 @@ def update(
     quality: np.ndarray | None = None,
     symmetry: np.ndarray | None = None,
     expected: Prediction | None = None,
+    overlooked: np.ndarray | None = None,
 ) -> Tracker:
     """Take in what was found in one image.
 
@@ -149,6 +154,8 @@ def update(
     expected : Prediction, optional
         Where parts should be by the plate's motion; used if it is of an instant after the last
         image. Of other parts their drift tells it.
+    overlooked : (n,) OVERLOOKED, optional
+        Things in the image that are not taken for parts; none if left out.
 
     Returns
     -------
@@ -157,9 +164,10 @@ def update(
     Raises
     ------
     TrackError
-        If shapes disagree or a value is not finite.
+        If shapes disagree, a value is not finite or a reason is not one of `REASONS`.
     """
     position, labels = _checked(stamp, position, label)
+    overlooked = _checked_overlooked(overlooked)
     count, stamp = len(labels), float(stamp)
     if tracker.stamp is not None and stamp == tracker.stamp:
         return tracker
@@ -198,7 +206,7 @@ def update(
         if old.number and old.id != new.id
     )  # fmt: skip
     tracks.sort(key=lambda track: (track.label, track.number))
-    return Tracker(options, stamp, tuple(tracks), numbers, tuple(given_up), renamed)
+    return Tracker(options, stamp, tuple(tracks), numbers, tuple(given_up), renamed, overlooked)
 
 
 def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> dict[str, int]:
@@ -211,6 +219,21 @@ def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> di
             numbers[track.label] = numbers.get(track.label, 0) + 1
             tracks[i] = replace(track, number=numbers[track.label])
     return numbers
+
+
+def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
+    """Return the overlooked things (n,) OVERLOOKED, if they are such."""
+    if overlooked is None:
+        return NONE_OVERLOOKED
+    if overlooked.dtype != OVERLOOKED or overlooked.ndim != 1:
+        raise TrackError(
+            f"overlooked is {overlooked.dtype} of shape {overlooked.shape}, allowed: (n,) of "
+            "OVERLOOKED"
+        )
+    wrong = sorted(set(overlooked["reason"].tolist()) - set(REASONS))
+    if wrong:
+        raise TrackError(f"reason is {wrong[0]!r}, allowed: {', '.join(REASONS)}")
+    return overlooked
 
 
 def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
