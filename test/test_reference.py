@@ -44,6 +44,7 @@ RIG["types"] = {
         "colour_lab": [50, 0, 0],
         "symmetry": 4,
         "scatter_m": 0.0001,
+        "height_m": 0.005,
         "picture": "nut.png",
     },
     "coin": {"radius_m": 0.01, "symmetry": 0},
@@ -57,6 +58,8 @@ ODRIVES = {
     for name, motor in RIG["motors"].items()
 }
 RIG["camera"]["colour"] = True
+RIG["camera"]["height_m"] = 0.9
+RIG["parts"]["height_m"] = 0.005
 RIG["camera"] |= {"trigger_phase": 0.5, "trigger_pulse_s": 0.002}
 CIRCLE = {"centre_m": [0, 0], "radius_m": 0.1, "start_deg": 0, "turn": "left"}
 TASKS = {

@@ -10,8 +10,17 @@ import pytest
 import yaml
 
 from plate_core import RigError, config_path, load_rig
-from plate_core.rig import LEAST_GAMMA, Lens, doubts, part_radius_px, rig_names, to_image
+from plate_core.rig import (
+    LEAST_GAMMA,
+    Lens,
+    camera_pose,
+    doubts,
+    part_radius_px,
+    rig_names,
+    to_image,
+)
 from plate_core.rig.check_rig import report, shake
+from plate_core.rig.consistency import check
 
 RIG = load_rig()
 MARKERS = {
@@ -158,6 +167,52 @@ def check_rig(*arguments):
     command = [sys.executable, "-m", "plate_core.rig.check_rig", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     return done.returncode, done.stdout, done.stderr
+
+
+NO_LENS = replace(RIG, camera=replace(RIG.camera, lens=None))
+
+
+def test_parallax_is_told_while_heights_are_unknown():
+    """By similar triangles, from the camera's place that the pose gives."""
+    rotation, translation = camera_pose(RIG)
+    x, y, high = -rotation.T @ translation
+    far = max(np.hypot(cx - x, cy - y) for cx, cy in RIG.plate.corners)
+    told = (
+        f"mm from that point (farthest corner), is seen {1e3 * far * 5e-3 / (high - 5e-3):.2g} mm"
+    )
+    said = report(RIG, "a.yaml", [])
+    assert f"{high:.3g} m above the plate, over [{x:.3f}, {y:.3f}]" in said
+    assert "height_m is 0 (flat, or unknown) of parts: a part 5 mm high, " in said
+    assert told in said
+    said = report(replace(RIG, parts=replace(RIG.parts, height_m=0.004)), "a.yaml", [])
+    assert "5 mm high" not in said
+    shapes = load_rig("shapes")
+    known = {name: replace(part, height_m=0.003) for name, part in shapes.types.items()}
+    known["nut"] = shapes.types["nut"]
+    assert "unknown) of nut: a part" in report(replace(shapes, types=known), "a.yaml", [])
+
+
+def test_an_unknown_place_is_told():
+    said = report(NO_LENS, "a.yaml", [])
+    assert "its place is not known, as the file has neither focal_px nor camera: height_m" in said
+    assert "too far out, r from the point below the lens" in said
+    high = replace(NO_LENS, camera=replace(NO_LENS.camera, height_m=0.9))
+    assert "its lens is 0.9 m above the plate" in report(high, "a.yaml", [])
+
+
+def test_heights_that_contradict_each_other(spoilt):
+    with pytest.raises(
+        RigError, match=r"parts: height_m is 0.1 below a camera 0.15 m above the pl"
+    ):
+        check(
+            replace(
+                NO_LENS, camera=replace(NO_LENS.camera, height_m=0.15),
+                parts=replace(RIG.parts, height_m=0.1),
+            )
+        )  # fmt: skip
+    (doubt,) = doubts(load_rig(spoilt(("camera", "height_m"), 1.2)))
+    assert "height_m is 1.2, but focal_px and corners_px show the plate from 0.9" in doubt.text
+    assert not doubt.impossible
 
 
 def test_command_tells_and_draws(tmp_path):

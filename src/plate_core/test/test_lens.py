@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import RigError, load_rig
-from plate_core.rig import Lens, camera_pose, homography, project, to_image
+from plate_core.rig import Lens, camera_place, camera_pose, homography, project, to_image
 
 STRONG = Lens((600.0, 605.0), (318.0, 243.0), (-0.3, 0.09, 1e-3, -2e-3, 0.01))
 LENSES = [
@@ -98,3 +98,70 @@ def test_default_camera_is_a_rigid_one():
         corners, cv2.Rodrigues(rotation)[0], translation, lens.matrix, np.array(lens.distortion)
     )[0][:, 0]
     assert np.abs(seen - rig.camera.corners_px).max() < 0.02
+
+
+def rig_seen_from(tilt_deg, about_deg, height=0.8, focal=900.0, roll_deg=3.0, **camera):
+    """The default rig, and the place of a camera (3,) that looks at the plate's middle, tilted from
+    straight above towards a direction; corners by OpenCV's projection."""
+    rig, (tilt, about, roll) = load_rig(), np.radians([tilt_deg, about_deg, roll_deg])
+    reach = height * np.tan(tilt)
+    place = np.array([reach * np.cos(about), reach * np.sin(about), height])
+    ahead = -place / np.linalg.norm(place)
+    right = np.array([np.cos(roll), np.sin(roll), 0.0])
+    right -= ahead * (right @ ahead)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(ahead, right), ahead])
+    matrix = np.array([[focal, 0, 319.5], [0, focal, 239.5], [0, 0, 1]])
+    corners = np.column_stack([rig.plate.corners, np.zeros(4)])
+    vector = cv2.Rodrigues(rotation)[0]
+    seen = cv2.projectPoints(corners, vector, -rotation @ place, matrix, np.zeros(5))[0][:, 0]
+    corners_px = tuple(map(tuple, seen.tolist()))
+    changed = replace(rig.camera, **({"corners_px": corners_px, "lens": None} | camera))
+    return replace(rig, camera=changed), place, matrix
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_place_with_a_lens(lens):
+    """The centre of projection is -R^T t of OpenCV's pose."""
+    place = camera_place(rig_with(lens))
+    assert np.allclose(place, -cv2.Rodrigues(TURN)[0].T @ PLACE, atol=1e-9)
+
+
+@pytest.mark.parametrize("about", [0, 50, 90, 200])
+@pytest.mark.parametrize("tilt", [0, 1, 15, 30, 44])
+def test_place_by_height_alone(tilt, about):
+    rig, place, _ = rig_seen_from(tilt, about, height_m=0.8)
+    assert np.allclose(camera_place(rig), place, atol=1e-6)
+
+
+@pytest.mark.parametrize("about", [0, 50, 90, 200])
+@pytest.mark.parametrize("tilt", [25, 35, 55])
+def test_place_by_perspective_alone(tilt, about):
+    rig, place, _ = rig_seen_from(tilt, about)
+    assert np.allclose(camera_place(rig), place, atol=1e-6)
+    lens = Lens((900.0, 900.0), (319.5, 239.5))
+    known = replace(rig, camera=replace(rig.camera, lens=lens))
+    assert np.allclose(camera_place(known), place, atol=1e-9)
+
+
+@pytest.mark.parametrize(("tilt", "height"), [(0, 0.8), (4, 0.8), (10, 5.0)])
+def test_no_place_without_perspective(tilt, height):
+    """A camera straight above, nearly so, or far away: a pixel of a corner decides."""
+    rig, _, _ = rig_seen_from(tilt, 30, height, focal=900 * height / 0.8)
+    assert camera_place(rig) is None
+
+
+def test_place_gives_the_parallax_of_opencv():
+    """A point h above the plate is seen where the plate's point c + (p - c) H/(H - h) is."""
+    rig, _, _ = rig_seen_from(25, 40, height_m=0.8)
+    points = np.random.default_rng(3).uniform(-1, 1, (50, 2)) * rig.plate.half
+    known, _, matrix = rig_seen_from(25, 40, lens=Lens((900.0, 900.0), (319.5, 239.5)))
+    rotation, translation = camera_pose(known)
+    above = np.column_stack([points, np.full(50, 0.012)])
+    vector = cv2.Rodrigues(rotation)[0]
+    seen = cv2.projectPoints(above, vector, translation, matrix, np.zeros(5))[0][:, 0]
+    x, y, height = camera_place(rig)
+    middle = np.array([x, y])
+    shifted = middle + (points - middle) * height / (height - 0.012)
+    assert np.abs(to_image(rig, shifted) - seen).max() < 1e-3
+    assert np.abs(to_image(rig, points) - seen).max() > 3

@@ -8,6 +8,7 @@ Also its frames: room (`plate_home`), moving plate, image. A rig file is read by
 from .consistency import CYCLE_HZ, LEAST_GAMMA, PART_PX, Doubt, doubts
 from .fiducials import Fiducials
 from .frames import (
+    camera_place,
     camera_pose,
     fit_homography,
     home_pose,
@@ -77,6 +78,7 @@ __all__ = [
     "Reach",
     "Rig",
     "Suspension",
+    "camera_place",
     "camera_pose",
     "contains",
     "default_rig_path",

@@ -15,9 +15,13 @@ import numpy as np
 
 from ..errors import PlateError
 from .consistency import Doubt, doubts
+from .frames import camera_place
 from .keys import ODRIVE_COUNTS
 from .motors import PEAK_OVER_RMS, motor_levers
 from .rig import Rig, read_rig, rig_names, rig_path
+
+EXAMPLE_M = 0.005
+"""Height of the part whose parallax the report gives [m]: a nut or a low cap."""
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
 """Frequencies of the table: the range of the solvers' cycles, `consistency.CYCLE_HZ`."""
@@ -82,6 +86,7 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
         f"mean square: peaks of {PEAK_OVER_RMS:g} times that in a task), "
         f"{1e3 * limits.stroke_m:g} mm to either side, {limits.speed:g} m/s",
         *_drives(rig),
+        *_view(rig),
         "",
         "shaken as a sinusoid, for a moment travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
     ]
@@ -110,6 +115,30 @@ def _drives(rig: Rig) -> Iterator[str]:
                 f"{motor.name}: {drive.kind}, node {drive.node}: 1 mm along its direction is "
                 f"{scale:+g} {'turns' if odrive else 'counts'}"
             )
+
+
+def _view(rig: Rig) -> Iterator[str]:
+    """Yield the camera's place, and the parallax of parts whose height the rig file lacks."""
+    flat = ", ".join(name for name, part in rig.types.items() if part.height_m == 0)
+    if not rig.types and rig.parts.height_m == 0:
+        flat = "parts"
+    place = camera_place(rig)
+    if place is None:
+        yield (
+            "camera: its place is not known, as the file has neither focal_px nor camera: height_m "
+            "and corners_px show too little perspective; a part of height h is seen r h/(H - h) "
+            "too far out, r from the point below the lens, which is H above the plate"
+        )
+        return
+    x, y, height = place
+    yield f"camera: its lens is {height:.3g} m above the plate, over [{x:.3f}, {y:.3f}]"
+    if flat and height > EXAMPLE_M:
+        far = float(np.max(np.hypot(*(rig.plate.corners - place[:2]).T)))
+        yield (
+            f"camera: height_m is 0 (flat, or unknown) of {flat}: a part "
+            f"{1e3 * EXAMPLE_M:g} mm high, {1e3 * far:.0f} mm from that point (farthest corner), "
+            f"is seen {1e3 * far * EXAMPLE_M / (height - EXAMPLE_M):.2g} mm too far out"
+        )
 
 
 def shake(rig: Rig, way: str, hz: float) -> Shake:

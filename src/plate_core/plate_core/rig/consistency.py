@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..errors import RigError
-from .frames import fit_homography, part_radius_px
+from .frames import camera_place, fit_homography, part_radius_px
 from .keys import ODRIVE_COUNTS
 from .motors import motor_levers
 
@@ -58,6 +58,10 @@ FOCAL_LENGTHS = np.geomspace(0.4, 20, 80)
 
 STEEP_DEG = 45.0
 """A camera that is tilted more than this sees far parts badly."""
+
+HEIGHT_ERROR = 0.1
+"""Relative difference between `camera: height_m` and the height that lens and corners give, from
+which on there is a warning."""
 
 PART_SHARE = (0.5, 0.15)
 """Radius of a part over half the plate's shorter side: more cannot move; and from where on there is
@@ -316,6 +320,31 @@ def _camera(rig: Rig) -> Iterator[Doubt]:
             return
     yield from _image(rig)
     yield from _size(rig)
+    yield from _heights(rig)
+
+
+def _heights(rig: Rig) -> Iterator[Doubt]:
+    """Whether the camera's height fits its lens and corners, and parts are below it."""
+    place = camera_place(rig)
+    if place is None:
+        return
+    said, height = rig.camera.height_m, float(place[2])
+    lens = rig.camera.lens
+    if said is not None and lens is not None and abs(said - height) > HEIGHT_ERROR * height:
+        yield Doubt(
+            "camera",
+            f"camera: height_m is {said:g}, but focal_px and corners_px show the plate from "
+            f"{height:.3g} m, which is used; allowed: {height:.3g}, or no height_m",
+        )
+    parts = {f"types: {name}": part.height_m for name, part in rig.types.items()}
+    for where, value in {"parts": rig.parts.height_m, **parts}.items():
+        if value > height / 2:
+            yield Doubt(
+                "parts",
+                f"{where}: height_m is {value:g} below a camera {height:.3g} m above the plate, "
+                f"allowed: up to {height / 2:.3g}",
+                True,
+            )
 
 
 def _order(corners: np.ndarray) -> Doubt | None:

@@ -11,6 +11,13 @@ from ..errors import RigError
 if TYPE_CHECKING:
     from .rig import Rig
 
+CORNER_PX = 1.0
+"""Error of a corner's coordinates in the image [px]: corners are clicked to about a pixel."""
+
+PLACE_ERROR = 0.1
+"""Maximum error of the camera's place, over its height, to which corners with errors of `CORNER_PX`
+must determine it; the parallax of parts is then known to about as large a fraction."""
+
 
 def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Express points of the moving plate in plate_home.
@@ -153,3 +160,95 @@ def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarr
     axes = left @ right
     rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
     return rotation, columns[:, 2] / size.mean()
+
+
+def camera_place(rig: Rig) -> np.ndarray | None:
+    """Return the camera's centre of projection (3,) [m, plate_home], z above the plate at rest.
+
+    There are three cases:
+
+    - The lens is calibrated (`focal_px`): the place is -R^T t, with R and t of `camera_pose`.
+    - Only the camera's height z is known (`camera: height_m`), and the principal point is taken to
+      be in the middle of the image. Let p be the point of the plate seen there, and let the third
+      row of the homography be (h, 1), h in 1/m: points with h x + 1 = 0 are as far ahead of the
+      camera as its own centre. The plate is D = (h p + 1) / |h| from there to p. A camera that is
+      tilted by theta from straight above has D = z (tan theta + cot theta) = 2 z / sin(2 theta),
+      and is above p - z tan(theta) h / |h|. Without perspective h = 0: it is above p. Tilts of more
+      than 45 degrees are taken for 45.
+    - Neither is known: square pixels and the same principal point leave the focal length f, by
+      least squares in the two equations of `_focal_px`, and f gives the place as in the first case.
+
+    Returns
+    -------
+    (3,) or None
+        None if the perspective is too weak for the third case: errors of `CORNER_PX` in all
+        coordinates of the corners would move the place by more than `PLACE_ERROR` of its height.
+        None, too, if the middle of the image shows no point of the plate's plane, or a corner is
+        outside of what the lens shows.
+    """
+    camera = rig.camera
+    if camera.lens is not None:
+        there = _place(homography(rig), camera.lens.matrix)
+        return there if np.all(np.isfinite(there)) else None
+    corners, plate = np.array(camera.corners_px), rig.plate.corners
+    middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
+    if camera.height_m is not None:
+        return _place_at_height(fit_homography(plate, corners), middle, camera.height_m)
+    place = _place_of_square_pixels(plate, corners, middle)
+    if place is None:
+        return None
+    square = 0.0
+    for index in range(corners.size):
+        moved = corners.copy()
+        moved.flat[index] += CORNER_PX
+        other = _place_of_square_pixels(plate, moved, middle)
+        square += np.inf if other is None else float(np.sum((other - place) ** 2))
+    return place if np.sqrt(square) <= PLACE_ERROR * place[2] else None
+
+
+def _place(image_from_home: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    rotation, translation = home_pose(image_from_home, matrix)
+    return np.asarray(-rotation.T @ translation)
+
+
+def _place_at_height(
+    image_from_home: np.ndarray, middle: np.ndarray, height: float
+) -> np.ndarray | None:
+    """Return the place (3,) of a camera of this height above the plate [m]: second case above."""
+    (p,) = project(np.linalg.inv(image_from_home), middle)
+    slope = image_from_home[2, :2] / image_from_home[2, 2]
+    ahead, size = float(slope @ p + 1), float(np.hypot(*slope))
+    if ahead <= 0:
+        return None
+    tilt = 0.5 * np.arcsin(min(1.0, 2 * height * size / ahead))
+    step = height * np.tan(tilt) * slope / size if size else np.zeros(2)
+    return np.append(p - step, height)
+
+
+def _place_of_square_pixels(
+    plate: np.ndarray, corners: np.ndarray, middle: np.ndarray
+) -> np.ndarray | None:
+    """Return the place (3,) of a camera of unknown height and focal length: third case above."""
+    view = fit_homography(plate, corners)
+    focal = _focal_px(view, middle)
+    if focal is None:
+        return None
+    matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
+    return _place(view, matrix)
+
+
+def _focal_px(image_from_home: np.ndarray, middle: np.ndarray) -> float | None:
+    """Return the focal length [px] that square pixels leave to a homography (3, 3), None if it has
+    no perspective.
+
+    With K = diag(f, f, 1) about the middle, the columns of K^-1 H are the plate's axes, times one
+    scale. They are at right angles, a x . a y + f^2 b x b y = 0, and equally long,
+    |a x|^2 - |a y|^2 + f^2 (b x^2 - b y^2) = 0, where a and b are the first two and the third row
+    of H about the middle (Zhang 2000, equations 3 and 4).
+    """
+    a = image_from_home[:2, :2] - np.outer(middle, image_from_home[2, :2])
+    b = image_from_home[2, :2]
+    flat = np.array([a[:, 0] @ a[:, 1], a[:, 0] @ a[:, 0] - a[:, 1] @ a[:, 1]])
+    deep = np.array([b[0] * b[1], b[0] ** 2 - b[1] ** 2])
+    square = -float(flat @ deep)
+    return float(np.sqrt(square / (deep @ deep))) if square > 0 else None

@@ -69,6 +69,10 @@ CAMERA = Section(
         ),
         Key("colour", Flag(), "Whether it sees colours.", False),
         Key(
+            "height_m", Number(0.01, 100), "Height of the lens above the plate. Parts with a "
+            "height need it if `focal_px` is missing.", None, "not known",
+        ),
+        Key(
             "trigger_phase", Number(0, 0.999), "The motor controller triggers the camera at this "
             "fraction of each cycle.", None, "the camera runs free",
         ),

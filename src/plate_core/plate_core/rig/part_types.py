@@ -41,6 +41,9 @@ ROUND_CORNERS = 96
 LARGEST_M = 1.0
 """No corner is further from the centre [m]."""
 
+MAX_HEIGHT_M = 0.1
+"""Maximum height of a part above the plate [m]: a taller one topples on a plate that shakes."""
+
 SMALLEST_M2 = 1e-8
 """Least area of a part or hole [m2]."""
 
@@ -86,6 +89,10 @@ PART_TYPE = Section(
             "scatter_m", Number(0, LARGEST_M), "How far outlines of parts of this type are from "
             "this one, root mean square.", 0.0,
         ),
+        Key(
+            "height_m", Number(0, MAX_HEIGHT_M), "Its height above the plate; 0: flat, or unknown.",
+            0.0,
+        ),
         Key("picture", Text(), "A picture of it, beside the file.", "", "none"),
     ),
 )  # fmt: skip
@@ -114,6 +121,8 @@ class PartType:
         How far outlines of parts of this type are from this one, RMS [m].
     picture : str
         Name of a file, or nothing.
+    height_m : float
+        Height above the plate [m]; 0: flat, or unknown.
     """
 
     name: str
@@ -126,6 +135,7 @@ class PartType:
     symmetry: int = 1
     scatter_m: float = 0.0
     picture: str = ""
+    height_m: float = 0.0
 
     @cached_property
     def polygon(self) -> np.ndarray:
@@ -221,6 +231,7 @@ def _part_type(name: str, fields: Fields) -> PartType:
         symmetry=symmetry,
         scatter_m=fields.value(PART_TYPE["scatter_m"]),
         picture=fields.value(PART_TYPE["picture"]),
+        height_m=fields.value(PART_TYPE["height_m"]),
     )
     fields.finish()
     return part

@@ -18,7 +18,7 @@ from .consistency import check
 from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
 from .motors import Reach, motor_loads, reach
-from .part_types import PART_TYPE, PartType, load_part_types, read_part_types
+from .part_types import MAX_HEIGHT_M, PART_TYPE, PartType, load_part_types, read_part_types
 from .suspension import Suspension, read_suspension
 
 LEAST_RADII, WALL_RADII = 0.5, 1.25
@@ -67,10 +67,14 @@ class Friction:
 
 @dataclass(frozen=True)
 class PartFacts:
-    """The parts that are of no type of `types`: round, all alike; mass [kg] and radius [m]."""
+    """The parts that are of no type of `types`: round, all alike; mass [kg], radius [m] and height
+    above the plate [m], 0 if they are flat or their height is unknown."""
 
     mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
     radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
+    height_m: float = measured(
+        "height_m", 0, MAX_HEIGHT_M, "Height of a part above the plate; 0: flat, or unknown.", 0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -186,7 +190,8 @@ class Camera:
     """The camera: image size [px], exposure [s], image points of the plate's corners at rest
     (4 pairs, order of `Plate.corners`) [px] as they are seen; its lens, if that is calibrated; and
     by how much its last row is exposed later than its first [s]; what triggers it, if that is the
-    motor controller; and whether it sees colours."""
+    motor controller; whether it sees colours; and the height of its lens above the plate [m], if
+    the rig file gives it: `camera_place` needs it where the lens is not calibrated."""
 
     width_px: int
     height_px: int
@@ -196,6 +201,7 @@ class Camera:
     readout_s: float = 0.0
     trigger: CameraTrigger | None = None
     colour: bool = False
+    height_m: float | None = None
 
 
 class EdgeMargin(NamedTuple):
@@ -228,7 +234,9 @@ class Rig:
         """Return a type of part with its mass and friction; one that is not in `types` is round, as
         `parts` says."""
         if name not in self._part_types:
-            known = self.types.get(name) or PartType(name, radius_m=self.parts.radius_m, symmetry=0)
+            known = self.types.get(name) or PartType(
+                name, radius_m=self.parts.radius_m, symmetry=0, height_m=self.parts.height_m
+            )
             self._part_types[name] = replace(
                 known,
                 mass_kg=self.parts.mass_kg if known.mass_kg is None else known.mass_kg,
@@ -430,6 +438,7 @@ def _camera(fields: Fields) -> Camera:
         lens=_lens(fields, width, height),
         trigger=_trigger(fields),
         colour=fields.value(keys.CAMERA["colour"]),
+        height_m=fields.value(keys.CAMERA["height_m"]),
     )
     fields.finish()
     return camera

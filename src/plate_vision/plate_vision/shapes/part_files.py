@@ -58,6 +58,7 @@ def _as_data(part: PartType) -> dict[str, Any]:
         "colour_lab": part.colour_lab and [round(value, 1) for value in part.colour_lab],
         "symmetry": part.symmetry,
         "scatter_m": round(part.scatter_m, MICRON) if part.scatter_m else None,
+        "height_m": part.height_m or None,
         "picture": part.picture or None,
     }
     return {key: value for key, value in data.items() if value is not None}
