@@ -8,7 +8,7 @@ from .ending import ends
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
 from .network import choose_network, ros_domain
-from .parts import MOST_PARTS, AngleTargets, Parts, Targets, Wanted, part_class
+from .parts import MOST_PARTS, AngleTargets, OverlookedThing, Parts, Targets, Wanted, part_class
 from .rig import Rig, load_rig
 from .yaml_fields import config_path
 
@@ -17,6 +17,7 @@ __all__ = [
     "AngleTargets",
     "CycleError",
     "FrameError",
+    "OverlookedThing",
     "Parts",
     "PlateCycle",
     "PlateError",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,16 @@ CYCLE_S = 0.1
 
 MOST_PARTS = 100
 """In a scenario, and in one request: a thousand keep the solver busy for three seconds."""
+
+
+class OverlookedThing(NamedTuple):
+    """A thing that vision sees and does not take for a part: centre x, y [m, plate_home], radius
+    of the disc of the same area [m], and the reason in words."""
+
+    x: float
+    y: float
+    radius: float
+    reason: str
 
 
 @dataclass(frozen=True)

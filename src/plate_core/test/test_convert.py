@@ -9,6 +9,7 @@ import pytest
 from plate_core import (
     AngleTargets,
     CycleError,
+    OverlookedThing,
     Parts,
     PlateCycle,
     PlateError,
@@ -99,6 +100,16 @@ def test_how_well_parts_were_seen_is_told():
     assert (known.confidence, unknown.confidence, unknown.covariance[0]) == (0.9, -1, -1)
     untold = over_the_wire(convert.parts_to_msg(parts, STAMP)).parts[0]
     assert (untold.confidence, untold.covariance[0]) == (-1, -1)
+
+
+def test_overlooked_things_there_and_back():
+    parts = Parts.make(("black_1",), np.zeros((1, 2)))
+    sent = (OverlookedThing(0.1, -0.2, 0.003, "too small"), OverlookedThing(0, 0, 0.02, "group"))
+    back = over_the_wire(convert.parts_to_msg(parts, STAMP, overlooked=sent))
+    assert convert.msg_to_overlooked(back) == sent
+    back.overlooked[0].radius = np.nan
+    assert convert.msg_to_overlooked(back) == sent[1:]
+    assert convert.msg_to_overlooked(convert.parts_to_msg(parts, STAMP)) == ()
 
 
 def test_forces_with_the_state_at_the_start():

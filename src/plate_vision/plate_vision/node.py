@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -17,7 +18,7 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import PlateError, load_rig
+from plate_core import OverlookedThing, PlateError, Rig, load_rig
 from plate_core.rig import doubts, home_pose
 from plate_core.ros import (
     CAMERA,
@@ -56,6 +57,7 @@ from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections, outlines_px
 from .errors import CalibrationError, ImageError, TeachError, check_size
 from .live_teaching import Teaching, learn_shown
+from .overlooked import Expected, OverlookedTally
 from .plate import PlateLocation, light_problem
 from .recognition import camera_limits
 from .shapes.part_files import OUT, load_bare
@@ -151,13 +153,22 @@ class DetectorParameters(NodeOptions):
 @dataclass
 class Tally:
     """Of the images since the last report: how many, how many were refused and why the last was,
-    what was wrong with light or markers, and how long detection took [ms]."""
+    what was wrong with light or markers, how long detection took [ms], and what was not taken for
+    parts; that also of the images of the report before."""
 
     images: int = 0
     refused: int = 0
     why: str = ""
     problem: str = ""
     detection_ms: list[float] = field(default_factory=list)
+    overlooked: OverlookedTally = field(default_factory=OverlookedTally)
+    overlooked_before: OverlookedTally = field(default_factory=OverlookedTally)
+
+    @property
+    def overlooked_lately(self) -> OverlookedTally:
+        """That of this report's images and of the last one's: a thing in one image, the first of a
+        report, must not be a warning."""
+        return self.overlooked_before.joined(self.overlooked)
 
 
 class DetectorNode(SafeLifecycleNode[DetectorParameters]):
@@ -300,6 +311,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _tell(self, name: str, image: np.ndarray) -> None:
         """Say what a picture held; of the first, and where nothing is found, also why."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
+        overlooked = OverlookedTally()
+        overlooked.add(*self._counts())
+        if (found := overlooked.finding(expected_parts(self._rig))) is not None:
+            self._warn(f"{name}: {found.message}")
         alike = self._vision.catalogue is None
         if alike and (self._images == 1 or not self._tracker.found):
             problem = size_problem(self._vision, image)
@@ -336,7 +351,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if problem:
             self._warn(f"{source}: {problem}")
             self._tally.problem = problem
-        self._parts.publish(parts_to_msg(self._tracker.parts, stamp, quality=self._tracker.quality))
+        self._parts.publish(
+            parts_to_msg(
+                self._tracker.parts,
+                stamp,
+                quality=self._tracker.quality,
+                overlooked=self._note_overlooked(),
+            )
+        )
         if self._drawings.get_subscription_count():
             self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
@@ -409,6 +431,21 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if wanted.start is not None:
             place = wanted.start[:, :2]
             self._expected = Prediction(wanted.parts.ids, seconds(msg.start), place)
+
+    def _note_overlooked(self) -> list[OverlookedThing]:
+        """Count the things that are not taken for parts; returns them in metres."""
+        taken, things, radius = self._counts()
+        self._tally.overlooked.add(taken, things, radius)
+        columns = (things["x"], things["y"], radius, things["reason"])
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return [OverlookedThing(*row) for row in rows]
+
+    def _counts(self) -> tuple[int, np.ndarray, np.ndarray]:
+        """Return the number of parts in the last image, and the things (n,) OVERLOOKED in it that
+        are not taken for parts, with their radii (n,) [m]."""
+        things = self._tracker.overlooked
+        scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
+        return len(self._tracker.found), things, things["radius_px"] / scale
 
     def _note_ids(self) -> None:
         """Say which ids are gone since the last image."""
@@ -490,6 +527,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             findings.append(Finding(Level.WARN, tally.problem))
         if self._vision.catalogue is not None and not self._plate.learned:
             findings.append(Finding(Level.WARN, MODELLED))
+        findings.append(tally.overlooked_lately.finding(expected_parts(self._rig)))
         if self.options.source == "topic":
             findings.append(self._input.gone(now))
             if self._input.came is None:
@@ -507,6 +545,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "rate_hz": f"{tally.images / max(now - self._reported_at, 1e-3):.1f}",
             "silent_s": f"{self._input.silence(now):.2f}",
             "parts_seen": len(self._tracker.parts),
+            **tally.overlooked_lately.values(),
             "ids_given_up": self._given_up,
             "ids_renamed": self._renamed,
             "detection_ms_median": f"{np.median(took):.2f}" if took else "0",
@@ -514,7 +553,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         }
 
     def _begin_report(self) -> None:
-        self._tally, self._reported_at = Tally(), time.monotonic()
+        tally = Tally(overlooked_before=self._tally.overlooked)
+        self._tally, self._reported_at = tally, time.monotonic()
 
     def _warn(self, text: str) -> None:
         if self.options.source == "topic":
@@ -544,6 +584,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         options = replace(self.options.detector(), radius_px=radius_px)
         self._vision = replace(self._vision, options=options)
         self._tracker = replace(self._tracker, options=self.options.tracker())
+
+
+def expected_parts(rig: Rig) -> Expected:
+    """Return the sizes of a rig's parts, of which warnings tell."""
+    if not rig.types:
+        return Expected(rig.parts.radius_m, rig.parts.radius_m)
+    radii = [math.sqrt(part.area_m2 / math.pi) for part in rig.types.values()]
+    return Expected(min(radii), max(radii), typed=True)
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:

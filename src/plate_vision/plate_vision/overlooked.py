@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
+
+from plate_core.status import Finding, Level
 
 REASONS = (
     "too small",
@@ -33,3 +37,131 @@ centre [m, plate_home]; one of `REASONS`."""
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
 """No such thing, (0,) `OVERLOOKED`."""
 NONE_OVERLOOKED.setflags(write=False)
+
+WARN_FRACTION, WARN_COUNT = 0.1, 2
+"""Overlooked things are worth a warning above this fraction of all things seen [-], and from this
+number on. A task of ten parts fails without one of them, and the planner reports that. One thing
+alone may be a tool or a marker that belongs there."""
+
+SPECK_RADIUS = 0.3
+"""Things smaller than this, relative to the smallest part's radius [-], do not count for the
+warning while parts are seen: a tenth of a part's area is dust or a reflection."""
+
+REMEDIES = {
+    "too faint": "more light, or parts that differ more from the plate",
+    "at the edge": "move them inwards, or check camera: corners_px",
+    "beyond the plate": "check camera: corners_px, or clear the surround",
+    "group": "move them apart",
+}
+"""What to do about things of a reason, where it is the same for all rigs."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the rig file says of the parts, as far as a remedy depends on it.
+
+    Attributes
+    ----------
+    smallest, largest : float
+        Radii of the discs of the same area as the smallest and the largest part [m].
+    typed : bool
+        Whether the parts have types.
+    """
+
+    smallest: float
+    largest: float
+    typed: bool = False
+
+    @property
+    def size(self) -> str:
+        """The sizes, and where they stand in the rig file."""
+        low, high = (f"{1e3 * radius:.3g}" for radius in (self.smallest, self.largest))
+        span = low if low == high else f"{low} to {high}"
+        return f"types have {span} mm" if self.typed else f"parts: radius_m is {span} mm"
+
+
+@dataclass
+class OverlookedTally:
+    """Counts of what some images showed.
+
+    Attributes
+    ----------
+    images, taken : int
+        Images, and parts in them.
+    things : list of (n,) OVERLOOKED
+        Things that are not taken for parts, image by image.
+    radii : list of (n,)
+        Their radii [m].
+    """
+
+    images: int = 0
+    taken: int = 0
+    things: list[np.ndarray] = field(default_factory=list)
+    radii: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, taken: int, things: np.ndarray, radius: np.ndarray) -> None:
+        """Count an image with so many parts, and things (n,) OVERLOOKED of radii (n,) [m]."""
+        self.images += 1
+        self.taken += taken
+        self.things.append(things)
+        self.radii.append(radius)
+
+    def joined(self, other: OverlookedTally) -> OverlookedTally:
+        """Return the tally of the images of both."""
+        return OverlookedTally(
+            self.images + other.images,
+            self.taken + other.taken,
+            self.things + other.things,
+            self.radii + other.radii,
+        )
+
+    def finding(self, expected: Expected) -> Finding | None:
+        """Say what is seen and not taken for a part, why, and what to do; None if there is nothing.
+
+        All numbers are averages over the images. The level is WARN if the things are many or if no
+        part is detected, else OK.
+        """
+        if not self.images:
+            return None
+        reason = np.concatenate([one["reason"] for one in self.things])
+        radius = np.concatenate(self.radii)
+        named = []
+        for name in REASONS:
+            rows = reason == name
+            if count := round(np.count_nonzero(rows) / self.images):
+                mm = 1e3 * float(np.median(radius[rows]))
+                named.append((count, f"{count} {name} ({remedy(name, mm, expected)})"))
+        total, taken = sum(count for count, _ in named), round(self.taken / self.images)
+        if not total:
+            return None
+        why = ", ".join(text for _, text in named)
+        if not self.taken:
+            things = "1 thing is" if total == 1 else f"{total} things are"
+            return Finding(Level.WARN, f"no part is detected, but {things} seen: {why}")
+        of = f"{total} of {total + taken} things on the plate"
+        verb = "is not taken for a part" if total == 1 else "are not taken for parts"
+        large = np.count_nonzero(radius >= SPECK_RADIUS * expected.smallest)
+        many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images
+        return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
+
+    def values(self) -> dict[str, str]:
+        """Return the average numbers of things in an image, all and by reason."""
+        reason = np.concatenate(
+            [NONE_OVERLOOKED["reason"], *(one["reason"] for one in self.things)]
+        )
+        images = max(self.images, 1)
+        values = {"overlooked": f"{len(reason) / images:.3g}"}
+        for name in REASONS:
+            key = f"overlooked_{name.replace(' ', '_')}"
+            values[key] = f"{np.count_nonzero(reason == name) / images:.3g}"
+        return values
+
+
+def remedy(reason: str, radius_mm: float, expected: Expected) -> str:
+    """Return what to do about things of one of `REASONS`, of this median radius [mm]."""
+    if reason in ("too small", "too large"):
+        return f"radius {radius_mm:.3g} mm, {expected.size}"
+    if reason == "misfit":
+        teach = "teach its type" if expected.typed else "parts that are not round need types"
+        return f"check focus, light, the lens and parts: height_m; {teach}"
+    return REMEDIES[reason]

@@ -34,7 +34,9 @@ from plate_core.ros import (  # noqa: E402
 )
 from plate_interfaces.msg import PartForces  # noqa: E402
 from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
+from plate_vision import OVERLOOKED, observe  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
+from plate_vision.tracking import update  # noqa: E402
 
 CENTRE_PX = np.array([[150.0, 200.0], [400.0, 300.0]])
 LABEL = ["black", "grey"]
@@ -234,6 +236,32 @@ def test_diagnostics_tell_silence_refusals_and_bad_light(draw, rng):
         told(DiagnosticStatus.STALE, "no image for ", "does the camera run?")
     finally:
         graph.close()
+
+
+def test_things_that_are_no_parts_are_published_and_counted(graph, draw, rng, monkeypatch):
+    def observe_less(vision, tracker, image, stamp, expected=None):
+        """See two parts, and take neither for one."""
+        seen = observe(vision, tracker, image, stamp, expected).found
+        place = np.array([track.position for track in seen])
+        things = np.zeros(len(place), OVERLOOKED)
+        things["x_px"], things["y_px"] = vision.calibration.to_image(place).T
+        things["x"], things["y"] = place.T
+        things["radius_px"], things["reason"] = 9.7, "too large"
+        return update(tracker, stamp, np.zeros((0, 2)), [], overlooked=things)
+
+    monkeypatch.setattr("plate_vision.node.observe", observe_less)
+    reports = []
+    graph.probe.create_subscription(DiagnosticArray, "diagnostics", reports.append, DATA)
+    msg = graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0))
+    assert names(msg) == []
+    scale = graph.detector._vision.calibration.scale(np.zeros((1, 2)))[0]
+    assert [thing.reason for thing in msg.overlooked] == ["too large"] * 2
+    assert msg.overlooked[0].radius == pytest.approx(9.7 / scale, rel=0.01)
+    assert (msg.overlooked[0].x, msg.overlooked[0].y) == pytest.approx((-0.17, 0.04), abs=0.01)
+    graph.until(lambda: reports and reports[-1].status[0].level == b"\x01")
+    status = reports[-1].status[0]
+    assert "no part is detected, but 2 things are seen: 2 too large (radius 9.8" in (status.message)
+    assert {item.key: item.value for item in status.values}["overlooked_too_large"] == "2"
 
 
 def test_noise_alone_is_no_part(graph, rng):

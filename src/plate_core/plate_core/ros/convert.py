@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from plate_interfaces.msg import DriverStatus as DriverStatusMsg
+from plate_interfaces.msg import OverlookedThing as OverlookedThingMsg
 from plate_interfaces.msg import Part, PartForce, PartForces
 from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.msg import Target as TargetMsg
@@ -22,7 +23,7 @@ from plate_interfaces.msg import Targets as TargetsMsg
 from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import MOST_PARTS, AngleTargets, Parts, Targets, Wanted, part_class
+from ..parts import MOST_PARTS, AngleTargets, OverlookedThing, Parts, Targets, Wanted, part_class
 from ..rig import Camera, Rig
 from ..tasks import PartTarget
 from .frames import CAMERA_FRAME, FRAME
@@ -96,7 +97,11 @@ def msg_to_driver_status(msg: DriverStatusMsg) -> DriverStatus:
 
 
 def parts_to_msg(
-    parts: Parts, stamp: Time, source: int = Part.SEEN, quality: np.ndarray | None = None
+    parts: Parts,
+    stamp: Time,
+    source: int = Part.SEEN,
+    quality: np.ndarray | None = None,
+    overlooked: Sequence[OverlookedThing] = (),
 ) -> PartsMsg:
     """Return parts as a message.
 
@@ -110,6 +115,8 @@ def parts_to_msg(
     quality : (M, 3), optional
         Standard deviations of place, along each axis [m], and angle [rad], and the confidence that
         it is a part [-]; NaN: not known.
+    overlooked : sequence of OverlookedThing
+        Things in the image that are not taken for parts.
     """
     msg = PartsMsg(header=Header(stamp=stamp, frame_id=FRAME))
     if quality is None:
@@ -127,6 +134,10 @@ def parts_to_msg(
             parts.ids, _state(parts), confidence, covariance, strict=True
         )
     ]  # fmt: skip
+    msg.overlooked = [
+        OverlookedThingMsg(x=float(x), y=float(y), radius=float(radius), reason=str(reason))
+        for x, y, radius, reason in overlooked
+    ]
     return msg
 
 
@@ -142,6 +153,13 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
     rows = _checked("parts", ids, msg.parts, STATE)
     x, y, angle, vx, vy, spin = rows.T
     return Parts.make(ids, np.column_stack([x, y]), np.column_stack([vx, vy]), angle, spin)
+
+
+def msg_to_overlooked(msg: PartsMsg) -> tuple[OverlookedThing, ...]:
+    """Return the things of a message that are not taken for parts; those with a value that is not
+    finite are left out."""
+    things = (OverlookedThing(one.x, one.y, one.radius, one.reason) for one in msg.overlooked)
+    return tuple(thing for thing in things if np.all(np.isfinite(thing[:3])))
 
 
 def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> PartForces:

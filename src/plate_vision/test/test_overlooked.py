@@ -1,0 +1,81 @@
+"""Things that are not taken for parts, as the diagnostics report them."""
+
+import numpy as np
+import pytest
+
+from plate_core.status import Level
+from plate_vision import OVERLOOKED, REASONS
+from plate_vision.overlooked import Expected, OverlookedTally
+
+DISCS = Expected(8e-3, 8e-3)
+
+
+def things(*reasons):
+    """Return things of these reasons, all at one place."""
+    return np.array([(0.0, 0.0, 8.0, 0.0, 0.0, reason) for reason in reasons], OVERLOOKED)
+
+
+def tally(taken, *images, radius=9.8e-3):
+    """Return the tally of images with so many parts each, and things of these reasons."""
+    counted = OverlookedTally()
+    for reasons in images:
+        counted.add(taken, things(*reasons), np.full(len(reasons), radius))
+    return counted
+
+
+def test_many_things_are_a_warning_with_the_remedy():
+    found = tally(7, ["too large", "too large", "too faint"]).finding(DISCS)
+    assert found.level == Level.WARN
+    assert found.message == (
+        "3 of 10 things on the plate are not taken for parts: 2 too large (radius 9.8 mm, parts: "
+        "radius_m is 8 mm), 1 too faint (more light, or parts that differ more from the plate)"
+    )
+
+
+def test_a_few_things_are_reported_without_a_warning():
+    found = tally(9, ["misfit"]).finding(DISCS)  # 10 %, and only one
+    assert (found.level, found.message[:50]) == (
+        Level.OK, "1 of 10 things on the plate is not taken for a par",
+    )  # fmt: skip
+    assert tally(30, ["misfit"] * 3).finding(DISCS).level == Level.OK  # 9 %
+    assert tally(26, ["misfit"] * 3).finding(DISCS).level == Level.WARN  # 10.3 %
+
+
+def test_no_part_at_all_is_a_warning():
+    found = tally(0, ["too small"], radius=1e-3).finding(DISCS)
+    assert found.level == Level.WARN
+    assert found.message.startswith("no part is detected, but 1 thing is seen: 1 too small (radius")
+
+
+def test_specks_do_not_warn_while_parts_are_seen():
+    found = tally(4, ["too small"] * 6, radius=1e-3).finding(DISCS)
+    assert (found.level, found.message[:7]) == (Level.OK, "6 of 10")
+
+
+def test_numbers_are_averages_over_the_images():
+    counted = tally(4, ["group", "group"], [], ["group", "misfit"], ["misfit"] * 4)
+    assert counted.finding(DISCS).message.startswith("2 of 6 things on the plate")
+    values = counted.values()
+    assert (values["overlooked"], values["overlooked_misfit"]) == ("2", "1.25")
+    assert values["overlooked_at_the_edge"] == "0"
+    assert set(values) == {"overlooked"} | {f"overlooked_{r.replace(' ', '_')}" for r in REASONS}
+
+
+def test_a_thing_in_one_image_of_many_is_not_reported():
+    assert tally(4, *[[]] * 9, ["misfit"]).finding(DISCS) is None
+
+
+def test_nothing_seen_is_nothing_to_report():
+    assert OverlookedTally().finding(DISCS) is None
+    assert tally(3, []).finding(DISCS) is None
+    assert OverlookedTally().values()["overlooked"] == "0"
+
+
+@pytest.mark.parametrize("reason", REASONS)
+@pytest.mark.parametrize("typed", [False, True])
+def test_each_reason_has_a_remedy(reason, typed):
+    found = tally(0, [reason]).finding(Expected(4e-3, 9e-3, typed))
+    assert f"1 {reason} (" in found.message
+    if reason == "too small":
+        sizes = "types have 4 to 9 mm" if typed else "parts: radius_m is 4 to 9 mm"
+        assert f"radius 9.8 mm, {sizes}" in found.message
