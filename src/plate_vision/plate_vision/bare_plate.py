@@ -11,13 +11,11 @@ from plate_core.status import Finding, Level
 from .plate import Region
 from .recognition import model_plate
 from .shapes import Background, find_patches, learn_plate
+from .shapes.lighting import Light
 from .vision import Vision
 
 BARE_IMAGES = 5
 """From which the bare plate is learned: their noise averages out."""
-
-FOLLOW_S = 2.0
-"""How often the light on the plate is followed [s]: it takes longer than a detection."""
 
 MODELLED = "the bare plate is modelled from an image with parts: call ~/learn_plate when it is bare"
 """What to know when nobody has shown the bare plate."""
@@ -33,8 +31,8 @@ class BarePlate:
         From images of it: else it is modelled.
     first : Background, optional
         As it was learned or modelled.
-    followed_at : float
-        Stamp of the image by which its light was followed last [s].
+    light : Light, optional
+        That of the last image, relative to `first`.
     wanted : int
         Images of the bare plate that are waited for; 0: none.
     images : tuple of (H, W) or (H, W, 3) uint8
@@ -43,7 +41,7 @@ class BarePlate:
 
     learned: bool = False
     first: Background | None = None
-    followed_at: float = -np.inf
+    light: Light | None = None
     wanted: int = 0
     images: tuple[np.ndarray, ...] = ()
 
@@ -59,12 +57,18 @@ def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tu
 
 
 def know_plate(
-    plate: BarePlate, vision: Vision, image: np.ndarray, stamp: float
+    plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
-    """Take in one image (H, W) or (H, W, 3), taken at a stamp [s]: learn the bare plate if that is
-    wanted, model it if it is not known, follow its light.
+    """Take in one image (H, W) or (H, W, 3): learn the bare plate if that is wanted, model it if it
+    is not known, else follow its light.
 
-    Returns what is then known, a vision that knows the background, and what a user should know.
+    Returns what is then known, a vision that knows the background in this light, and what a user
+    should know.
+
+    Raises
+    ------
+    ImageError
+        If too little of the plate is seen: it is too dark, or the camera was moved.
     """
     if plate.wanted:
         alike = [one for one in plate.images if one.shape == image.shape]  # grey, or in colours
@@ -76,14 +80,14 @@ def know_plate(
         found = Finding(Level.OK, text)
         if things:
             found = Finding(Level.WARN, f"{text}; {things}: if these are parts, learn it again")
-        return BarePlate(True, vision.background, stamp), vision, found
+        return BarePlate(True, vision.background), vision, found
     if vision.background is None:
         vision = replace(vision, background=model_plate(image, vision.region))
-        return BarePlate(False, vision.background, stamp), vision, Finding(Level.WARN, MODELLED)
-    if abs(stamp - plate.followed_at) < FOLLOW_S:
-        return plate, vision, None
-    vision = replace(vision, background=vision.background.followed(image, plate.first))
-    return replace(plate, followed_at=stamp), vision, None
+        return BarePlate(False, vision.background), vision, Finding(Level.WARN, MODELLED)
+    first = plate.first or vision.background
+    light = first.light_of(image, vision.region, plate.light)
+    vision = replace(vision, background=first.under(light, vision.region))
+    return replace(plate, first=first, light=light), vision, None
 
 
 def lying(image: np.ndarray, region: Region) -> str:

@@ -334,7 +334,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 image = self._find_plate(self._location, image, stamp)
             self._image = image
             if self._vision.catalogue is not None:
-                self._know_plate(image, seconds(stamp))
+                self._know_plate(image)
             before = self._tracker
             self._tracker = observe(self._vision, before, image, seconds(stamp), self._expected)
         except PlateError as error:
@@ -384,9 +384,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 "own (does the camera's node fill it in?)"
             )
 
-    def _know_plate(self, image: np.ndarray, stamp: float) -> None:
+    def _know_plate(self, image: np.ndarray) -> None:
         """Learn the bare plate, or model it, or follow its light."""
-        self._plate, self._vision, found = know_plate(self._plate, self._vision, image, stamp)
+        self._plate, self._vision, found = know_plate(self._plate, self._vision, image)
         if found is None:
             return
         if found.level == Level.OK:  # a logger takes one severity from each line

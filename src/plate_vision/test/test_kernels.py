@@ -34,6 +34,12 @@ WRONG = {
     "no room for discs": lambda: _kernels.fit_discs(*PLATE, PAIRS, 8, np.zeros((3, 5))),
     "an endless radius": lambda: _kernels.fit_discs(*PLATE, PAIRS, np.inf, np.zeros((4, 5))),
     "marks without levels": lambda: _kernels.paint_marks(GREY, PAIRS, PAIRS[:3], 8),
+    "a box beyond the image": lambda: _kernels.relight(
+        GREY[..., None], np.zeros((6, 1), np.float32), LIGHT[6:], (0, 0, 31, 20), GREY[..., None]
+    ),
+    "a light of five terms": lambda: _kernels.relight(
+        GREY[..., None], np.zeros((5, 1), np.float32), LIGHT[6:], (0, 0, 30, 20), GREY[..., None]
+    ),
     "a label too large": lambda: _kernels.find_contrasts(
         LABELS, GREY, GREY, GREY, *outputs("f4", "f4", "?")
     ),

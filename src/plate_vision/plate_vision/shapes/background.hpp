@@ -37,4 +37,68 @@ PLATE_WIDE inline void deviation_of_colours(const uint8_t* lab, const uint8_t* b
     deviation_of<3>(lab, bare, weight, out, count);
 }
 
+// L + 41 is a cube root of the light: 16 of 100 in CIE's L.
+constexpr float LIGHTNESS_0 = 40.8f;
+
+// Part of an image: columns and rows from (x0, y0) to just before (x1, y1).
+struct ImageBox {
+    int x0, y0, x1, y1;
+};
+
+// Write one row of colours of the bare plate in another light: `along` has the terms of the factor,
+// and of the shifts of a and b, for 1, u, u2; u = `first` + x * `step`.
+template <int CHANNELS>
+[[gnu::always_inline]] inline void relight_row(const uint8_t* __restrict bare,
+                                               uint8_t* __restrict out, int count, float first,
+                                               float step, const float (&along)[3][3]) {
+    constexpr float BLACK = CHANNELS == 3 ? LIGHTNESS_0 : 0;
+#pragma omp simd
+    for (int x = 0; x < count; x++) {
+        const float u = first + step * static_cast<float>(x);
+        const float factor = along[0][0] + u * (along[0][1] + u * along[0][2]);
+        const float light = (bare[CHANNELS * x] + BLACK) * factor - BLACK + 0.5f;
+        out[CHANNELS * x] = static_cast<int>(std::min(std::max(light, 0.f), 255.f));
+        if constexpr (CHANNELS == 3)
+            for (int c = 1; c < 3; c++) {
+                const float shift = along[c][0] + u * (along[c][1] + u * along[c][2]);
+                const float tint = (bare[3 * x + c] - 128.f) * factor + 128.5f + shift;
+                out[3 * x + c] = static_cast<int>(std::min(std::max(tint, 0.f), 255.f));
+            }
+    }
+}
+
+PLATE_WIDE inline void relight_greys(const uint8_t* bare, uint8_t* out, int count, float first,
+                                     float step, const float (&along)[3][3]) {
+    relight_row<1>(bare, out, count, first, step, along);
+}
+
+PLATE_WIDE inline void relight_colours(const uint8_t* bare, uint8_t* out, int count, float first,
+                                       float step, const float (&along)[3][3]) {
+    relight_row<3>(bare, out, count, first, step, along);
+}
+
+// Write the bare plate (h, w, c) in another light within a box: the terms (6, c) of the factor and
+// of the shifts of a and b are those of 1, u, v, u2, u v, v2; u = v = 0 at the image point `place`
+// [px], whose third number is one over the length of a unit [px].
+inline void relight(View<const uint8_t, 3> bare, View<const float, 2> surface, const float* place,
+                    const ImageBox& box, View<uint8_t, 3> out) {
+    const int channels = bare.size(2);
+    for (int y = box.y0; y < box.y1; y++) {
+        const float v = (y - place[1]) * place[2];
+        float along[3][3] = {};
+        for (int c = 0; c < channels; c++) {
+            along[c][0] = surface(0, c) + v * (surface(2, c) + v * surface(5, c));
+            along[c][1] = surface(1, c) + v * surface(4, c);
+            along[c][2] = surface(3, c);
+        }
+        const float first = (box.x0 - place[0]) * place[2];
+        const uint8_t* from = bare[y] + channels * box.x0;
+        uint8_t* to = out[y] + channels * box.x0;
+        if (channels == 1)
+            relight_greys(from, to, box.x1 - box.x0, first, place[2], along);
+        else
+            relight_colours(from, to, box.x1 - box.x0, first, place[2], along);
+    }
+}
+
 }  // namespace plate

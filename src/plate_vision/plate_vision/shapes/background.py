@@ -7,13 +7,15 @@ bits (L 0 to 255, a and b about 128); an image in grey levels has one channel.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
 
 from .. import _kernels
 from ..errors import ImageError, check_image, check_size
-from ..plate.region import quadratic
+from ..plate.region import Region, make_region, quadratic
+from .lighting import Light, Lit, fit_light, relit
 
 CHROMA = (0.5, 2.0)
 """Weight of a and b beside L in the deviation of a colour: what makes their noise like that of L,
@@ -30,18 +32,6 @@ NEAR_PX = 16
 
 SHIFT_PX = 0.2
 """The plate comes home to so much [px]: by that its texture moves."""
-
-SAMPLES = 2000
-"""Pixels to which slow changes of the light are fitted."""
-
-PASSES = 4
-"""Times that the change of light is fitted to those pixels that agree with it."""
-
-SPARSE = 8
-"""Of so many rows and columns one is looked at for a jump of the light."""
-
-START = 25.0
-"""Largest change of light that is followed without a jump [L]."""
 
 MOST_PIXELS = 30_000
 """Of a photograph so many are looked at for its background."""
@@ -115,49 +105,36 @@ class Background:
             return self.lab[:, :, 0]
         return np.asarray(cv2.cvtColor(self.lab, cv2.COLOR_LAB2BGR)[:, :, 1])
 
-    def followed(self, image: np.ndarray, learned: Background | None = None) -> Background:
-        """Return the background under the light of an image (H, W) or (H, W, 3) uint8, which shows
-        parts as well; as it is if too little of it is seen.
-
-        A jump of light or exposure is measured against `learned`, in which no light was burnt out
-        or too dark; against itself if None.
+    def light_of(
+        self, image: np.ndarray, region: Region | None = None, before: Light | None = None
+    ) -> Light:
+        """Return the light of an image (H, W) or (H, W, 3) uint8, which shows parts as well,
+        relative to the background's own, within a region, the whole image if None. `before` is the
+        light of the image before.
 
         Raises
         ------
         ImageError
-            If the image has another shape than the background.
+            If the image has another shape than the background, or too little of it is seen.
         """
-        lab = colours_like(image, self)
-        lit = self._lit_as(lab)
-        if lit is None:
-            first = learned or self
-            few = np.s_[::SPARSE, ::SPARSE]
-            jump = np.median(lab[few].astype(np.float32) - first.lab[few], axis=(0, 1))
-            lit = replace(first, lab=_as_colours(first.lab + jump))._lit_as(lab)
-        return lit or self
+        if self.cleaned:
+            image, convert = colours_like(image, self), _same
+        else:
+            image = np.asarray(image)
+            check_image(image)
+            _check_size(image, self)
+            convert = partial(_compared, channels=self.lab.shape[2])
+        region = region or make_region(self.lab.shape[1::-1])
+        return fit_light(Lit(image, convert, self.lab, self.limit, self.chroma, region), before)
 
-    def _lit_as(self, lab: np.ndarray) -> Background | None:
-        """Return it under the light of colours (H, W, C); None if too little of it is seen."""
-        height, width, channels = self.lab.shape
-        step = max(1, int(np.sqrt(height * width / SAMPLES)))
-        grid = np.s_[step // 2 :: step, step // 2 :: step]
-        change = (lab[grid].astype(np.float32) - self.lab[grid]).reshape(-1, channels)
-        limit = self.limit[grid].ravel()
-        rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
-        design = _surface_terms(columns.ravel(), rows.ravel(), (width, height))
-        fit = np.zeros((design.shape[1], channels), np.float32)
-        for turn in range(PASSES):
-            near = np.maximum(limit, START if turn == 0 else 0)
-            kept = _size(change - design @ fit, self.chroma) <= near
-            if np.count_nonzero(kept) < 0.1 * len(kept):
-                return None
-            part = design[kept]
-            fit = np.linalg.lstsq(part.T @ part, part.T @ change[kept], rcond=None)[0]
-        if np.max(np.abs(design @ fit)) < 0.5:
-            return self
-        y, x = np.mgrid[:height, :width].astype(np.float32)
-        surface = _surface_terms(x, y, (width, height)) @ fit
-        return replace(self, lab=_as_colours(self.lab + surface))
+    def under(self, light: Light, region: Region | None = None) -> Background:
+        """Return the background in another light within a region, the whole image if None."""
+        region = region or make_region(self.lab.shape[1::-1])
+        return replace(self, lab=relit(self.lab, light, region))
+
+    def followed(self, image: np.ndarray, region: Region | None = None) -> Background:
+        """Return the background in the light of an image: see `light_of`."""
+        return self.under(self.light_of(image, region), region)
 
 
 def learn_plate(images: np.ndarray) -> Background:
@@ -274,13 +251,28 @@ def colours(image: np.ndarray) -> np.ndarray:
 def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
     """Return an image's colours (H, W, C) once they can be compared with a background's: grey
     levels with the colours of a picture file, or colours with grey levels."""
-    lab = colours(image)
-    if lab.shape[2] != background.lab.shape[2]:
-        code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY
-        lab = colours(cv2.cvtColor(np.ascontiguousarray(image), code))
-    why = ", as the background has"
-    check_size("image:", lab.shape[1::-1], background.lab.shape[1::-1], why=why)
+    image = np.asarray(image)
+    check_image(image)
+    _check_size(image, background)
+    lab = _compared(image, background.lab.shape[2])
     return _cleaned(lab) if background.cleaned else lab
+
+
+def _compared(image: np.ndarray, channels: int) -> np.ndarray:
+    """Return colours (H, W, C) of pixels (H, W) or (H, W, 3) uint8, with so many channels C."""
+    if (image.ndim == 2) != (channels == 1):
+        code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY
+        image = cv2.cvtColor(np.ascontiguousarray(image), code)
+    return colours(image)
+
+
+def _same(lab: np.ndarray) -> np.ndarray:
+    return lab
+
+
+def _check_size(image: np.ndarray, background: Background) -> None:
+    why = ", as the background has"
+    check_size("image:", image.shape[1::-1], background.lab.shape[1::-1], why=why)
 
 
 def _cleaned(lab: np.ndarray) -> np.ndarray:

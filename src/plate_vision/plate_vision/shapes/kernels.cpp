@@ -195,6 +195,21 @@ void bind_segmentation(nb::module_& m) {
         else
             deviation_of_colours(lab.data(), bare.data(), chroma * chroma, out.data(), out.size());
     }, arg(), arg(), arg(), arg().noconvert());
+    m.attr("LIGHTNESS_0") = LIGHTNESS_0;
+    m.def("relight", [](Colours bare, In<float, 2> surface, In<float, 1> place,
+                        std::array<int, 4> box, Array<uint8_t, 3> out) {
+        const size_t channels = bare.shape(2);
+        const auto [x0, y0, x1, y1] = box;
+        require(same_pixels(bare, out) && out.shape(2) == channels &&
+                    (channels == 1 || channels == 3) && surface.shape(0) == 6 &&
+                    surface.shape(1) == channels && place.shape(0) == 3,
+                "shapes: bare and out (h, w, 1 or 3), surface (6, 1 or 3), place (3,)");
+        require(0 <= x0 && x0 <= x1 && x1 <= static_cast<int>(bare.shape(1)) && 0 <= y0 &&
+                    y0 <= y1 && y1 <= static_cast<int>(bare.shape(0)),
+                "box: allowed: columns and rows of the image");
+        nb::gil_scoped_release others_may_run;
+        relight(view(bare), view(surface), place.data(), {x0, y0, x1, y1}, view(out));
+    }, arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_contrasts", [](Labels labels, Image away, Image brighter, Image slope,
                                Array<float, 1> contrast, Array<float, 1> steepest,
                                Array<bool, 1> bright) {

@@ -1,0 +1,270 @@
+"""The light of one image on a bare plate that is known.
+
+Light and exposure multiply colours. In Lab this scales L + 41, a - 128 and b - 128 by one factor,
+because each is a difference of cube roots; a change of the light's own colour shifts a and b. The
+factor and both shifts are smooth surfaces. They are fitted to pixels of the plate's region that
+agree with them, so that neither parts nor the room count.
+
+Most of the plate may be covered: the factor is a mode of the ratio of image to plate. Which mode it
+is decide the pixels that showed the plate in the image before, and the smallest change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .. import _kernels
+from ..errors import ImageError
+from ..plate.region import Region
+
+LIGHTNESS_0: float = _kernels.LIGHTNESS_0
+"""L + 41 is a cube root of the light: 16 of 100 in CIE's L."""
+
+FACTORS = (0.2, 5.0)
+"""Light relative to that of the known plate, at least and at most: with less, parts are as dark as
+the plate; with more, it is burnt out."""
+
+LEAST_SHOWN = 0.15
+"""Fraction of the plate that is seen, at least: parts may cover 60 %, shadows some of the rest."""
+
+COVERED_WEIGHT = 0.25
+"""Weight of pixels that did not show the plate in the image before."""
+
+BIN = 0.02
+"""Width of the bins in which ratios are counted, in their natural logarithm."""
+
+SMOOTH = np.array([1, 2, 3, 2, 1]) / 9
+"""Weights by which neighbouring bins are averaged."""
+
+MODES, LEAST_MODE, APART = 4, 0.1, 3
+"""Modes that are tried, the least of them relative to the largest, and bins between two of them."""
+
+PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
+"""Terms of the surfaces in each pass of the fit, and deviation of the pixels that count [L]: 0 is
+the limit of the plate's noise. The first two bridge a light that falls from one side."""
+
+RIDGE = 0.002
+"""Weight of a surface that is even, relative to that of all pixels: where pixels of the plate are
+seen in one corner only."""
+
+
+AMBIGUOUS = 0.3
+"""Value of a second light relative to the best one from which on the pixels that agree with each
+are looked at: those of the plate hang together, those of parts are many islands."""
+
+EVERY = 2
+"""Rows and columns of which one is looked at for that."""
+
+UNSEEN_L = 0.5
+"""Largest change of colours that is left out [L]: they are whole numbers."""
+
+LIGHT_POWER = 3 / 2.2
+"""Lab's factor has the third root of the light; grey levels have its root by a gamma of 2.2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The light of an image on the plate, relative to that of a background.
+
+    Attributes
+    ----------
+    surface : (6, C) float32
+        Terms (`region.quadratic`) of the factor, and of the shifts of a and b [L]; C = 1, grey
+        levels, or 3.
+    shown : (K,) bool
+        Which of `Region.samples` show the plate.
+    """
+
+    surface: np.ndarray
+    shown: np.ndarray
+
+    @property
+    def factor(self) -> float:
+        """Light in the middle of the plate, relative to the background's [-]."""
+        middle = float(self.surface[0, 0])
+        return middle if self.surface.shape[1] == 1 else middle**LIGHT_POWER
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """What is compared: colours of an image and of the bare plate in a region.
+
+    Attributes
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+        The image.
+    convert : callable
+        Gives colours (h, w, C) uint8 of pixels (h, w) or (h, w, 3) uint8 as the bare plate has.
+    bare : (H, W, C) uint8
+        Colours of the bare plate, C = 1 or 3.
+    limit : (H, W) uint8
+        Deviation up to which a pixel shows the plate [L].
+    chroma : float
+        Weight of a and b beside L.
+    region : Region
+        Where the plate is.
+    """
+
+    image: np.ndarray
+    convert: Callable[[np.ndarray], np.ndarray]
+    bare: np.ndarray
+    limit: np.ndarray
+    chroma: float
+    region: Region
+
+    def connected(self, surface: np.ndarray) -> float:
+        """Return the fraction of the pixels that agree with a light (6, C) which hang together."""
+        every = np.s_[::EVERY, ::EVERY]
+        lab, bare = self.convert(self.image[every]), np.ascontiguousarray(self.bare[every])
+        x, y, unit = self.region.samples.place
+        place = np.array([x / EVERY, y / EVERY, unit * EVERY], np.float32)
+        lit, away = bare.copy(), np.empty(lab.shape[:2], np.uint8)
+        _kernels.relight(bare, surface, place, (0, 0, *lab.shape[1::-1]), lit)
+        _kernels.deviation(lab, lit, self.chroma, away)
+        agrees = (away <= self.limit[every]) & self.region.usable[every]
+        stats = cv2.connectedComponentsWithStats(agrees.astype(np.uint8), connectivity=4)[2]
+        areas = stats[1:, cv2.CC_STAT_AREA]
+        return float(areas.max() / areas.sum()) if len(areas) else 0.0
+
+
+def fit_light(lit: Lit, before: Light | None = None) -> Light:
+    """Fit the light of an image that shows parts as well; `before` is that of the image before,
+    None if nothing is known.
+
+    Raises
+    ------
+    ImageError
+        If too little of the plate is seen in any light.
+    """
+    samples = lit.region.samples
+    rows, columns, design = samples.rows, samples.columns, samples.design.T
+    seen = lit.convert(lit.image[rows, columns][:, None])[:, 0].astype(np.float32)
+    known = lit.bare[rows, columns].astype(np.float32)
+    limit = lit.limit[rows, columns].astype(np.float32)
+    origin = np.array([0.0] if seen.shape[1] == 1 else [-LIGHTNESS_0, 128, 128], np.float32)
+    weight = np.ones(len(rows))
+    if before is not None and len(before.shown) == len(rows):  # else the plate has moved
+        weight[~before.shown] = COVERED_WEIGHT
+    usual = 0.0 if before is None else float(np.log(max(before.surface[0, 0], 1e-3)))
+    ratio = np.log(np.maximum(seen[:, 0] - origin[0], 1) / np.maximum(known[:, 0] - origin[0], 1))
+    found = []
+    modes = _modes(ratio, weight, seen.shape[1])
+    level = float(np.median(seen[:, 0])) - origin[0]
+    for mode in modes:
+        # Parts nearly as bright as the plate are kept out of its fit.
+        gap = min((abs(mode - other) for other in modes if other != mode), default=np.inf)
+        surface, kept = _fitted(
+            seen - origin,
+            known - origin,
+            origin,
+            limit,
+            lit.chroma,
+            design,
+            (float(np.exp(mode)), 0.5 * gap * level),
+        )
+        value = float(np.sum(weight[kept])) * np.exp(-abs(mode - usual))
+        found.append((value, surface, kept))
+    found.sort(key=lambda one: -one[0])
+    likely = [one for one in found if one[0] > AMBIGUOUS * found[0][0]]
+    if len(likely) > 1:
+        likely.sort(key=lambda one: -one[0] * lit.connected(one[1]))
+    share = float(np.mean(likely[0][2])) if likely else 0.0
+    if share < LEAST_SHOWN:
+        low, high = FACTORS
+        raise ImageError(
+            f"light: {100 * share:.0f} % of the plate look like the bare plate in any light, "
+            f"allowed: {100 * LEAST_SHOWN:.0f} % or more, in {100 * low:.0f} to {100 * high:.0f} % "
+            "of the light in which the bare plate was learned (is the light on, the camera where "
+            "it was? Else call ~/learn_plate with nothing on the plate)"
+        )
+    return Light(likely[0][1], likely[0][2])
+
+
+def relit(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
+    """Return the colours (H, W, C) uint8 of the bare plate in a light: themselves if they are the
+    same."""
+    change = region.samples.design.T @ light.surface
+    if (
+        np.max(np.abs(255 * (change[:, 0] - 1))) + np.max(np.abs(change[:, 1:]), initial=0)
+        < UNSEEN_L
+    ):
+        return bare
+    out = bare.copy()
+    _kernels.relight(bare, light.surface, region.samples.place, region.box, out)
+    return out
+
+
+def _modes(ratio: np.ndarray, weight: np.ndarray, channels: int) -> list[float]:
+    """Return the most frequent values of logarithms of ratios (K,), within the allowed ones."""
+    power = 1.0 if channels == 1 else LIGHT_POWER
+    low, high = np.log(FACTORS) / power
+    count = int((high - low) / BIN) + 1
+    inside = (ratio > low) & (ratio < high)
+    bins = ((ratio[inside] - low) / BIN).astype(int)
+    found = np.convolve(np.bincount(bins, weight[inside], count), SMOOTH, "same")
+    framed = np.concatenate([[0], found, [0]])
+    peaks = np.flatnonzero((found >= framed[:-2]) & (found > framed[2:]))
+    peaks = peaks[np.argsort(-found[peaks], kind="stable")]
+    kept: list[int] = []
+    for peak in peaks.tolist():
+        apart = all(abs(peak - other) >= APART for other in kept)
+        if apart and found[peak] > LEAST_MODE * found[peaks[0]]:
+            kept.append(peak)
+    return [float(low + BIN * (peak + 0.5)) for peak in kept[:MODES]]
+
+
+def _fitted(
+    seen: np.ndarray,
+    known: np.ndarray,
+    origin: np.ndarray,
+    limit: np.ndarray,
+    chroma: float,
+    design: np.ndarray,
+    start: tuple[float, float],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the surfaces (6, C) by which known colours (K, C) become those that are seen (K, C),
+    both less their `origin` (C,); and which pixels (K,) agree. They begin with a factor, and with
+    pixels that are no further from it than a deviation [L]: `start`."""
+    channels = seen.shape[1]
+    surface = np.zeros((6, channels), np.float32)
+    surface[0, 0], most = start
+    mean = max(float(np.mean(known[:, 0])), 1.0)
+    steep = design * (known[:, :1] / mean)
+    ridge = RIDGE * len(seen) * np.diag([0.0, 1, 1, 1, 1, 1])
+    kept = np.ones(len(seen), bool)
+    for terms, near in PASSES:
+        kept = _away(seen, known, origin, chroma, design, surface) <= np.maximum(
+            limit, min(near, most)
+        )
+        if np.count_nonzero(kept) < 2 * design.shape[1]:
+            return surface, np.zeros(len(seen), bool)
+        part = steep[kept][:, :terms]
+        square = part.T @ part + ridge[:terms, :terms]
+        surface[:terms, 0] = np.linalg.solve(square, part.T @ (seen[kept, 0] / mean))
+        if channels == 3:
+            part = design[kept][:, :terms]
+            square = part.T @ part + ridge[:terms, :terms]
+            lit = known[kept, 1:] * (part @ surface[:terms, :1])
+            surface[:terms, 1:] = np.linalg.solve(square, part.T @ (seen[kept, 1:] - lit))
+    return surface, _away(seen, known, origin, chroma, design, surface) <= limit
+
+
+def _away(
+    seen: np.ndarray,
+    known: np.ndarray,
+    origin: np.ndarray,
+    chroma: float,
+    design: np.ndarray,
+    surface: np.ndarray,
+) -> np.ndarray:
+    """Return the deviation (K,) of what is seen from what is known in a light [L]."""
+    change = design @ surface
+    lit = known * change[:, :1]
+    lit[:, 1:] += change[:, 1:]
+    gap = seen - np.clip(lit, -origin, 255 - origin)
+    gap[:, 1:] *= chroma
+    return np.asarray(np.sqrt(np.sum(gap**2, axis=1)))
