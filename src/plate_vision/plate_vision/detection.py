@@ -6,7 +6,7 @@ painted over, parts are measured, and judged.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -17,12 +17,17 @@ from plate_core.rig import PART_PX
 from .camera import grey_levels
 from .discs import (
     RIM_PX,
+    SILHOUETTE,
+    Silhouettes,
     crowded,
+    even_discs,
     find_seeds,
     fit_discs,
+    longest,
     mark_angles,
     measure_alone,
     paint_over,
+    to_image,
 )
 from .errors import OptionError, check_ranges, check_size
 from .plate import SEAM_PX, Region, fit_light, make_region
@@ -35,8 +40,9 @@ BRIGHT = "white"
 """The label of parts brighter than what is behind them."""
 
 METHODS = ("moments", "fit", "outline", "group")
-"""Ways in which a part was measured, cheapest first: it stands alone; it touches others or the
-plate's edge; nothing was known of it; nor how many parts it is, it seems to be several."""
+"""Ways in which a part was measured, cheapest first: by moments, if it stands alone and is evenly
+dark; by a fit of its contour; by its outline, if nothing was known of it; as a group, if it seems
+to be several parts."""
 
 DETECTION = np.dtype(
     [
@@ -47,14 +53,23 @@ DETECTION = np.dtype(
         ("label", "U32"),
         ("confidence", "f8"),
         ("method", "U8"),
+        ("scatter_px", "f8"),
     ]
 )
 """One part: centre and radius [px], of the disc of the same area; angle [rad], counter-clockwise as
 seen: of its longest side with x, 0 to pi; of a disc that of its mark, 0 without one; class;
-confidence, 0 to 1; how it was measured."""
+confidence, 0 to 1; how it was measured; standard deviation of the centre along each axis [px], as
+far as noise and misfit cause it."""
 
 MAX_MISFIT = 0.2
 """Largest deviation of a part from an evenly dark disc."""
+
+EVEN_MISFIT = 0.06
+"""Largest misfit of a part that is measured by moments: with more it is not evenly dark."""
+
+ROUND = 1.2
+"""Largest reach of a silhouette, relative to its radius, that counts as round: seen at 34 degrees
+from above."""
 
 BLUR_PX = 1.5
 """Reach [px] of a part's blurred edge: how near a neighbour's pixels may come to a window."""
@@ -108,11 +123,32 @@ class DetectorOptions:
         check_ranges(self, self.RANGES)
 
 
+@dataclass(frozen=True, eq=False)
+class PartView:
+    """How a part is seen at each place of the plate.
+
+    Attributes
+    ----------
+    silhouettes : callable
+        Returns the silhouettes (n,) SILHOUETTE of a part at image points (n, 2) [px].
+    least_px : float
+        Smallest radius of a part in the image [px].
+    """
+
+    silhouettes: Silhouettes
+    least_px: float
+
+    @classmethod
+    def even(cls, radius_px: float) -> PartView:
+        """Return a view in which a part is the same flat disc at all places."""
+        return cls(even_discs(radius_px), radius_px)
+
+
 def detect(
     image: np.ndarray,
     options: DetectorOptions | None = None,
     region: Region | np.ndarray | None = None,
-    size: Callable[[np.ndarray], np.ndarray] | None = None,
+    view: PartView | None = None,
 ) -> np.ndarray:
     """Find parts in one image.
 
@@ -129,9 +165,8 @@ def detect(
     region : Region, or (4, 2) or (4, n, 2), optional
         Where the plate is: prepared by `make_region`, which takes longer than the detection; or
         what that takes. The whole image if None.
-    size : callable, optional
-        Gives for image points (n, 2) [px] the radius that a part has there, relative (n,) to the
-        options' radius. Everywhere 1 if None.
+    view : PartView, optional
+        How a part is seen at each place; everywhere a disc of the options' radius if None.
 
     Returns
     -------
@@ -151,7 +186,7 @@ def detect(
     check_size("image: size is", size_px, region.size_px, why=why)
     if options is None:
         return _detect_any(image, region)
-    return _discs(grey, region, options, size)
+    return find_discs(grey, region, options, view or PartView.even(options.radius_px))[0]
 
 
 def round_patches(image: np.ndarray, region: Region) -> np.ndarray:
@@ -160,46 +195,49 @@ def round_patches(image: np.ndarray, region: Region) -> np.ndarray:
     return found[found["round"] & ~found["group"]]
 
 
-def _discs(
-    grey: np.ndarray,
-    region: Region,
-    options: DetectorOptions,
-    size: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> np.ndarray:
-    """Return parts of a known radius, as `detect` does, each measured in the cheapest way.
+def find_discs(
+    grey: np.ndarray, region: Region, options: DetectorOptions, view: PartView
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return parts of a known radius, as `detect` does, and their silhouettes (n,) SILHOUETTE. Each
+    is measured in the cheapest way.
 
-    One that stands alone is measured by moments, the others by a fit that knows of their
-    neighbours.
+    One that stands alone is measured by moments, the others by a fit of their contours that knows
+    of their neighbours.
     """
-    radius = options.radius_px
     plate = fit_light(grey, region, options.min_plate_grey)
     seeds = np.empty((0, 2))
     if plate is not None:
-        seeds = find_seeds(plate, region.box, options.threshold, radius)
+        seeds, parts = find_seeds(
+            plate, region.box, options.threshold, view.least_px, view.silhouettes
+        )
     if plate is None or not len(seeds):
-        return np.empty(0, DETECTION)
-    plate, marks = paint_over(plate, seeds, radius)
-    alone = ~crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
-    alone &= region.depth(*seeds.T) - SEAM_PX >= radius + RIM_PX + 1
-    discs, alone = measure_alone(plate, seeds, radius, alone)
+        return np.empty(0, DETECTION), np.empty(0, SILHOUETTE)
+    tops = seeds + to_image(parts, parts["lean_px"])
+    plate, marks = paint_over(plate, tops, parts["growth"] * parts["radius_px"])
+    reach = longest(parts)
+    alone = ~crowded(seeds, 2 * float(np.max(reach)) + RIM_PX + BLUR_PX)
+    alone &= region.depth(*seeds.T) - SEAM_PX >= reach + RIM_PX + 1
+    alone &= (parts["growth"] == 1) & (reach < ROUND * parts["radius_px"])
+    discs, clear = measure_alone(plate, seeds, parts["radius_px"], alone)
+    alone &= clear & (discs["misfit"] < EVEN_MISFIT)
     if not np.all(alone):
-        discs[~alone] = fit_discs(plate, seeds[~alone], radius)
+        discs[~alone] = fit_discs(plate, seeds[~alone], parts[~alone])
     centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
-    expected = radius if size is None else radius * size(centre)
     is_part = (
-        (np.abs(discs["radius_px"] / expected - 1) <= options.radius_tolerance)
+        (np.abs(discs["radius_px"] / parts["radius_px"] - 1) <= options.radius_tolerance)
         & (discs["darkness"] > 1 - options.threshold)
         & (discs["misfit"] < MAX_MISFIT)
         & (region.depth(*centre.T) >= -options.margin_px)
     )
-    parts = np.zeros(len(discs), DETECTION)
-    for name in ("x_px", "y_px", "radius_px"):
-        parts[name] = discs[name]
-    parts["angle_rad"] = mark_angles(marks, centre)
-    parts["label"] = np.where(1 - discs["darkness"] < options.class_threshold, *CLASSES)
-    parts["confidence"] = 1 - discs["misfit"] / MAX_MISFIT
-    parts["method"] = np.where(alone, METHODS[0], METHODS[1])
-    return parts[is_part]
+    tops = centre + to_image(parts, parts["lean_px"])
+    found = np.zeros(len(discs), DETECTION)
+    for name in ("x_px", "y_px", "radius_px", "scatter_px"):
+        found[name] = discs[name]
+    found["angle_rad"] = mark_angles(marks, tops)
+    found["label"] = np.where(1 - discs["darkness"] < options.class_threshold, *CLASSES)
+    found["confidence"] = 1 - discs["misfit"] / MAX_MISFIT
+    found["method"] = np.where(alone, METHODS[0], METHODS[1])
+    return found[is_part], parts[is_part]
 
 
 def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
@@ -209,7 +247,8 @@ def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
     if options is not None:
         bright = bool(np.any(found["contrast"] > 0))  # all are brighter, or all darker
         grey = grey_levels(image)
-        again = _discs(255 - grey if bright else grey, region, options)
+        view = PartView.even(options.radius_px)
+        again, _ = find_discs(255 - grey if bright else grey, region, options, view)
         if len(again) >= len(found):
             if bright:
                 again["label"] = BRIGHT

@@ -10,9 +10,11 @@ import numpy as np
 from plate_core import Rig
 from plate_core.rig import to_home
 
+from .camera import grey_levels
 from .camera.lens import Calibration, Lens, calibrate_by_rig
-from .detection import DetectorOptions, detect, round_patches
-from .errors import check_size
+from .detection import DetectorOptions, PartView, find_discs, round_patches
+from .discs import outlines, seen_by
+from .errors import check_image, check_size
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
 from .recognition import find_types, model_plate
@@ -65,6 +67,8 @@ class Vision:
         Where the plate is in the image.
     options : DetectorOptions
         What a part looks like.
+    view : PartView
+        How a part is seen at each place.
     radius : float
         Of the parts [m].
     catalogue : Catalogue, optional
@@ -79,15 +83,15 @@ class Vision:
     calibration: Calibration
     region: Region
     options: DetectorOptions
+    view: PartView
     radius: float
     catalogue: Catalogue | None = None
     background: Background | None = None
     inner: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))
 
-    def size(self, point_px: np.ndarray) -> np.ndarray:
-        """Radius (n,) of a part seen at points (n, 2) [px], relative to the options' radius."""
-        scale = self.calibration.scale(self.calibration.to_home(point_px))
-        return np.asarray(self.radius * scale / self.options.radius_px)
+    def radius_px(self, point_px: np.ndarray) -> np.ndarray:
+        """Radius (n,) of a part seen at points (n, 2) [px]: that of the disc of the same area."""
+        return np.asarray(self.view.silhouettes(point_px)["radius_px"])
 
 
 def make_vision(
@@ -103,8 +107,8 @@ def make_vision(
     ----------
     rig : Rig
     options : DetectorOptions, optional
-        Its radius is replaced by the rig's, as it is seen in the middle of the plate; under a lens
-        that bends, halfway between the smallest and the largest seen on the plate.
+        Its radius is replaced by the rig's, halfway between the smallest and the largest that is
+        seen on the plate.
     lens : Lens, optional
         That of camera_info; the rig's if None.
     calibration : Calibration, optional
@@ -120,20 +124,22 @@ def make_vision(
     if calibration is None:
         calibration = calibrate_by_rig(rig, lens)
     corners = to_home(HOME if pose is None else pose, rig.plate.corners)
-    outline_px = calibration.to_image(corners)
-    places = np.zeros((1, 2))
-    if calibration.lens is not None:
-        along = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
-        sides = np.roll(corners, -1, axis=0) - corners
-        edges = (corners[:, None] + along * sides[:, None]).reshape(-1, 2)
-        places = np.concatenate([places, edges])
+    along = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
+    sides = np.roll(corners, -1, axis=0) - corners
+    edges = (corners[:, None] + along * sides[:, None]).reshape(-1, 2)
+    if calibration.lens is None:
+        outline_px = calibration.to_image(corners)
+    else:
         outline_px = calibration.to_image(edges).reshape(4, EDGE_POINTS, 2)
-    scale = calibration.scale(places)
-    radius_px = rig.parts.radius_m * float(np.sqrt(scale.min() * scale.max()))
+    seen = rig.parts.radius_m * calibration.scale(
+        np.concatenate([corners.mean(axis=0)[None], edges])
+    )
+    radius_px = float(np.sqrt(seen.min() * seen.max()))
     return Vision(
         calibration,
         make_region((rig.camera.width_px, rig.camera.height_px), outline_px),
         replace(options or DetectorOptions(), radius_px=radius_px),
+        PartView(seen_by(calibration, rig.parts.radius_m, rig.parts.height_m), float(seen.min())),
         rig.parts.radius_m,
         make_catalogue(rig.types) if rig.types else None,
         inner=rig.plate.half - rig.limits.stroke_m,
@@ -170,10 +176,11 @@ def observe(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    size = None if vision.calibration.lens is None else vision.size
-    found = detect(image, vision.options, vision.region, size)
+    check_image(image)
+    found, parts = find_discs(grey_levels(image), vision.region, vision.options, vision.view)
     centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
-    centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
+    ring_px = centre_px[:, None] + outlines(parts, found["radius_px"])
+    centre = vision.calibration.disc_centres(ring_px)
     angle, quality = _angles(vision, found, centre_px), _quality(vision, found, centre_px, centre)
     return update(tracker, stamp, centre, found["label"], angle, quality, expected=expected)
 
@@ -223,7 +230,7 @@ def size_problem(vision: Vision, image: np.ndarray) -> str | None:
     if most_bright:
         return f"{seen} brighter than what is behind, allowed: parts darker than the plate"
     centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
-    scale = float(np.median(vision.size(centre))) * vision.options.radius_px / vision.radius
+    scale = float(np.median(vision.radius_px(centre))) / vision.radius
     radius_px = float(np.median(discs["radius_px"]))
     radius, tolerance = radius_px / scale, vision.options.radius_tolerance
     if abs(radius / vision.radius - 1) <= tolerance:

@@ -8,6 +8,8 @@ from plate_vision import _kernels
 GREY, USABLE = np.zeros((20, 30), np.uint8), np.ones((20, 30), bool)
 LIGHT = np.float32([200, 0, 0, 0, 0, 0, 15, 10, 0.1])
 PLATE = GREY, LIGHT, USABLE
+EIGHTS = np.full(4, 8.0)
+DISCS = np.tile([1.0, 0, 0, 1, 8, 0, 0, 1], (4, 1))
 LABELS = np.full((20, 30), 3, np.int32)
 FIELD = np.zeros((20, 30), np.float32)
 PAIRS, THREE = np.ones((4, 2)), np.zeros(3)
@@ -25,15 +27,30 @@ WRONG = {
         GREY, np.array([20]), np.array([0]), np.zeros((6, 1), np.float32), 60
     ),
     "edges of two numbers": lambda: _kernels.region_depth(PAIRS, np.zeros((0, 8)), THREE, THREE),
-    "another size of plate": lambda: _kernels.vote(GREY, LIGHT, USABLE[1:], 0, 0, 8, FIELD),
-    "a light of six numbers": lambda: _kernels.vote(GREY, LIGHT[:6], USABLE, 0, 0, 8, FIELD),
+    "another size of plate": lambda: _kernels.vote(GREY, LIGHT, USABLE[1:], 0, 0, DISCS[:1], FIELD),
+    "a light of six numbers": lambda: _kernels.vote(
+        GREY, LIGHT[:6], USABLE, 0, 0, DISCS[:1], FIELD
+    ),
     "a grid beyond the image": lambda: _kernels.find_dark(
         *PLATE, 0.8, (0, 0, 2), USABLE, np.zeros((20, 30), np.uint8)
     ),
     "a step of nothing": lambda: _kernels.find_peaks(FIELD, 0, 0, USABLE, (0, 0, 0), 8),
-    "no room for discs": lambda: _kernels.fit_discs(*PLATE, PAIRS, 8, np.zeros((3, 5))),
-    "an endless radius": lambda: _kernels.fit_discs(*PLATE, PAIRS, np.inf, np.zeros((4, 5))),
-    "marks without levels": lambda: _kernels.paint_marks(GREY, PAIRS, PAIRS[:3], 8),
+    "no room for discs": lambda: _kernels.fit_discs(*PLATE, PAIRS, DISCS, 0.01, np.zeros((3, 7))),
+    "an endless radius": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS + [0, 0, 0, 0, np.inf, 0, 0, 0], 0.01, np.zeros((4, 7))
+    ),
+    "an endless lean": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS + [0, 0, 0, 0, 0, np.inf, 0, 0], 0.01, np.zeros((4, 7))
+    ),
+    "a silhouette without area": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS * [0, 0, 0, 0, 1, 1, 1, 1], 0.01, np.zeros((4, 7))
+    ),
+    "too few silhouettes": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS[1:], 0.01, np.zeros((4, 7))
+    ),
+    "no radius for a seed": lambda: _kernels.find_marks(*PLATE, PAIRS, EIGHTS[1:]),
+    "a radius of nothing": lambda: _kernels.find_marks(*PLATE, PAIRS, 0 * EIGHTS),
+    "marks without levels": lambda: _kernels.paint_marks(GREY, PAIRS, PAIRS[:3], EIGHTS),
     "a box beyond the image": lambda: _kernels.relight(
         GREY[..., None], np.zeros((6, 1), np.float32), LIGHT[6:], (0, 0, 31, 20), GREY[..., None]
     ),

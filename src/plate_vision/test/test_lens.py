@@ -117,14 +117,12 @@ def test_expected_size_holds_everywhere(name, rng):
     rig = rig_of(name)
     vision = make_vision(rig)
     image = frame_of(name, places(), ["black"] * 40, rng, noise=0)
-    found = detect(image, vision.options, vision.region, vision.size)
+    found = detect(image, vision.options, vision.region, vision.view)
     centre = np.stack([found["x_px"], found["y_px"]], axis=1)
     assert len(found) == 40
-    assert np.allclose(
-        found["radius_px"] / vision.options.radius_px, vision.size(centre), rtol=0.02
-    )
+    assert np.allclose(found["radius_px"], vision.radius_px(centre), rtol=0.02)
     narrow = replace(vision.options, radius_tolerance=0.05)
-    assert len(detect(image, narrow, vision.region, vision.size)) == 40
+    assert len(detect(image, narrow, vision.region, vision.view)) == 40
 
 
 @pytest.mark.parametrize("name", LENSES)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from plate_core import PlateError, Rig
-from plate_core.rig import fit_homography, project
+from plate_core.rig import camera_place, fit_homography, home_pose, project
 
 from ..errors import CalibrationError
 
@@ -31,9 +31,6 @@ LENS_MATRIX = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 1]])
 
 CORRECTIONS = 2
 """Times that what OpenCV's straightening leaves is taken off: each leaves a hundredth of it."""
-
-RING = 8
-"""Points of a disc's outline that are mapped to the plate."""
 
 SLOPE_STEP = 1e-4
 """Step [m] of the differences from which the scale is taken under a lens."""
@@ -113,11 +110,14 @@ class Calibration:
         Its inverse.
     lens : Lens, optional
         One that bends; the homographies are then those of the straightened image.
+    place : (3,), optional
+        The camera's centre of projection [m, plate_home]; None if it is not known.
     """
 
     image_from_home: np.ndarray
     home_from_image: np.ndarray
     lens: Lens | None = None
+    place: np.ndarray | None = None
 
     def to_home(self, point_px: np.ndarray) -> np.ndarray:
         """Map image points (M, 2) [px] to plate_home (M, 2) [m]."""
@@ -130,22 +130,23 @@ class Calibration:
         straight = project(self.image_from_home, point)
         return straight if self.lens is None else self.lens.bend(straight)
 
-    def disc_centres(self, point_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
-        """Return the centres (M, 2) [m, plate_home] of discs from the centres of area (M, 2) [px]
-        of their images, and their radii (M,) [px] there.
-
-        The centre of a disc's image is not the image of its centre: a strong lens shifts it by
-        some hundredths of a pixel. So the image's outline is mapped to the plate, and its centre
-        of area taken. Without a lens the shift is that of perspective, a few micrometres, and is
-        left in.
-        """
+    def slopes(self, point_px: np.ndarray) -> np.ndarray:
+        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px], by differences."""
         point_px = _points(point_px)
-        if self.lens is None or not len(point_px):
-            return self.to_home(point_px)
-        turn = 2 * np.pi * np.arange(RING) / RING
-        ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        outline = point_px[:, None] + np.asarray(radius_px)[:, None, None] * ring
-        outline = self.to_home(outline.reshape(-1, 2)).reshape(-1, RING, 2)
+        steps = 0.5 * np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
+        seen = self.to_home((steps[:, None] + point_px).reshape(-1, 2)).reshape(4, -1, 2)
+        return np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2)
+
+    def disc_centres(self, ring_px: np.ndarray) -> np.ndarray:
+        """Return the centres (M, 2) [m, plate_home] of discs from points (M, k, 2) [px] of the
+        ellipses that they are in the image, equally spaced in angle.
+
+        The centre of a disc's image is not the image of its centre: perspective and a strong lens
+        shift it by some hundredths of a pixel. So the points are mapped to the plate, and the
+        centre of area of their polygon is taken.
+        """
+        count, corners = ring_px.shape[:2]
+        outline = self.to_home(ring_px.reshape(-1, 2)).reshape(count, corners, 2)
         middle = outline.mean(axis=1)
         a = outline - middle[:, None]
         b = np.roll(a, -1, axis=1)
@@ -169,7 +170,12 @@ class Calibration:
         return np.sqrt(np.abs(np.linalg.det(self.image_from_home) / third**3))
 
 
-def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = None) -> Calibration:
+def calibrate(
+    corners_px: np.ndarray,
+    corners: np.ndarray,
+    lens: Lens | None = None,
+    place: np.ndarray | None = None,
+) -> Calibration:
     """Find the homography from four pairs of points.
 
     Parameters
@@ -180,6 +186,8 @@ def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = N
         The same points in plate_home [m].
     lens : Lens, optional
         To be taken into account.
+    place : (3,), optional
+        The camera's place [m, plate_home], if it is known without the lens.
 
     Raises
     ------
@@ -193,7 +201,7 @@ def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = N
     if lens is not None:
         straight, name = lens.straighten(corners_px), "corners_px without the lens's distortion"
         corners_px = check_quadrilateral(straight, name, CalibrationError)
-    return calibrate_by_matrix(fit_homography(corners, corners_px), lens)
+    return calibrate_by_matrix(fit_homography(corners, corners_px), lens, place)
 
 
 def check_quadrilateral(
@@ -231,8 +239,12 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def calibrate_by_matrix(image_from_home: np.ndarray, lens: Lens | None = None) -> Calibration:
+def calibrate_by_matrix(
+    image_from_home: np.ndarray, lens: Lens | None = None, place: np.ndarray | None = None
+) -> Calibration:
     """Use a known homography (3, 3) from plate_home [m] to the (straightened) image [px].
+
+    The camera's place (3,) [m, plate_home] follows from the lens; without one it may be given.
 
     Raises
     ------
@@ -246,13 +258,18 @@ def calibrate_by_matrix(image_from_home: np.ndarray, lens: Lens | None = None) -
             f"homography: condition number is {condition:.3g}, allowed: below {MAX_CONDITION:g} "
             "(points could not be mapped back)"
         )
+    if lens is not None:
+        rotation, translation = home_pose(matrix, lens.matrix)
+        place = -rotation.T @ translation
     bends = lens is not None and np.any(lens.distortion)
-    return Calibration(matrix, np.linalg.inv(matrix), lens if bends else None)
+    return Calibration(matrix, np.linalg.inv(matrix), lens if bends else None, place)
 
 
 def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
     """Use the images of the plate's corners that the rig file gives; its lens if none is given."""
-    return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens or rig_lens(rig))
+    lens = lens or rig_lens(rig)
+    place = camera_place(rig) if lens is None else None
+    return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens, place)
 
 
 def rig_lens(rig: Rig) -> Lens | None:

@@ -7,13 +7,21 @@ from .fit import fit_discs
 from .marks import mark_angles, paint_over
 from .measure import RIM_PX, crowded, measure_alone
 from .seeds import find_seeds
+from .silhouette import SILHOUETTE, Silhouettes, even_discs, longest, outlines, seen_by, to_image
 
 __all__ = [
     "RIM_PX",
+    "SILHOUETTE",
+    "Silhouettes",
     "crowded",
+    "even_discs",
     "find_seeds",
     "fit_discs",
+    "longest",
     "mark_angles",
     "measure_alone",
+    "outlines",
     "paint_over",
+    "seen_by",
+    "to_image",
 ]

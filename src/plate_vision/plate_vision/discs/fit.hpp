@@ -1,4 +1,4 @@
-// Centres, radii and darkness of round parts that touch others: see fit.py.
+// Places, radii and darkness of round parts by their contours: see fit.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -6,17 +6,18 @@
 #include <vector>
 
 #include "discs/measure.hpp"
+#include "discs/silhouette.hpp"
 
 namespace plate {
 
-// Least, first and greatest half width [px] of a disc's edge, where its cover rises from 0 to 1 as
+// Minimum, first and maximum half width [px] of a disc's edge, where its cover rises from 0 to 1 as
 // a cubic: 0.5 are sharp pixels, 1.1 a lens with a blur of 0.6 px (standard deviation).
-constexpr double EDGE_PX[] = {0.4, 0.8, 3.0};
+constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
-// Largest change of a centre or radius [px] in one iteration: edges are seen only when near.
+// Maximum change of a place or radius [px] in one iteration: edges are seen only when near.
 constexpr double MAX_STEP_PX = 1.0;
 
-// Change [px] of centre and radius after which the fit has converged: the next change would be a
+// Change [px] of place and radius after which the fit has converged: the next change would be a
 // tenth of it, and a tenth of the effect of the image's noise.
 constexpr double SETTLED_PX = 0.01;
 
@@ -26,27 +27,53 @@ constexpr int MAX_ITERATIONS = 25;
 // hardly anything of a disc is seen.
 constexpr double FIT_DAMPING = 1e-3;
 
-// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness.
-enum Unknown { X, Y, RADIUS, EDGE, DARKNESS, UNKNOWNS };
+// A pixel inside the contour has no weight if its darkness differs from the part's by more than
+// this fraction of it, and by more than this number of standard deviations of the image's noise: it
+// shows a mark, a highlight or a hole.
+constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
+
+// The misfit is measured within this distance [px] beyond the edge's own width, on both sides.
+constexpr double CONTOUR_PX = 1.0;
+
+// Darkness of the side faces, relative to that of the top: where hardly anything of them is seen it
+// could be any number.
+constexpr double SIDE_RANGE[] = {0.3, 3.0};
+
+// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the side faces, and
+// that of the top; both are one unless the part has a height.
+enum Unknown { X, Y, RADIUS, EDGE, SIDE, TOP, UNKNOWNS };
 using DiscFit = std::array<double, UNKNOWNS>;
 
 // The usable pixels around a disc: their places [px], their darkness, that less the neighbours',
-// and how little these cover.
+// and the fraction of each that these do not cover.
 struct DiscWindow {
     std::vector<float> x, y, dark, rest, seen;
     int size = 0;
+    double all = 0;  // pixels of the window, those that cannot be used among them
 
-    DiscWindow(const LitPlate& plate, double x_px, double y_px, double radius) {
-        const int x0 = std::rint(x_px), y0 = std::rint(y_px), reach = std::ceil(radius + RIM_PX);
-        const double far = (radius + RIM_PX) * (radius + RIM_PX);
+    DiscWindow(const LitPlate& plate, double x_px, double y_px, const Silhouette& part) {
+        const int x0 = std::rint(x_px), y0 = std::rint(y_px);
+        const int reach = std::ceil(part.reach() + RIM_PX);
+        const double square = part.lean_px[0] * part.lean_px[0] + part.lean_px[1] * part.lean_px[1];
         const int most = (2 * reach + 1) * (2 * reach + 1);
         for (auto* list : {&x, &y, &dark, &rest, &seen}) list->resize(most);
-        const int bottom = std::min(y0 + reach + 1, plate.height());
-        const int right = std::min(x0 + reach + 1, plate.width());
-        for (int row = std::max(y0 - reach, 0); row < bottom; row++)
-            for (int column = std::max(x0 - reach, 0); column < right; column++) {
-                const int across = column - x0, along = row - y0;
-                if (!plate.usable(row, column) || across * across + along * along > far) continue;
+        for (int row = y0 - reach; row <= y0 + reach; row++)
+            for (int column = x0 - reach; column <= x0 + reach; column++) {
+                const double across = column - x0, along = row - y0;
+                double wx = part.across[0][0] * across + part.across[0][1] * along;
+                double wy = part.across[1][0] * across + part.across[1][1] * along;
+                double way = 0;
+                if (square > 0) {
+                    way = (wx * part.lean_px[0] + wy * part.lean_px[1]) / square;
+                    way = std::clamp(way, 0.0, 1.0);
+                }
+                wx -= way * part.lean_px[0], wy -= way * part.lean_px[1];
+                const double far = (1 + (part.growth - 1) * way) * part.radius_px + RIM_PX;
+                if (wx * wx + wy * wy > far * far) continue;
+                all++;
+                if (row < 0 || column < 0 || row >= plate.height() || column >= plate.width() ||
+                    !plate.usable(row, column))
+                    continue;
                 x[size] = column, y[size] = row;
                 dark[size] = 1 - plate.grey(row, column) / bare(plate.light.data, column, row);
                 size++;
@@ -54,22 +81,24 @@ struct DiscWindow {
     }
 };
 
-// What is added up of a pixel is the products of its numbers, those of the first five with all:
-// the slopes of the disc's darkness in its unknowns; the error, one, and the square of the error.
-enum Product { ERROR = UNKNOWNS, ONE, SQUARE, PRODUCTS };
+// What is added up of a pixel is the products of its numbers, those of the first six with all: the
+// slopes of the disc's darkness in its unknowns; the error; the square of the error at the contour.
+enum Product { ERROR = UNKNOWNS, SQUARE, PRODUCTS };
 struct Slopes {
     float of[PRODUCTS];
 };
 static_assert(sizeof(Slopes) == sizeof(Eight));
 
 inline double first_darkness(const DiscWindow& window, double x, double y, double radius) {
-    double total = 0;
-    int count = 0;
+    std::vector<float> inner;
     for (int i = 0; i < window.size; i++) {
         const double dx = window.x[i] - x, dy = window.y[i] - y;
-        if (dx * dx + dy * dy < CORE * radius * (CORE * radius)) total += window.dark[i], count++;
+        if (dx * dx + dy * dy < CORE * radius * (CORE * radius)) inner.push_back(window.dark[i]);
     }
-    return std::max(total / std::max(count, 1), MIN_DARKNESS);
+    if (inner.empty()) return MIN_DARKNESS;
+    const auto middle = inner.begin() + inner.size() / 2;
+    std::nth_element(inner.begin(), middle, inner.end());
+    return std::max<double>(*middle, MIN_DARKNESS);
 }
 
 // How much of a pixel a disc covers, by how deep it is inside: a cubic from 0 to 1.
@@ -77,72 +106,123 @@ inline double first_darkness(const DiscWindow& window, double x, double y, doubl
     return 0.5f + u * (0.75f - 0.25f * u * u);
 }
 
+// A disc's contour in one precision, as the loops over pixels take it.
+struct Contour {
+    float ax, bx, ay, by, cx, cy, lx, ly, over, radius, more, scale, growth;
+
+    Contour(const DiscFit& disc, const Silhouette& part)
+        : ax(part.across[0][0]), bx(part.across[0][1]), ay(part.across[1][0]),
+          by(part.across[1][1]), cx(disc[X]), cy(disc[Y]), lx(part.lean_px[0]), ly(part.lean_px[1]),
+          over(1 / std::max(lx * lx + ly * ly, 1e-9f)), radius(disc[RADIUS]),
+          more(part.growth - 1), scale(0.5 / (disc[RADIUS] * disc[EDGE])), growth(part.growth) {}
+
+    // Place of a pixel in the disc's frame, from the nearest point of the way of the lean; the
+    // depth inside the contour, over the edge's half width, from -1 to 1.
+    //
+    // The depth is taken from the square of the distance, (r2 - d2) / 2r, which is r - d at the
+    // edge: no root.
+    [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy) const {
+        const float dx = x - cx, dy = y - cy;
+        wx = ax * dx + bx * dy, wy = ay * dx + by * dy;
+        const float way = std::min(std::max((wx * lx + wy * ly) * over, 0.f), 1.f);
+        wx -= way * lx, wy -= way * ly;
+        const float r = radius * (1 + more * way);
+        return (r * r - wx * wx - wy * wy) * scale;
+    }
+    // The depth inside the top's contour.
+    [[gnu::always_inline]] float top_depth(float x, float y) const {
+        const float dx = x - cx, dy = y - cy;
+        const float wx = ax * dx + bx * dy - lx, wy = ay * dx + by * dy - ly;
+        const float r = radius * growth;
+        return (r * r - wx * wx - wy * wy) * scale;
+    }
+};
+
+[[gnu::always_inline]] inline float within(float u) { return std::min(std::max(u, -1.f), 1.f); }
+
 // Take the neighbours' darkness off a window.
 PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<DiscFit>& discs,
-                                      const std::vector<int>& neighbours) {
+                                      const Silhouette* parts, const std::vector<int>& neighbours) {
     const int size = window.size;
     const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
     float *__restrict rest = window.rest.data(), *__restrict seen = window.seen.data();
     std::copy_n(window.dark.data(), size, rest);
     std::fill_n(seen, size, 1.f);
     for (int j : neighbours) {
-        const DiscFit& disc = discs[j];
-        const float cx = disc[X], cy = disc[Y], darkness = disc[DARKNESS];
-        const float square = disc[RADIUS] * disc[RADIUS];
-        const float scale = 0.5 / (disc[RADIUS] * disc[EDGE]);
+        const Contour contour(discs[j], parts[j]);
+        const float side = discs[j][SIDE], more = discs[j][TOP] - discs[j][SIDE];
 #pragma omp simd
         for (int i = 0; i < size; i++) {
-            const float dx = x[i] - cx, dy = y[i] - cy;
-            const float u = std::min(std::max((square - dx * dx - dy * dy) * scale, -1.f), 1.f);
-            const float cover = cover_at(u);
-            rest[i] -= darkness * cover;
+            float wx, wy;
+            const float cover = cover_at(within(contour.depth(x[i], y[i], wx, wy)));
+            const float top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
+            rest[i] -= side * cover + more * top;
             seen[i] *= 1 - cover;
         }
     }
 }
 
-// Add up the normal equations, lower half, of one disc; return its misfit.
+// Add up the normal equations, lower half, of one disc; set its misfit, and the fraction of the
+// contour that is seen.
 //
-// How deep a pixel is inside is taken from the square of its distance, (r2 - d2) / 2r, which is
-// r - d at the edge: no root.
-PLATE_WIDE inline double sum_up(const DiscWindow& window, const DiscFit& disc,
-                                std::vector<Slopes>& slopes, double (&normal)[UNKNOWNS][UNKNOWNS],
-                                double (&right)[UNKNOWNS]) {
-    const float cx = disc[X], cy = disc[Y], darkness = disc[DARKNESS];
-    const float squared = disc[RADIUS] * disc[RADIUS];
-    const float scale = 0.5 / (disc[RADIUS] * disc[EDGE]);
-    const float inverse = 1 / disc[RADIUS], steep = 0.75 * disc[DARKNESS] / disc[EDGE];
+// The misfit is the root mean square error at the contour, less the noise, relative to the
+// darkness. `noise` is a standard deviation, as darkness.
+PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, const Silhouette& part,
+                              double noise, std::vector<Slopes>& slopes,
+                              double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS],
+                              Disc& out) {
+    const Contour contour(disc, part);
+    const float side = disc[SIDE], more = disc[TOP] - disc[SIDE];
+    const float steep = 0.75 / disc[EDGE], inverse = 1 / disc[RADIUS];
+    const float near = 1 + CONTOUR_PX / disc[EDGE];
+    const float dark = std::max(std::max(disc[SIDE], disc[TOP]), MIN_DARKNESS);
+    const float odd = std::max<float>(ODD_FRACTION * dark, ODD_SIGMAS * noise);
     const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
     const float *__restrict rest = window.rest.data(), *__restrict seen = window.seen.data();
     slopes.resize(window.size);
     Slopes* __restrict slope = slopes.data();
-#pragma omp simd
+    float weights = 0, pixels = 0;
+#pragma omp simd reduction(+ : weights, pixels)
     for (int i = 0; i < window.size; i++) {
-        const float dx = x[i] - cx, dy = y[i] - cy, weight = seen[i];
-        const float u = std::min(std::max((squared - dx * dx - dy * dy) * scale, -1.f), 1.f);
-        const float cover = cover_at(u), error = (rest[i] - darkness * cover) * weight;
-        const float gr = steep * (1 - u * u) * weight;
-        slope[i].of[X] = gr * dx * inverse;
-        slope[i].of[Y] = gr * dy * inverse;
+        float wx, wy;
+        const float depth = contour.depth(x[i], y[i], wx, wy), u = within(depth);
+        const float cover = cover_at(u);
+        const float top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
+        const float level = side + more * (top / std::max(cover, 1e-6f));
+        const float gap = rest[i] - level * cover;
+        const float kept = depth > 1 && std::abs(gap) > odd ? 0.f : 1.f, weight = seen[i] * kept;
+        const float error = gap * weight, gr = level * steep * (1 - u * u) * weight;
+        const float rim = std::abs(depth) < near ? seen[i] : 0.f;
+        weights += rim;
+        pixels += std::abs(depth) < near ? 1.f : 0.f;
+        slope[i].of[X] = gr * (contour.ax * wx + contour.ay * wy) * inverse;
+        slope[i].of[Y] = gr * (contour.bx * wx + contour.by * wy) * inverse;
         slope[i].of[RADIUS] = gr;
         slope[i].of[EDGE] = -gr * u;
-        slope[i].of[DARKNESS] = cover * weight;
+        slope[i].of[SIDE] = (cover - top) * weight;
+        slope[i].of[TOP] = top * weight;
         slope[i].of[ERROR] = error;
-        slope[i].of[ONE] = 1;
-        slope[i].of[SQUARE] = error * error;
+        slope[i].of[SQUARE] = rim * gap * gap;
     }
     Eight sum[UNKNOWNS] = {};
+    double square = 0;
     for (const Slopes& pixel : slopes) {
         Eight all;
         load(all, pixel.of);
         for (int a = 0; a < UNKNOWNS; a++) sum[a] += pixel.of[a] * all;
+        square += pixel.of[SQUARE];
     }
     for (int a = 0; a < UNKNOWNS; a++) {
         for (int b = 0; b <= a; b++) normal[a][b] = sum[a][b];
         right[a] = sum[a][ERROR];
     }
-    const float square = sum[DARKNESS][SQUARE], all = sum[DARKNESS][ONE];
-    return std::sqrt(square / std::max(all, 1.f)) / std::max(disc[DARKNESS], MIN_DARKNESS);
+    square /= std::max(weights, 1.f);
+    out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
+    const double whole = std::max<double>(pixels, 1) * std::max(window.all, 1.0) / window.size;
+    out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
+    // Each coordinate is seen on half of the contour.
+    const double slopes_xy = 0.5 * (sum[X][X] + sum[Y][Y]);
+    out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
 
 // Make one step of a disc by its normal equations; return the change [px].
@@ -159,23 +239,29 @@ inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
     for (int i = 0; i < UNKNOWNS; i++) disc[i] += step * right[i];
     disc[RADIUS] = std::clamp(disc[RADIUS], 0.5 * first_radius, 1.5 * first_radius);
     disc[EDGE] = std::clamp(disc[EDGE], EDGE_PX[0], EDGE_PX[2]);
+    const double top = std::max(disc[TOP], MIN_DARKNESS);
+    disc[SIDE] = std::clamp(disc[SIDE], SIDE_RANGE[0] * top, SIDE_RANGE[1] * top);
     return change;
 }
 
-// Measure discs (n,), neighbours among them, from first guesses of their centres (n, 2) [px] and
-// of the radius [px].
-inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, double radius,
-                      Disc* discs) {
+// Measure discs (n,), neighbours among them, from first guesses of their places (n, 2) [px] and
+// their silhouettes (n,) there; `noise` is a standard deviation, as darkness.
+inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const Silhouette* parts,
+                      double noise, Disc* discs) {
     const int count = seeds.size(0);
     std::vector<DiscWindow> windows;
     std::vector<DiscFit> fits;
+    std::vector<double> reach;
     for (int k = 0; k < count; k++) {
-        const double x = seeds(k, 0), y = seeds(k, 1);
-        windows.emplace_back(plate, x, y, radius);
-        fits.push_back({x, y, radius, EDGE_PX[1], first_darkness(windows[k], x, y, radius)});
+        const double x = seeds(k, 0), y = seeds(k, 1), radius = parts[k].radius_px;
+        double to_x, to_y;
+        parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], to_x, to_y);
+        windows.emplace_back(plate, x, y, parts[k]);
+        const double dark = first_darkness(windows[k], x + 0.5 * to_x, y + 0.5 * to_y, radius);
+        fits.push_back({x, y, radius, EDGE_PX[1], dark, dark});
+        reach.push_back(parts[k].reach() + RIM_PX);
         discs[k].misfit = 1;
     }
-    const double near = (2 * radius + 2 * RIM_PX) * (2 * radius + 2 * RIM_PX);
     std::vector<char> moved(count, true), moves(count);
     std::vector<int> neighbours;
     std::vector<Slopes> slopes;
@@ -188,15 +274,16 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, double
             neighbours.clear();
             for (int j = 0; j < count; j++) {
                 const double dx = seeds(k, 0) - seeds(j, 0), dy = seeds(k, 1) - seeds(j, 1);
-                if (j != k && dx * dx + dy * dy < near) {
+                const double near = reach[k] + reach[j];
+                if (j != k && dx * dx + dy * dy < near * near) {
                     neighbours.push_back(j);
                     stale |= moved[j];
                 }
             }
             if (!stale) continue;
-            without_others(windows[k], fits, neighbours);
-            discs[k].misfit = sum_up(windows[k], fits[k], slopes, normal, right);
-            if (improve(fits[k], normal, right, radius) >= SETTLED_PX) {
+            without_others(windows[k], fits, parts, neighbours);
+            sum_up(windows[k], fits[k], parts[k], noise, slopes, normal, right, discs[k]);
+            if (improve(fits[k], normal, right, parts[k].radius_px) >= SETTLED_PX) {
                 moves[k] = true;
                 still = false;
             }
@@ -204,8 +291,11 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, double
         moved.swap(moves);
         if (still) break;
     }
-    for (int k = 0; k < count; k++)
-        discs[k] = {fits[k][X], fits[k][Y], fits[k][RADIUS], fits[k][DARKNESS], discs[k].misfit};
+    for (int k = 0; k < count; k++) {
+        const DiscFit& fit = fits[k];
+        discs[k].x_px = fit[X], discs[k].y_px = fit[Y], discs[k].radius_px = fit[RADIUS];
+        discs[k].darkness = fit[TOP];
+    }
 }
 
 }  // namespace plate

@@ -1,8 +1,10 @@
-"""Centres, radii and darkness of round parts that touch others or are cut by the plate's edge.
+"""Places, radii and darkness of round parts by their contours.
 
-Damped Gauss-Newton on centre, radius, edge width and darkness of one disc after the other, with
-the darkness of its neighbours, as far as they are known, taken off first. Pixels that do not show
-the plate have no weight, and those that a neighbour covers the less the more it covers them.
+Damped Gauss-Newton on place, radius, edge width and darkness of one part after the other, with the
+darkness of its neighbours subtracted. A part with a height has two darknesses, of its top and of
+its side faces. Pixels that do not show the plate have no weight, those that a neighbour covers the
+less the more it covers them, and those inside a part none if they differ from it: they show a mark,
+a highlight or a hole.
 """
 
 from __future__ import annotations
@@ -11,12 +13,14 @@ import numpy as np
 
 from .. import _kernels
 from ..plate.light import LitPlate
+from . import silhouette
 from .measure import DISC, numbers
 
 
-def fit_discs(plate: LitPlate, seeds: np.ndarray, radius_px: float) -> np.ndarray:
-    """Measure discs (n,) DISC, neighbours among them, from first guesses of their centres (n, 2)
-    [px] and of the radius [px]."""
+def fit_discs(plate: LitPlate, seeds: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Measure discs (n,) DISC, neighbours among them, from first guesses of their places (n, 2)
+    [px] and their silhouettes (n,) SILHOUETTE there."""
     discs = np.zeros(len(seeds), DISC)
-    _kernels.fit_discs(*plate, seeds, radius_px, numbers(discs))
+    shapes = silhouette.numbers(parts)
+    _kernels.fit_discs(*plate.pixels, seeds, shapes, plate.noise, numbers(discs))
     return discs

@@ -5,6 +5,7 @@
 #include "discs/marks.hpp"
 #include "discs/measure.hpp"
 #include "discs/seeds.hpp"
+#include "discs/silhouette.hpp"
 #include "plate/binding.hpp"
 
 namespace plate {
@@ -15,8 +16,25 @@ using nb::arg;
 
 constexpr double MOST_RADIUS_PX = 1e4;
 
-void require_radius(double radius) {
-    require(radius > 0 && radius <= MOST_RADIUS_PX, "radius: allowed: more than 0, up to 1e4 px");
+bool is_radius(double radius) { return radius > 0 && radius <= MOST_RADIUS_PX; }
+
+void require_radii(const In<double, 1>& radii, size_t count) {
+    require(radii.shape(0) == count, "shape: radii (n,)");
+    for (size_t k = 0; k < count; k++)
+        require(is_radius(radii(k)), "radii: allowed: more than 0, up to 1e4 px");
+}
+
+// Rows of numbers that are silhouettes.
+const Silhouette* as_silhouettes(const In<double, 2>& rows, size_t count) {
+    require(rows.shape(0) == count && rows.shape(1) == sizeof(Silhouette) / sizeof(double),
+            "shape: silhouettes (n, 8)");
+    const auto* parts = reinterpret_cast<const Silhouette*>(rows.data());
+    for (size_t k = 0; k < count; k++) {
+        require(is_radius(parts[k].radius_px), "radius: allowed: more than 0, up to 1e4 px");
+        require(parts[k].is_finite() && parts[k].reach() <= 2 * MOST_RADIUS_PX,
+                "silhouettes: allowed: an area, and a reach of up to 2e4 px");
+    }
+    return parts;
 }
 
 bool are_pairs(const In<double, 2>& places) { return places.shape(1) == 2; }
@@ -24,7 +42,7 @@ bool are_pairs(const In<double, 2>& places) { return places.shape(1) == 2; }
 // Rows of numbers that are discs.
 Disc* as_discs(const Array<double, 2>& rows, size_t count) {
     require(rows.shape(0) == count && rows.shape(1) == sizeof(Disc) / sizeof(double),
-            "shape: discs (n, 5)");
+            "shape: discs (n, 7)");
     return reinterpret_cast<Disc*>(rows.data());
 }
 
@@ -39,16 +57,16 @@ void bind_discs(nb::module_& m) {
     m.attr("RIM_PX") = RIM_PX;
 
     m.def("measure_alone", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                              In<int64_t, 2> seeds, double radius, In<bool, 1> alone,
+                              In<int64_t, 2> seeds, In<double, 1> radii, In<bool, 1> alone,
                               Array<double, 2> discs, Array<double, 1> dirt) {
         const LitPlate plate = lit_plate(grey, light, usable);
         const size_t count = seeds.shape(0);
         require(seeds.shape(1) == 2 && alone.shape(0) == count && dirt.shape(0) == count,
                 "shapes: seeds (n, 2), alone and dirt (n,)");
         Disc* out = as_discs(discs, count);
-        require_radius(radius);
+        require_radii(radii, count);
         nb::gil_scoped_release others_may_run;
-        measure_alone(plate, view(seeds), radius, alone.data(), out, dirt.data());
+        measure_alone(plate, view(seeds), radii.data(), alone.data(), out, dirt.data());
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert(), arg().noconvert());
     m.def("crowded", [](In<double, 2> centre, double distance_px, Array<bool, 1> near) {
         require(are_pairs(centre) && near.shape(0) == centre.shape(0),
@@ -57,35 +75,37 @@ void bind_discs(nb::module_& m) {
         crowded(view(centre), distance_px, near.data());
     }, arg(), arg(), arg().noconvert());
     m.def("fit_discs", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                          In<double, 2> seeds, double radius, Array<double, 2> discs) {
+                          In<double, 2> seeds, In<double, 2> parts, double noise,
+                          Array<double, 2> discs) {
         const LitPlate plate = lit_plate(grey, light, usable);
         require(are_pairs(seeds), "shape: seeds (n, 2)");
         Disc* out = as_discs(discs, seeds.shape(0));
-        require_radius(radius);
+        const Silhouette* shapes = as_silhouettes(parts, seeds.shape(0));
         nb::gil_scoped_release others_may_run;
-        fit_discs(plate, view(seeds), radius, out);
-    }, arg(), arg(), arg(), arg(), arg(), arg().noconvert());
+        fit_discs(plate, view(seeds), shapes, noise, out);
+    }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_marks", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                           In<double, 2> seeds, double radius) {
+                           In<double, 2> seeds, In<double, 1> radii) {
         const LitPlate plate = lit_plate(grey, light, usable);
         require(are_pairs(seeds), "shape: seeds (n, 2)");
-        require_radius(radius);
+        require_radii(radii, seeds.shape(0));
         const size_t count = seeds.shape(0);
         const std::array<int, 2> shape{static_cast<int>(count), 2};
         std::vector<double> found(2 * count), level(2 * count);
         {
             nb::gil_scoped_release others_may_run;
-            find_marks(plate, view(seeds), radius, {found.data(), shape}, {level.data(), shape});
+            find_marks(plate, view(seeds), radii.data(), {found.data(), shape}, {level.data(), shape});
         }
         return nb::make_tuple(to_numpy<2>(std::move(found), {count, 2}),
                               to_numpy<2>(std::move(level), {count, 2}));
     });
     m.def("paint_marks", [](Array<uint8_t, 2> grey, In<double, 2> centre, In<double, 2> level,
-                            double radius) {
+                            In<double, 1> radii) {
         require(are_pairs(centre) && are_pairs(level) && level.shape(0) == centre.shape(0),
                 "shapes: centre and level (n, 2)");
+        require_radii(radii, centre.shape(0));
         nb::gil_scoped_release others_may_run;
-        paint_marks(view(grey), view(centre), view(level), radius);
+        paint_marks(view(grey), view(centre), view(level), radii.data());
     }, arg().noconvert(), arg(), arg(), arg());
     m.def("find_dark", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
                           double threshold, std::array<int, 3> corner, In<bool, 2> outside,
@@ -100,22 +120,24 @@ void bind_discs(nb::module_& m) {
         nb::gil_scoped_release others_may_run;
         find_dark(plate, threshold, grid, view(outside), view(dark));
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
-    m.def("find_blobs", [](Array<bool, 2> core, double least, double most, Array<bool, 2> merged) {
-        require(same_pixels(core, merged), "shapes: core and merged (h, w)");
-        Blobs found;
+    m.def("find_blobs", [](Array<bool, 2> core, Array<int32_t, 2> number) {
+        require(same_pixels(core, number), "shapes: core and number (h, w)");
+        std::vector<Blob> found;
         {
             nb::gil_scoped_release others_may_run;
-            found = find_blobs(view(core), least, most, view(merged));
+            found = find_blobs(view(core), view(number));
         }
-        const size_t whole = found.centres.size() / 2, large = found.boxes.size() / 4;
-        return nb::make_tuple(to_numpy<2>(std::move(found.centres), {whole, 2}),
-                              to_numpy<2>(std::move(found.boxes), {large, 4}));
-    }, arg().noconvert(), arg(), arg(), arg().noconvert());
+        constexpr size_t NUMBERS = sizeof(Blob) / sizeof(double);
+        std::vector<double> rows(NUMBERS * found.size());
+        std::copy_n(reinterpret_cast<const double*>(found.data()), rows.size(), rows.data());
+        return to_numpy<2>(std::move(rows), {found.size(), NUMBERS});
+    }, arg().noconvert(), arg().noconvert());
     m.def("vote", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable, int x0, int y0,
-                     double radius, Array<float, 2> votes) {
+                     In<double, 2> part, Array<float, 2> votes) {
         const LitPlate plate = lit_plate(grey, light, usable);
+        const Silhouette* shape = as_silhouettes(part, 1);
         nb::gil_scoped_release others_may_run;
-        vote(plate, x0, y0, radius, view(votes));
+        vote(plate, x0, y0, *shape, view(votes));
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_peaks", [](In<float, 2> votes, int x0, int y0, In<bool, 2> merged,
                            std::array<int, 3> grid, double radius) {

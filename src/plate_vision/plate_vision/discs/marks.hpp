@@ -54,12 +54,12 @@ inline double median(std::vector<double>& numbers) {
 
 // Find the places of marks (n, 2) [px], NaN for a part without one, and the grey of their parts
 // and their contrasts (n, 2).
-inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, double radius,
+inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const double* radii,
                        View<double, 2> found, View<double, 2> level) {
-    const double mark = MARK_RADIUS * radius, core = CORE * radius;
-    const int size = static_cast<int>(core) + 1;
     std::vector<double> inner;
     for (int i = 0; i < seeds.size(0); i++) {
+        const double radius = radii[i], mark = MARK_RADIUS * radius, core = CORE * radius;
+        const int size = static_cast<int>(core) + 1;
         const double u = seeds(i, 0), v = seeds(i, 1);
         found(i, 0) = found(i, 1) = NAN;
         level(i, 0) = level(i, 1) = 0;
@@ -108,9 +108,9 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, doubl
 
 // Give what stands out round the marks (n, 2) [px] the grey of their parts.
 inline void paint_marks(View<uint8_t, 2> grey, View<const double, 2> centre,
-                        View<const double, 2> level, double radius) {
-    const double reach = MARK_REACH * MARK_RADIUS * radius;
+                        View<const double, 2> level, const double* radii) {
     for (int i = 0; i < centre.size(0); i++) {
+        const double reach = MARK_REACH * MARK_RADIUS * radii[i];
         const double x = centre(i, 0), y = centre(i, 1), part = level(i, 0);
         const Box box({grey.data, grey.shape}, x, y, reach);
         for (int r = box.top; r < box.bottom; r++)

@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
 #include <vector>
 
@@ -29,7 +30,7 @@ constexpr double MIN_DARKNESS = 0.05;
 
 // A measured disc: see `DISC` of measure.py.
 struct Disc {
-    double x_px, y_px, radius_px, darkness, misfit;
+    double x_px, y_px, radius_px, darkness, misfit, scatter_px, seen;
 };
 
 // The round window around a seed: its pixels' places from the middle [px].
@@ -75,18 +76,24 @@ PLATE_WIDE inline void darkness_at(const LitPlate& plate, const RoundWindow& win
     for (int i = 0; i < count; i++) dark[i] = 1 - here[i] / bare(light, left + x[i], top + y[i]);
 }
 
-// Measure discs (n,) that are `alone` from round windows at seeds (n, 2), and the dark area (n,)
-// [px2] in the rims of the windows; those at the image's border are left as they are.
-inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds, double radius,
+// Radii [px] are rounded to this for the windows of discs that stand alone: a window is made once.
+constexpr double WINDOW_STEP_PX = 0.5;
+
+// Measure discs (n,) that are `alone` from round windows at seeds (n, 2) of radii (n,) [px], and the
+// dark area (n,) [px2] in the rims of the windows; those at the image's border stay as they are.
+inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds, const double* radius,
                           const bool* alone, Disc* discs, double* dirt) {
-    const RoundWindow window(radius, plate.width());
-    const int64_t reach = window.reach;
-    std::vector<float> level(window.x.size()), darkness(window.x.size());
+    std::map<int, RoundWindow> windows;
+    std::vector<float> level, darkness;
     for (int k = 0; k < seeds.size(0); k++) {
-        const int64_t x0 = seeds(k, 0), y0 = seeds(k, 1);
-        if (!alone[k] || x0 < reach || y0 < reach || x0 >= plate.width() - reach ||
-            y0 >= plate.height() - reach)
+        if (!alone[k]) continue;
+        const int size = std::rint(radius[k] / WINDOW_STEP_PX);
+        const RoundWindow& window =
+            windows.try_emplace(size, size * WINDOW_STEP_PX, plate.width()).first->second;
+        const int64_t x0 = seeds(k, 0), y0 = seeds(k, 1), reach = window.reach;
+        if (x0 < reach || y0 < reach || x0 >= plate.width() - reach || y0 >= plate.height() - reach)
             continue;
+        level.resize(window.x.size()), darkness.resize(window.x.size());
         darkness_at(plate, window, x0, y0, level, darkness);
         float sum[RoundWindow::SUMS] = {}, inner = 0;
         for (size_t i = 0; i < darkness.size(); i++) {
@@ -102,7 +109,7 @@ inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds, d
         const float dark = std::max(inner / window.inner, static_cast<float>(MIN_DARKNESS));
         const double area = mass / (std::numbers::pi * dark);
         discs[k] = {x0 + static_cast<double>(right), y0 + static_cast<double>(down),
-                    std::sqrt(area), dark, std::abs(2.0 * wide / area - 1)};
+                    std::sqrt(area), dark, std::abs(2.0 * wide / area - 1), 0, 1};
         dirt[k] = sum[RoundWindow::RIM];
     }
 }

@@ -18,14 +18,18 @@ RIM_DIRT_PX2 = 0.5
 """Dark area [px2] in that rim from which on there is something beside the part; twice as
 much would shift the moments of a part of 8 px radius by 0.05 px."""
 
-DISC = np.dtype([(name, "f8") for name in ("x_px", "y_px", "radius_px", "darkness", "misfit")])
-"""A measured disc: centre; radius, that of a disc of the same darkness and area; mean darkness of
-its inner part; how far it is from an evenly dark disc: 0 for a perfect one, about 1 for something
-else."""
+DISC = np.dtype(
+    [(name, "f8") for name in ("x_px", "y_px", "radius_px", "darkness", "misfit")]
+    + [("scatter_px", "f8"), ("seen", "f8")]
+)
+"""A measured disc: its place; radius, that of a disc of the same darkness and area; mean darkness
+of its inner part; deviation from an evenly dark disc (moments) or from its contour (fit): 0 for a
+perfect one, about 1 for something else; standard deviation of the place along each axis, as far as
+the image's noise and the misfit cause it; fraction of the contour that is seen."""
 
 
 def measure_alone(
-    plate: LitPlate, seeds: np.ndarray, radius_px: float, alone: np.ndarray
+    plate: LitPlate, seeds: np.ndarray, radii_px: np.ndarray, alone: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Measure discs that have their surroundings to themselves, by moments of darkness.
 
@@ -35,8 +39,8 @@ def measure_alone(
     Parameters
     ----------
     plate : LitPlate
-    seeds, radius_px : (n, 2), float
-        First guesses of the centres and the radius [px].
+    seeds, radii_px : (n, 2), (n,)
+        First guesses of the centres and the radii [px].
     alone : (n,) bool
         Which to measure: those with no other near.
 
@@ -48,13 +52,13 @@ def measure_alone(
     """
     discs, dirt = np.zeros(len(seeds), DISC), np.full(len(seeds), np.inf)
     places = np.rint(seeds).astype(np.int64)
-    _kernels.measure_alone(*plate, places, radius_px, alone, numbers(discs), dirt)
+    _kernels.measure_alone(*plate.pixels, places, radii_px, alone, numbers(discs), dirt)
     return discs, dirt <= RIM_DIRT_PX2 * discs["darkness"]
 
 
 def numbers(discs: np.ndarray) -> np.ndarray:
-    """Return discs (n,) `DISC` as rows of numbers (n, 5)."""
-    return discs.view(float).reshape(-1, 5)
+    """Return discs (n,) `DISC` as rows of numbers (n, 7)."""
+    return discs.view(float).reshape(-1, 7)
 
 
 def crowded(centre: np.ndarray, distance_px: float) -> np.ndarray:

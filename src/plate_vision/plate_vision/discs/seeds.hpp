@@ -8,6 +8,7 @@
 #include <numbers>
 #include <vector>
 
+#include "discs/silhouette.hpp"
 #include "plate/light.hpp"
 
 namespace plate {
@@ -54,22 +55,20 @@ PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid g
     }
 }
 
-// What blobs are: centres x, y of those of the size of one part, and boxes x0, x1, y0, y1, half
-// open, of larger ones.
-struct Blobs {
-    std::vector<double> centres;
-    std::vector<int64_t> boxes;
+// A blob: centre x, y; number of pixels; box x0, x1, y0, y1, half open.
+struct Blob {
+    double x, y, size, x0, x1, y0, y1;
 };
 
-// Find the blobs in `core` (h, w) of `least` to `most` pixels, and larger ones, of which `merged`
-// (h, w) becomes true; `core` is false everywhere afterwards.
-inline Blobs find_blobs(View<bool, 2> core, double least, double most, View<bool, 2> merged) {
+// Find the blobs in `core` (h, w). `number` (h, w) becomes that of each pixel's blob, from 1 on; it
+// is 0 before, and `core` is false everywhere afterwards.
+inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number) {
     const int height = core.size(0), width = core.size(1);
     struct Pixel {
         int x, y;
     };
-    std::vector<Pixel> blob;
-    Blobs found;
+    std::vector<Pixel> pixels;
+    std::vector<Blob> found;
     const bool* end = core.data + static_cast<size_t>(height) * width;
     const auto next = [&](const bool* from) {
         return static_cast<bool*>(std::memchr(const_cast<bool*>(from), true, end - from));
@@ -77,40 +76,39 @@ inline Blobs find_blobs(View<bool, 2> core, double least, double most, View<bool
     for (bool* first = next(core.data); first; first = next(first)) {
         const int place = first - core.data;
         *first = false;
-        blob.assign(1, {place % width, place / width});
-        for (size_t done = 0; done < blob.size(); done++) {
-            const Pixel at = blob[done];
+        pixels.assign(1, {place % width, place / width});
+        for (size_t done = 0; done < pixels.size(); done++) {
+            const Pixel at = pixels[done];
             const int bottom = std::min(at.y + 2, height), right = std::min(at.x + 2, width);
             for (int row = std::max(at.y - 1, 0); row < bottom; row++)
                 for (int column = std::max(at.x - 1, 0); column < right; column++)
                     if (core(row, column)) {
                         core(row, column) = false;
-                        blob.push_back({column, row});
+                        pixels.push_back({column, row});
                     }
         }
-        const double size = blob.size();
+        const double size = pixels.size();
+        const int32_t own = found.size() + 1;
         int64_t x = 0, y = 0, x0 = width, x1 = 0, y0 = height, y1 = 0;
-        for (const Pixel& pixel : blob) {
+        for (const Pixel& pixel : pixels) {
             x += pixel.x, y += pixel.y;
             x0 = std::min<int64_t>(x0, pixel.x), x1 = std::max<int64_t>(x1, pixel.x + 1);
             y0 = std::min<int64_t>(y0, pixel.y), y1 = std::max<int64_t>(y1, pixel.y + 1);
+            number(pixel.y, pixel.x) = own;
         }
-        if (size > most) {
-            found.boxes.insert(found.boxes.end(), {x0, x1, y0, y1});
-            for (const Pixel& pixel : blob) merged(pixel.y, pixel.x) = true;
-        } else if (size >= least) {
-            found.centres.insert(found.centres.end(), {x / size, y / size});
-        }
+        found.push_back({x / size, y / size, size, static_cast<double>(x0), static_cast<double>(x1),
+                         static_cast<double>(y0), static_cast<double>(y1)});
     }
     return found;
 }
 
-// Let every piece of edge vote for the point one radius inside it; `votes` (h, w) begins at the
-// pixel x0, y0.
+// Let every piece of edge vote for the place of the part whose silhouette has that edge; `votes`
+// (h, w) begins at the pixel x0, y0.
 //
 // A vote weighs as much as the edge rises, relative to the darkness it votes for: so the votes of
 // a whole rim add up to its length [px], however blurred it is.
-inline void vote(const LitPlate& plate, int x0, int y0, double radius, View<float, 2> votes) {
+inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
+                 View<float, 2> votes) {
     const int height = plate.height(), width = plate.width();
     const int rows = votes.size(0), columns = votes.size(1);
     for (int y = std::max(y0, 1); y < std::min(y0 + rows, height - 1); y++) {
@@ -126,8 +124,9 @@ inline void vote(const LitPlate& plate, int x0, int y0, double radius, View<floa
             if (rise < MIN_SLOPE * light) continue;
             if (!usable_above[x - 1] || !usable_above[x + 1]) continue;
             if (!usable_below[x - 1] || !usable_below[x + 1]) continue;
-            const int to_x = std::rint(x + radius * right / rise);
-            const int to_y = std::rint(y + radius * down / rise);
+            double from_x, from_y;
+            part.contour(-right, -down, from_x, from_y);
+            const int to_x = std::rint(x - from_x), to_y = std::rint(y - from_y);
             if (to_x < x0 || to_x >= x0 + columns || to_y < y0 || to_y >= y0 + rows) continue;
             const uint8_t target =
                 plate.grey(std::clamp(to_y, 0, height - 1), std::clamp(to_x, 0, width - 1));

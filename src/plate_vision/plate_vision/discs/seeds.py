@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import _kernels
 from ..plate.light import LitPlate
+from .silhouette import SILHOUETTE, Silhouettes, longest, numbers, to_image
 
 COARSE_RADIUS_PX = 3.5
 """Least radius [px] that a part keeps when rows and columns are skipped for speed."""
@@ -33,9 +34,14 @@ SPREAD = 0.2
 
 
 def find_seeds(
-    plate: LitPlate, box: tuple[int, int, int, int], threshold: float, radius_px: float
-) -> np.ndarray:
-    """Find the centres (n, 2) [px] of dark blobs; some may be no part.
+    plate: LitPlate,
+    box: tuple[int, int, int, int],
+    threshold: float,
+    radius_px: float,
+    silhouettes: Silhouettes,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the places (n, 2) [px] of dark blobs; some may be no part. Returns also the silhouettes
+    (n,) SILHOUETTE of a part there.
 
     Parameters
     ----------
@@ -45,28 +51,63 @@ def find_seeds(
     threshold : float
         Fraction of the plate's brightness below which a pixel is dark.
     radius_px : float
-        Radius of a part [px].
+        Smallest radius of a part in the image [px].
+    silhouettes : callable
+        Of a part at image points.
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
-    grid = (box[0], box[1], stride)
     # What is outside counts as dark while eroding: a part is not eroded from the plate's edge.
     outside = ~plate.usable[box[1] : box[3] : stride, box[0] : box[2] : stride]
     if outside.size == 0:
-        return np.empty((0, 2))
+        return np.empty((0, 2)), np.empty(0, SILHOUETTE)
     dark = np.empty(outside.shape, np.uint8)
-    _kernels.find_dark(*plate, threshold, grid, outside, dark)
-    core = cv2.erode(dark, _disc(round(EROSION * radius_px / stride))) > outside
-    whole = np.pi * ((1 - EROSION) * radius_px / stride) ** 2
-    merged = np.zeros_like(core)
-    seeds, boxes = _kernels.find_blobs(core, MIN_CORE * whole, MAX_CORE * whole, merged)
-    seeds = seeds * stride + box[:2]
-    if not len(boxes):
-        return seeds
+    grid = (box[0], box[1], stride)
+    _kernels.find_dark(*plate.pixels, threshold, grid, outside, dark)
+    return seeds_of(plate, dark, outside, grid, radius_px, silhouettes)
+
+
+def seeds_of(
+    plate: LitPlate,
+    dark: np.ndarray,
+    outside: np.ndarray,
+    grid: tuple[int, int, int],
+    radius_px: float,
+    silhouettes: Silhouettes,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the places (n, 2) [px] of parts in dark pixels (h, w) uint8 of a coarse grid.
+
+    `outside` (h, w) bool are those that show no plate, and are dark too; `grid` is the first x, the
+    first y and the step [px]; the rest as for `find_seeds`.
+    """
+    x0, y0, stride = grid
+    eroded = round(EROSION * radius_px / stride)
+    core = cv2.erode(dark, _disc(eroded)) > outside
+    number = np.zeros(core.shape, np.int32)
+    blobs = _kernels.find_blobs(core, number)
+    if not len(blobs):
+        return np.empty((0, 2)), np.empty(0, SILHOUETTE)
+    middle = blobs[:, :2] * stride + (x0, y0)
+    parts = silhouettes(middle)
+    lean = np.hypot(*parts["lean_px"].T)
+    inner = parts["radius_px"] - EROSION * radius_px
+    whole = (np.pi * inner**2 + 2 * inner * lean) / stride**2
+    size = blobs[:, 2] / whole
+    single = (size >= MIN_CORE) & (size <= MAX_CORE)
+    # The middle of a part that leans is half way to its top.
+    seeds = middle[single]
+    if np.any(lean):
+        seeds = seeds - 0.5 * to_image(parts[single], parts["lean_px"][single])
+    large = size > MAX_CORE
+    if not np.any(large):
+        return seeds, parts[single]
     # Around a core is what was eroded, with the edges that vote.
-    pad = round(radius_px) + stride
-    low, size_px = np.repeat(box[:2], 2), np.repeat(plate.grey.shape[::-1], 2)
-    boxes = np.clip(boxes * stride + low + (-pad, pad, -pad, pad), 0, size_px)
-    return np.concatenate([seeds, _split(plate, merged, grid, boxes, radius_px)])
+    pad = np.rint(longest(parts[large])).astype(int)[:, None] + stride
+    low, size_px = np.repeat((x0, y0), 2), np.repeat(plate.grey.shape[::-1], 2)
+    boxes = np.clip(blobs[large, 3:].astype(int) * stride + low + pad * (-1, 1, -1, 1), 0, size_px)
+    merged = np.concatenate([[False], large])[number]
+    split = _split(plate, merged, grid, boxes, parts[large])
+    parts = np.concatenate([parts[single], silhouettes(split)])
+    return np.concatenate([seeds, split]), parts
 
 
 @lru_cache(maxsize=16)
@@ -81,18 +122,20 @@ def _split(
     merged: np.ndarray,
     grid: tuple[int, int, int],
     boxes: np.ndarray,
-    radius_px: float,
+    parts: np.ndarray,
 ) -> np.ndarray:
-    """Return the centres (n, 2) [px] of parts in dark areas that are too large for one.
+    """Return the places (n, 2) [px] of parts in dark areas that are too large for one.
 
     They may be where `merged` (h, w) is true, on a grid (first x, first y, step [px]); `boxes`
-    (m, 4) are the pixels x0, x1, y0, y1, half open, around each of these areas.
+    (m, 4) are the pixels x0, x1, y0, y1, half open, around each of these areas; `parts` (m,)
+    SILHOUETTE are what a part looks like there.
     """
     found = np.empty((0, 2))
-    side = 2 * (2 * max(1, round(SPREAD * radius_px)) + 1,)
-    for x0, x1, y0, y1 in boxes.tolist():
+    for (x0, x1, y0, y1), part in zip(boxes.tolist(), np.split(parts, len(parts)), strict=True):
+        radius_px = float(part["radius_px"][0])
+        side = 2 * (2 * max(1, round(SPREAD * radius_px)) + 1,)
         votes = np.zeros((y1 - y0, x1 - x0), np.float32)
-        _kernels.vote(*plate, x0, y0, radius_px, votes)
+        _kernels.vote(*plate.pixels, x0, y0, numbers(part), votes)
         votes = cv2.boxFilter(votes, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
         # Boxes may overlap, so that a part is found in two of them.
         for x, y in _kernels.find_peaks(votes, x0, y0, merged, grid, radius_px):

@@ -26,6 +26,12 @@ constexpr double RIDGE = 1e-9;
 // Least fraction of the pixels looked at that must be plate.
 constexpr double MIN_FRACTION = 0.1;
 
+// Standard deviation of a normal distribution, over the median of its absolute values.
+constexpr double SIGMA_OF_MEDIAN = 1.4826;
+
+// Minimum noise of an image [grey levels]: that of its quantisation.
+constexpr double LEAST_NOISE = 0.3;
+
 // Coefficients of a quadratic surface.
 constexpr int TERMS = 6;
 
@@ -90,7 +96,7 @@ PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
     return kept;
 }
 
-// Coefficients of the surface through those of the pixels `rows`, `columns` (n,), with `design`
+// Coefficients of the surface, and the noise relative to its mean, through those of the pixels `rows`, `columns` (n,), with `design`
 // (TERMS, n), that show the bare plate; none if there is no bright plate.
 inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int64_t, 1> rows,
                                     View<const int64_t, 1> columns, View<const float, 2> design,
@@ -121,7 +127,17 @@ inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int6
         }
     }
     if (*std::min_element(fitted.begin(), fitted.end()) < 0.5 * min_grey) return {};
-    return {right, right + TERMS};
+    // The noise, from the median deviation: parts on less than half of the plate do not count.
+    double level = 0;
+    for (int i = 0; i < count; i++) {
+        level += fitted[i] / count;
+        fitted[i] = std::abs(samples[i].value - fitted[i]);
+    }
+    std::nth_element(fitted.begin(), fitted.begin() + count / 2, fitted.end());
+    const double noise = std::max(SIGMA_OF_MEDIAN * fitted[count / 2], LEAST_NOISE);
+    std::vector<float> surface(right, right + TERMS);
+    surface.push_back(noise / level);
+    return surface;
 }
 
 }  // namespace plate

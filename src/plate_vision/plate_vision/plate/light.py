@@ -34,11 +34,19 @@ class LitPlate(NamedTuple):
         length [px] of one unit of u and v.
     usable : (H, W) bool
         Pixels that show the plate, clear of its edge.
+    noise : float
+        Standard deviation of the bare plate's pixels, relative to its brightness [-].
     """
 
     grey: np.ndarray
     light: np.ndarray
     usable: np.ndarray
+    noise: float
+
+    @property
+    def pixels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All but the noise, as the kernels take it."""
+        return self.grey, self.light, self.usable
 
 
 def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | None:
@@ -52,7 +60,8 @@ def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | N
     surface = _kernels.fit_light(grey, samples.rows, samples.columns, samples.design, min_grey)
     if not len(surface):
         return None
-    return LitPlate(grey, np.concatenate([surface, samples.place]), region.usable)
+    light = np.concatenate([surface[:-1], samples.place])
+    return LitPlate(grey, light, region.usable, float(surface[-1]))
 
 
 def light_problem(image: np.ndarray, min_grey: float) -> str | None:

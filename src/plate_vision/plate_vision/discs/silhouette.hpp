@@ -1,0 +1,50 @@
+// The silhouette of a part at one place of the image: see silhouette.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+namespace plate {
+
+// One row of `SILHOUETTE` (silhouette.py). `across` (2, 2) takes image offsets [px] from the part's
+// place to the disc's frame, in which the contour at the plate is a circle. The top is a circle of
+// `growth` times that radius about `lean` [px].
+struct Silhouette {
+    double across[2][2], radius_px, lean_px[2], growth;
+
+    // Inverse of `across` times a vector of the disc's frame: an image offset [px].
+    void to_image(double wx, double wy, double& x, double& y) const {
+        const double area = across[0][0] * across[1][1] - across[0][1] * across[1][0];
+        x = (across[1][1] * wx - across[0][1] * wy) / area;
+        y = (across[0][0] * wy - across[1][0] * wx) / area;
+    }
+    bool is_finite() const {
+        const double area = across[0][0] * across[1][1] - across[0][1] * across[1][0];
+        return std::abs(area) > 1e-6 && std::isfinite(reach());
+    }
+    double lean_length() const { return std::hypot(lean_px[0], lean_px[1]); }
+
+    // Distance [px of the image] within which all of the silhouette is.
+    double reach() const {
+        // The largest stretch of the inverse is one over the smallest singular value.
+        const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
+        const double half = 0.5 * (a * a + b * b + c * c + d * d), area = a * d - b * c;
+        const double least = std::sqrt(half - std::sqrt(std::max(half * half - area * area, 0.0)));
+        return (std::max(growth, 1.0) * radius_px + lean_length()) / std::max(least, 1e-3);
+    }
+
+    // Image offset [px] from the part's place to the contour, where the outward normal of the
+    // contour in the image is along (nx, ny).
+    void contour(double nx, double ny, double& x, double& y) const {
+        // Normals change by the inverse transpose, up to length.
+        double wx = across[1][1] * nx - across[1][0] * ny;
+        double wy = across[0][0] * ny - across[0][1] * nx;
+        const double length = std::max(std::hypot(wx, wy), 1e-12);
+        wx /= length, wy /= length;
+        const bool top = wx * lean_px[0] + wy * lean_px[1] > 0;
+        const double radius = top ? growth * radius_px : radius_px;
+        to_image(radius * wx + (top ? lean_px[0] : 0), radius * wy + (top ? lean_px[1] : 0), x, y);
+    }
+};
+static_assert(sizeof(Silhouette) == 8 * sizeof(double));
+
+}  // namespace plate

@@ -1,0 +1,106 @@
+"""The silhouette of a round part at each place of the image: its size, shape and lean there.
+
+Near one place the mapping from the image to the plate is linear: a part of radius r is an ellipse.
+A part of height h is seen with its side faces. Its top is at p + l with the lean l = (p - c) h /
+(H - h) and H / (H - h) times as large, where c is the place below the camera and H the height of
+the camera above the plate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..camera.lens import Calibration
+
+SILHOUETTE = np.dtype(
+    [("across", "f8", (2, 2)), ("radius_px", "f8"), ("lean_px", "f8", (2,)), ("growth", "f8")]
+)
+"""The silhouette at one place. `across` takes image offsets [px] to the disc's frame, where the
+contour at the plate is a circle of `radius_px`, that of the disc of the same area in the image. The
+top is a circle of `growth` times that radius about `lean_px` [px, disc's frame]."""
+
+RING = 8
+"""Points of a disc's contour that are mapped to the plate."""
+
+Silhouettes = Callable[[np.ndarray], np.ndarray]
+"""Returns the silhouettes (n,) SILHOUETTE of a part at image points (n, 2) [px]."""
+
+
+def even_discs(radius_px: float) -> Silhouettes:
+    """Return silhouettes that are the same flat disc of a radius [px] at all places."""
+
+    def silhouettes(point_px: np.ndarray) -> np.ndarray:
+        found = np.zeros(len(point_px), SILHOUETTE)
+        found["across"] = np.eye(2)
+        found["radius_px"] = radius_px
+        found["growth"] = 1
+        return found
+
+    return silhouettes
+
+
+def seen_by(calibration: Calibration, radius: float, height: float) -> Silhouettes:
+    """Return the silhouettes of a part of a radius and a height [m] in a camera's images.
+
+    With J the derivative of plate_home in the image, J = Q S with Q orthogonal and S symmetric:
+    `across` is S / sqrt(det S). The height counts if the camera's place is known.
+    """
+
+    place = calibration.place if height else None
+
+    def silhouettes(point_px: np.ndarray) -> np.ndarray:
+        slopes = calibration.slopes(point_px)
+        (a, b), (c, d) = np.moveaxis(slopes, 0, 2)
+        area = np.abs(a * d - b * c)  # sqrt(det J'J) [m2/px2]
+        found = np.zeros(len(slopes), SILHOUETTE)
+        square = np.array([[a * a + c * c + area, a * b + c * d], [0 * a, b * b + d * d + area]])
+        square[1, 0] = square[0, 1]
+        # S = (J'J + sqrt(det) 1) / sqrt(trace of that)
+        across = square / np.sqrt((square[0, 0] + square[1, 1]) * area)
+        found["across"] = np.moveaxis(across, 2, 0)
+        found["radius_px"] = radius / np.sqrt(area)
+        found["growth"] = 1
+        if place is not None:
+            x, y = (calibration.to_home(point_px) - place[:2]).T * height / (place[2] - height)
+            # Q' l = S^-1 J' l, over the size of a pixel
+            right, down = (a * x + c * y) / area, (b * x + d * y) / area
+            (p, q), (r, s) = across
+            found["lean_px"][:, 0] = s * right - q * down
+            found["lean_px"][:, 1] = p * down - r * right
+            found["growth"] = place[2] / (place[2] - height)
+        return found
+
+    return silhouettes
+
+
+def numbers(parts: np.ndarray) -> np.ndarray:
+    """Return silhouettes (n,) `SILHOUETTE` as rows of numbers (n, 8)."""
+    return parts.view(float).reshape(-1, 8)
+
+
+def to_image(parts: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Return image offsets (n, 2) or (n, k, 2) [px] from as many in the frames of discs [px]."""
+    (p, q), (r, s) = np.moveaxis(parts["across"], 0, 2)
+    x, y = np.moveaxis(offset, -1, 0)
+    shape = (-1,) + (1,) * (x.ndim - 1)
+    p, q, r, s = (each.reshape(shape) for each in (p, q, r, s))
+    return np.stack([s * x - q * y, p * y - r * x], axis=-1)  # det(across) is 1
+
+
+def outlines(parts: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
+    """Return image offsets (n, RING, 2) [px] of points around the contours at the plate, if their
+    radii are (n,) [px]."""
+    turn = 2 * np.pi * np.arange(RING) / RING
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return to_image(parts, radius_px[:, None, None] * ring)
+
+
+def longest(parts: np.ndarray) -> np.ndarray:
+    """Return the distances (n,) [px of the image] from the places of parts within which their
+    silhouettes are."""
+    half = 0.5 * np.sum(parts["across"] ** 2, axis=(1, 2))
+    stretch = np.sqrt(half + np.sqrt(np.maximum(half * half - 1, 0)))
+    lean = np.hypot(*parts["lean_px"].T)
+    return np.asarray((np.maximum(parts["growth"], 1) * parts["radius_px"] + lean) * stretch)
