@@ -18,8 +18,8 @@ from harness.result import ROOT, write
 CHAPTERS = {
     "stages": (
         "sim", "model", "trust", "bodies", "force_map", "solver", "rotations", "inversion",
-        "steering", "options", "vision", "classes", "shapes", "stages", "learning", "stop_latency",
-        "board", "latency", "graph", "page",
+        "steering", "options", "vision", "cameras", "classes", "shapes", "stages", "learning",
+        "stop_latency", "board", "latency", "graph", "page",
     ),
     "maps": ("stability",),
     "tasks": (

@@ -14,6 +14,8 @@ from .shapes import Background, find_patches, learn_plate
 from .shapes.lighting import Light
 from .vision import Vision
 
+__all__ = ["BARE_IMAGES", "MODELLED", "BarePlate", "know_plate", "learn_next"]
+
 BARE_IMAGES = 5
 """From which the bare plate is learned: their noise averages out."""
 

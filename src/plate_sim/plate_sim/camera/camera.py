@@ -1,18 +1,21 @@
-"""What the camera over the plate sees: parts of two greys, lens, shading, blur and noise."""
+"""Image of the plate: parts of two greys or of types, their height, lens, light, blur, noise."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from plate_core import PlateError, Rig
 from plate_core.colours import lab_to_srgb
-from plate_core.rig import PartType, homography, project, to_home
+from plate_core.rig import PartType, camera_place, homography, project, to_home
 
-from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, outlines_of
+from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, joined, outlines_of
+from .sweeps import scaled, swept
 
 BACKGROUND, PLATE = 60.0, 220.0
 """Grey values of the room and the plate at full light."""
@@ -55,9 +58,19 @@ its pixels are kept."""
 FAR = 1e6
 """What a pixel looks at that no light reaches through the lens [m]: not the plate."""
 
-SHADOW_M, SHADOW_WAY, PENUMBRA = 2.5e-3, (0.8, -0.6), (0.4, 0.7, 1.0)
-"""A shadow reaches so far out from under a part [m], in this direction (plate_home); what it is
-made of: the part's outline at these fractions of that."""
+SHADOW_M, SHADOW_DEG, PENUMBRA_M = 2.5e-3, -36.9, 1.5e-3
+"""Defaults of a shadow: how far it reaches out from under a part [m], in which direction from x
+[degrees, plate_home], and the width of its soft edge at the far end [m]."""
+
+PENUMBRA_STEPS = 5
+"""Shadows of equal weight that a soft one is made of: at 1 px/mm an edge of 3 mm looks even."""
+
+SIDE_SHADE = 0.7
+"""Default brightness of a part's side face, over its top face."""
+
+GLOSS_PLACE = 0.35
+"""Distance of a glossy part's highlight from the middle of the part, towards the lamp, as a
+fraction of the distance from there to the rim."""
 
 HIGHLIGHT_OPACITY, HIGHLIGHT_WIDEST = 0.9, 0.8
 """How much of a part's own colour the lamp's image hides: a disc of white; and its greatest radius,
@@ -86,11 +99,43 @@ MARGIN_PX = 2.0
 
 @dataclass(frozen=True)
 class Lighting:
-    """What a lamp does to parts: it is mirrored in a share of each part's area, and makes shadows
-    in which the plate is darker by a share."""
+    """The light, and its effects on parts.
+
+    Attributes
+    ----------
+    highlights : float
+        Fraction of each part's area in which the light is mirrored, farthest from the rim.
+    shadows : float
+        Fraction of the light that is missing in a lamp's shadows; 0: no shadows.
+    shadow_m : float
+        Length of the shadows on the plate [m].
+    shadow_deg : float
+        Direction in which they fall, from x [degrees, plate_home]; the lamp is opposite.
+    penumbra_m : float
+        Width of their soft edge at the far end [m]; at the part they are sharp.
+    gloss : float
+        Radius of the lamp's image on each part, as a fraction of a disc's radius, or of the
+        greatest distance from a part's rim; 0: none.
+    side_shade : float
+        Brightness of side faces, over that of the top.
+    level : float
+        Factor of all light in this image.
+    """
 
     highlights: float = 0.0
     shadows: float = 0.0
+    shadow_m: float = SHADOW_M
+    shadow_deg: float = SHADOW_DEG
+    penumbra_m: float = PENUMBRA_M
+    gloss: float = 0.0
+    side_shade: float = SIDE_SHADE
+    level: float = 1.0
+
+    @property
+    def shadow_way(self) -> np.ndarray:
+        """Unit vector (2,) in which shadows fall [plate_home]."""
+        angle = np.radians(self.shadow_deg)
+        return np.array([np.cos(angle), np.sin(angle)])
 
 
 EVEN = Lighting()
@@ -124,6 +169,31 @@ def part_greys(classes: list[str]) -> np.ndarray:
     return np.array([GREY_OF_CLASS[name] for name in classes], dtype=float)
 
 
+class _Solids(NamedTuple):
+    """M parts: their types, where they stand (s, M, 2) [m], outlines of their top faces and where
+    these are seen (s, M, 2) [m, plate's plane]; sizes (M,), if they are not all 1; and if parts are
+    not flat, how much larger their tops are seen (M,) and the point (2,) below the camera [m]."""
+
+    types: Sequence[PartType]
+    path: np.ndarray
+    top: Outlines
+    seen: np.ndarray
+    size: np.ndarray | None = None
+    growth: np.ndarray | None = None
+    low: np.ndarray | None = None
+
+
+class _Layer(NamedTuple):
+    """One thing that is drawn for each of M parts: kind of grey (see `Camera._sprites`), positions
+    (s, M, 2) [m], outlines, opacity, and cosine and sine of the angles (M, 2) or (2,)."""
+
+    kind: int
+    path: np.ndarray
+    outlines: Outlines
+    opacity: float
+    turn: np.ndarray
+
+
 class Camera:
     """Renders images of one rig. Room and plate at home are drawn once and kept, through the lens.
 
@@ -134,11 +204,24 @@ class Camera:
     rig : Rig
     noise : float
         Standard deviation of a pixel's noise [grey values].
+    plate, room : float
+        Grey values of plate and room at full light.
+    defocus_px : float
+        Standard deviation of the Gaussian by which the image is soft [px]; 0: sharp.
     """
 
-    def __init__(self, rig: Rig, noise: float = NOISE) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        noise: float = NOISE,
+        *,
+        plate: float = PLATE,
+        room: float = BACKGROUND,
+        defocus_px: float = 0.0,
+    ) -> None:
         self._rig = rig
         self.noise = noise
+        self._greys, self._defocus_px = (room, plate), defocus_px
         self._lens = rig.camera.lens
         if self._lens is not None and not self._lens.bends:
             self._lens = None
@@ -169,6 +252,8 @@ class Camera:
         types: Sequence[PartType] | None = None,
         lighting: Lighting = EVEN,
         gripper: np.ndarray | None = None,
+        height: np.ndarray | None = None,
+        size: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the image (height, width) or (height, width, 3), uint8, of parts on the plate.
 
@@ -194,22 +279,31 @@ class Camera:
         types : sequence of M, optional
             What the parts look like; if missing, discs of the rig's radius.
         lighting : Lighting
-            Highlights and shadows.
+            Highlights, shadows, and how much light there is.
         gripper : (2,), optional
             Of a robot over the plate [m, plate_home]: it hides what is below it, and its arm does
             from there on along +y.
+        height : (M,), optional
+            Of the parts' top faces above the plate [m]; flat if missing. `position` is where they
+            stand: the camera sees their tops too far out, larger, and their side faces.
+        size : (M,), optional
+            Of the parts, over that of their types; 1 if missing.
 
         Raises
         ------
         PlateError
-            If a value is not finite, or lengths disagree.
+            If a value is not finite, or lengths disagree; if parts are as high as the camera, or
+            have a height and the rig does not give the camera's place (`camera_place`).
         """
         path = self._path(position, velocity)
         count = path.shape[1]
         colour = np.ndim(grey) == 2
         values = _checked("grey", grey, (count, 3) if colour else (count,))
         turns = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
-        sprites, outlines, layer = self._sprites(path, turns, angle is not None, types, lighting)
+        scene = self._solids(path, types, height, size)
+        sprites, outlines, kind = self._sprites(
+            scene, turns, angle is not None and types is None, lighting
+        )
         robot = None if gripper is None else self._robot(_checked("gripper", gripper, (2,)))
         channels = []
         for value in values.T if colour else [values]:
@@ -222,10 +316,14 @@ class Camera:
                     self._move_plate(canvas, _samples("pose", poses, (3,)), ends[k : k + 2])
             marks = np.where(value < LIGHT, MARK_OF_DARK, MARK_OF_LIGHT)
             black, white = np.zeros(count), np.full(count, WHITE)
-            shades = np.concatenate([[black, value, marks, white][kind] for kind in layer])
+            shades = np.concatenate([black, value, marks, white, lighting.side_shade * value])[kind]
             draw_parts(canvas, self._light, self._places, sprites._replace(grey=shades), outlines)
             if robot is not None:
                 draw_parts(canvas, self._light, self._places, robot, _robot_outlines())
+            if self._defocus_px:
+                gaussian_filter(canvas, self._defocus_px, output=canvas)
+            if lighting.level != 1:
+                canvas *= np.float32(lighting.level)
             image = np.empty(canvas.shape, np.uint8)
             offset = rng.integers(NOISE_BANK)
             bank = _noise_bank(canvas.size)[offset : offset + canvas.size]
@@ -259,44 +357,100 @@ class Camera:
         row = [0] * count if types is None else [self._types.index(part) for part in types]
         return self._outlines.take(np.array(row, int))
 
-    def _sprites(
+    def _solids(
         self,
         path: np.ndarray,
-        angle: np.ndarray,
-        marked: bool,
         types: Sequence[PartType] | None,
-        lighting: Lighting,
-    ) -> tuple[Sprites, Outlines, list[int]]:
-        """Return what is drawn, all white, in layers of M: shadows, parts, the marks on discs of no
-        type, and highlights; and of what kind each layer is: 0 to 3."""
+        height: np.ndarray | None,
+        size: np.ndarray | None,
+    ) -> _Solids:
+        """Return parts as the camera sees them, from where they stand (s, M, 2) [m]."""
         count = path.shape[1]
-        own = self._outlines_of(types, count)
-        turn, lamp = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array(SHADOW_WAY)
-        layers = [(1, path, own, 1.0)]
+        kinds = [self._types[0]] * count if types is None else types
+        top = self._outlines_of(types, count)
+        if size is not None:
+            size = _checked("size", size, (count,))
+            top = scaled(top, size)
+        if height is None:
+            return _Solids(kinds, path, top, path, size)
+        high = _checked("height", height, (count,))
+        if self._place is None:
+            raise PlateError(
+                "height: the camera's place is not known, allowed: 0, or a rig file with focal_px "
+                "or camera: height_m"
+            )
+        low, above = self._place[:2], float(self._place[2])
+        if np.any((high < 0) | (high >= above)):
+            raise PlateError(f"height: {high.tolist()} m, allowed: 0 to less than {above:g}")
+        growth = above / (above - high)
+        seen = low + growth[:, None] * (path - low)
+        return _Solids(kinds, path, scaled(top, growth), seen, size, growth, low)
+
+    @cached_property
+    def _place(self) -> np.ndarray | None:
+        return camera_place(self._rig)
+
+    def _sprites(
+        self, scene: _Solids, angle: np.ndarray, marked: bool, lighting: Lighting
+    ) -> tuple[Sprites, Outlines, np.ndarray]:
+        """Return what is drawn, all white, one after the other: shadows, side faces, parts, marks
+        on discs, and highlights; and for each the row (n,) of its grey in the shades of M parts
+        that are black, the part's, its mark's, white and its side's."""
+        own, path, count = scene.top, scene.seen, scene.seen.shape[1]
+        turn, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
+        layers = [_Layer(1, path, own, 1.0, turn)]
+        size = np.ones(count) if scene.size is None else scene.size
         if lighting.shadows:
             # Each layer hides as much, and all of them the whole.
-            opacity = 1 - (1 - lighting.shadows) ** (1 / len(PENUMBRA))
-            offsets = [SHADOW_M * part * lamp for part in PENUMBRA]
-            layers = [*((0, path + offset, own, opacity) for offset in offsets), *layers]
-        if marked and types is None:
+            opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
+            shift = np.tile(lighting.shadow_m * lighting.shadow_way, (count, 1))
+            reach = size * [part.reach_m for part in scene.types]
+            shadows = []
+            for step in np.linspace(-1, 1, PENUMBRA_STEPS):
+                growth = np.maximum(1 + step * lighting.penumbra_m / (2 * reach), 0.0)
+                outlines = swept(scene.types, turn, size, growth, shift)
+                shadows.append(_Layer(0, scene.path + shift / 2, outlines, opacity, level))
+            layers = [*shadows, *layers]
+        first = len(layers) - 1
+        if scene.growth is not None:
+            shift = path.mean(axis=0) - scene.path.mean(axis=0)
+            outlines = swept(scene.types, turn, size, scene.growth, shift)
+            layers.insert(first, _Layer(4, scene.path + shift / 2, outlines, 1.0, level))
+        if marked:
             marks = own.discs(MARK_RADIUS * own.reach)
-            layers.append((2, path + MARK_PLACE * own.reach[:, None] * turn, marks, 1.0))
-        if lighting.highlights:
+            there = path + MARK_PLACE * own.reach[:, None] * turn
+            layers.append(_Layer(2, there, marks, 1.0, turn))
+        if lighting.highlights or lighting.gloss:
             x, y, depth, area = own.spot.T
+            (c, s), there = turn.T, np.empty((count, 2))
+            there[:, 0], there[:, 1] = c * x - s * y, s * x + c * y
+        if lighting.highlights:
             radius = np.minimum(
                 np.sqrt(lighting.highlights * area / np.pi), HIGHLIGHT_WIDEST * depth
             )
-            (c, s), there = turn.T, np.empty((count, 2))
-            there[:, 0], there[:, 1] = c * x - s * y, s * x + c * y
-            layers.append((3, path + there, own.discs(radius), HIGHLIGHT_OPACITY))
-        kinds, paths, every, opacities = zip(*layers, strict=True)
-        there, outlines = np.concatenate(paths, axis=1), every[0].joined(every[1:])
+            layers.append(_Layer(3, path + there, own.discs(radius), HIGHLIGHT_OPACITY, turn))
+        if lighting.gloss:
+            there = there - GLOSS_PLACE * depth[:, None] * lighting.shadow_way
+            layers.append(_Layer(3, path + there, own.discs(lighting.gloss * depth), 1.0, turn))
+        every = [layer.outlines for layer in layers]
+        there, outlines = np.concatenate([layer.path for layer in layers], axis=1), joined(every)
         sprites = Sprites(
             *self._windows(there, outlines.reach), there, outlines.reach,
-            np.tile(turn, (len(layers), 1)), np.full(there.shape[1], WHITE),
-            np.repeat(opacities, count),
+            np.concatenate([np.broadcast_to(layer.turn, (count, 2)) for layer in layers]),
+            np.full(there.shape[1], WHITE),
+            np.repeat([layer.opacity for layer in layers], count),
         )  # fmt: skip
-        return sprites, outlines, list(kinds)
+        kind = np.concatenate([layer.kind * count + np.arange(count) for layer in layers])
+        if scene.growth is not None:
+            # Each part hides those behind it: that are farther from the point below the camera.
+            away = np.hypot(*(scene.path.mean(axis=0) - scene.low).T)
+            rank = np.empty(count, int)
+            rank[np.argsort(-away, kind="stable")] = np.arange(count)
+            layer = np.repeat(np.arange(len(layers)), count)
+            part = np.tile(rank, len(layers))
+            order = np.lexsort((layer, np.where(layer < first, -1, part)))
+            sprites, outlines, kind = sprites.take(order), outlines.take(order), kind[order]
+        return sprites, outlines, kind
 
     def _robot(self, gripper: np.ndarray) -> Sprites:
         """Return what is drawn of a robot whose gripper is at a place (2,) [m, plate_home]."""
@@ -358,7 +512,7 @@ class Camera:
         copies = int(_copies(np.array(travel * self._scale), EDGE_STEP_PX))
         draw_plate(
             canvas.ravel(), self._light.ravel(), self._places.reshape(-1, 2), pixels, poses, copies,
-            travel, self._rig.plate.half, self._scale, (BACKGROUND, PLATE),
+            travel, self._rig.plate.half, self._scale, self._greys,
         )  # fmt: skip
 
 

@@ -54,11 +54,6 @@ class Outlines(NamedTuple):
         none = np.zeros(len(radius), np.int64)
         return self._replace(first=none, hole=none, end=none, reach=radius)
 
-    def joined(self, others: Sequence[Outlines]) -> Outlines:
-        """Return these parts, and then those of others, which have the same polygons."""
-        rows = zip(self[2:], *(other[2:] for other in others), strict=True)
-        return Outlines(self.edges, self.pieces, *(np.concatenate(row) for row in rows))
-
     def take(self, rows: np.ndarray) -> Outlines:
         """Return those of some parts (k,)."""
         return Outlines(self.edges, self.pieces, *(each[rows] for each in self[2:]))
@@ -96,6 +91,36 @@ class Sprites(NamedTuple):
     grey: np.ndarray
     opacity: np.ndarray
 
+    def take(self, rows: np.ndarray) -> Sprites:
+        """Return some of them (k,), in this order."""
+        path = np.ascontiguousarray(self.path[:, rows])
+        return Sprites(*(path if each is self.path else each[rows] for each in self))
+
+
+def joined(groups: Sequence[Outlines]) -> Outlines:
+    """Return the parts of several groups, one group after the other."""
+    first = groups[0]
+    if all(other.edges is first.edges for other in groups):
+        rows = zip(*(other[2:] for other in groups), strict=True)
+        return Outlines(first.edges, first.pieces, *(np.concatenate(row) for row in rows))
+    edges, pieces, moved = [], [np.zeros(1, np.int64)], []
+    known: dict[int, int] = {}
+    count, polygons = 0, 0
+    for group in groups:
+        if id(group.edges) not in known:
+            known[id(group.edges)] = polygons
+            edges.append(group.edges)
+            pieces.append(group.pieces[1:] + count)
+            count, polygons = count + len(group.edges), polygons + len(group.pieces) - 1
+        begin = known[id(group.edges)]
+        moved.append(
+            (group.first + begin, group.hole + begin, group.end + begin, group.reach, group.spot)
+        )
+    rows = zip(*moved, strict=True)
+    return Outlines(
+        np.concatenate(edges), np.concatenate(pieces), *(np.concatenate(row) for row in rows)
+    )
+
 
 def outlines_of(types: Sequence[PartType]) -> Outlines:
     """Return what drawing needs of parts of these types."""
@@ -106,7 +131,7 @@ def outlines_of(types: Sequence[PartType]) -> Outlines:
         holes = [piece for hole in part.holes for piece in convex_pieces(np.array(hole))]
         begin = len(pieces) - 1
         for polygon in (*solid, *holes):
-            edges.append(_edges(polygon))
+            edges.append(edges_of(polygon))
             pieces.append(pieces[-1] + len(polygon))
         rows.append((begin, begin + len(solid), len(pieces) - 1))
     first, hole, end = np.array(rows, np.int64).reshape(-1, 3).T.copy()
@@ -128,7 +153,7 @@ def _spot(part: PartType) -> tuple[float, float, float, float]:
     return float(place[best, 0]), float(place[best, 1]), float(depth[best]), part.area_m2
 
 
-def _edges(corner: np.ndarray) -> np.ndarray:
+def edges_of(corner: np.ndarray) -> np.ndarray:
     """Return the edges (k, 3) of a convex polygon (k, 2), counter-clockwise."""
     side = np.roll(corner, -1, axis=0) - corner
     normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.hypot(*side.T)[:, None]

@@ -1,0 +1,491 @@
+"""Scenes as real cameras see them: height, shine, shadow, contrast, tilt, lens, changing light.
+
+Each scene has 100 discs, or 56 parts of types. The simulator's camera draws it, so the true places
+are known. `before` are the figures of the detector of commit 8ca96f61 in the same images.
+
+cd bench; python -m stages.cameras [SCENE ...]   # a row for each; --show FILE.png draws the last
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from harness import Result, Table, paired
+from plate_core import PlateError, Rig, load_rig
+from plate_core.rig import Lens, PartType
+from plate_sim.camera import Camera, Lighting, part_colours, part_greys
+from plate_vision import Tracker, make_vision, observe
+from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
+from stages.vision import layout
+
+DISCS, TYPED = 100, 56
+"""Parts in a scene."""
+
+IMAGES, QUICK_IMAGES = 4, 1
+"""Layouts of each scene."""
+
+FIRST_SEED = 54000
+"""Seed of the first layout: those below are for tuning."""
+
+SHOTS, TYPED_SHOTS = 3, 6
+"""Images of each layout, one after the other, each with its own noise. Of discs the last one
+counts: a detector may learn from the others. Of typed parts all count, as their light changes."""
+
+INTERVAL_S = 0.15
+"""Between two images [s]: a cycle of the plate."""
+
+MARGIN_PX = 12.0
+"""Distance of the plate's corners from the image's edges [px]."""
+
+BEFORE = Path(__file__).with_suffix(".csv")
+"""Figures of the detector before: columns `scene` and `BEFORE_KEYS`."""
+
+BEFORE_KEYS = ("detected_percent", "false", "rms_mm", "worst_mm")
+
+WEBCAM_QUALITY = 70
+"""JPEG quality of a webcam's images."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of scene: how it differs from the plain one.
+
+    Attributes
+    ----------
+    name : str
+    rig : callable
+        Makes the rig as it is.
+    lighting : Lighting
+    greys : tuple of float, or of (blue, green, red)
+        Of the parts at full light, in turns; of typed parts none.
+    plate, room : float
+        Grey values at full light.
+    height : float
+        Of the parts [m]. The rig file says so, unless `unknown`.
+    unknown : bool
+    sizes : tuple of float
+        Of the parts over the rig's, in turns.
+    noise, defocus_px : float
+    blur_px : float
+        Motion of parts over the exposure [px], in any direction.
+    marked : bool
+        Whether discs have marks.
+    typed : bool
+        Parts of types, and images of the bare plate before.
+    levels : tuple of float
+        Factors of the light in the images, the last one goes on.
+    softer_px : float
+        Defocus after the bare plate was learned.
+    jpeg : int
+        Quality of the images, 0: not compressed.
+    """
+
+    name: str
+    rig: Callable[[], Rig] = load_rig
+    lighting: Lighting = field(default_factory=Lighting)
+    greys: tuple[Any, ...] = tuple(part_greys(["black", "grey"]).tolist())
+    plate: float = 220.0
+    room: float = 60.0
+    height: float = 0.0
+    unknown: bool = False
+    sizes: tuple[float, ...] = ()
+    noise: float = 2.0
+    defocus_px: float = 0.0
+    blur_px: float = 0.0
+    marked: bool = False
+    typed: bool = False
+    levels: tuple[float, ...] = (1.0,)
+    softer_px: float = 0.0
+    jpeg: int = 0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One layout: the rig as the detector knows it, images of the bare plate (typed parts only),
+    images, true places (M, 2) [m] and angles (M,) [rad, plate_home], and types of the parts (M,),
+    empty for discs."""
+
+    rig: Rig
+    bare: list[np.ndarray]
+    images: list[np.ndarray]
+    position: np.ndarray
+    angle: np.ndarray
+    types: list[PartType]
+
+    @property
+    def image(self) -> np.ndarray:
+        """The last image (H, W) or (H, W, 3)."""
+        return self.images[-1]
+
+
+def seen_from(
+    name: str = "",
+    *,
+    tilt_deg: float = 0.0,
+    towards_deg: float = 0.0,
+    focal_px: float = 900.0,
+    distance_m: float = 0.0,
+    radius_m: float = 0.0,
+    distortion: Sequence[float] = (0.0,) * 5,
+) -> Rig:
+    """Return a rig whose camera looks at the middle of the plate.
+
+    Parameters
+    ----------
+    name : str
+        Of the rig in config/rigs.
+    tilt_deg, towards_deg : float
+        From straight above, and in which direction the camera is, from x; 0: sideways.
+    focal_px : float
+        Of the lens, whose centre is the image's.
+    distance_m : float
+        From the plate's middle; 0: as near as shows the whole plate.
+    radius_m : float
+        Of the parts; 0: the rig's.
+    distortion : five floats
+        Of the lens: k1, k2, p1, p2, k3.
+    """
+    rig = load_rig(name)
+    size = np.array([rig.camera.width_px, rig.camera.height_px])
+    middle = (size - 1) / 2
+    lens = Lens((focal_px, focal_px), (float(middle[0]), float(middle[1])), tuple(distortion))  # type: ignore[arg-type]
+    if not distance_m:
+        near, far = 0.1, 10.0
+        for _ in range(60):
+            distance_m = (near + far) / 2
+            corners = corners_seen(rig, lens, tilt_deg, towards_deg, distance_m)
+            inside = np.all((corners > MARGIN_PX) & (corners < size - 1 - MARGIN_PX))
+            near, far = (near, distance_m) if inside else (distance_m, far)
+    corners = corners_seen(rig, lens, tilt_deg, towards_deg, distance_m)
+    corners_px = tuple((float(u), float(v)) for u, v in corners)
+    parts = replace(rig.parts, radius_m=radius_m or rig.parts.radius_m)
+    camera = replace(rig.camera, corners_px=corners_px, lens=lens)
+    return replace(rig, camera=camera, parts=parts)
+
+
+def corners_seen(
+    rig: Rig, lens: Lens, tilt_deg: float, towards_deg: float, distance_m: float
+) -> np.ndarray:
+    """Return the images (4, 2) [px] of the plate's corners, by OpenCV's projection."""
+    tilt, towards = np.radians([tilt_deg, towards_deg])
+    side = np.array([np.cos(towards), np.sin(towards), 0.0])
+    ahead = -np.sin(tilt) * side - np.cos(tilt) * np.array([0.0, 0.0, 1.0])
+    right = np.array([1.0, 0.0, 0.0])
+    right -= ahead * (right @ ahead)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(ahead, right), ahead])
+    corners = np.column_stack([rig.plate.corners, np.zeros(4)])
+    translation = -rotation @ (-distance_m * ahead)
+    seen = cv2.projectPoints(
+        corners, cv2.Rodrigues(rotation)[0], translation, lens.matrix, np.array(lens.distortion)
+    )
+    return np.asarray(seen[0][:, 0])
+
+
+def near() -> Rig:
+    """Return the default rig with a camera 0.43 m above the plate."""
+    return seen_from(focal_px=430.0, distance_m=0.43)
+
+
+def strong_lens() -> Rig:
+    """Return a rig with a wide lens: published calibration of a camera of 1480 x 1080 px."""
+    rig = load_rig()
+    lens = Lens(
+        (983.23425, 974.13698), (909.40739, 573.79454),
+        (-0.364955, 0.124123, -0.003946, 0.000371, 0.0),
+    )  # fmt: skip
+    corners_px = (
+        (181.218, 844.969), (1441.088, 880.169), (1437.252, 208.946), (178.972, 242.099),
+    )  # fmt: skip
+    camera = replace(rig.camera, width_px=1480, height_px=1080, corners_px=corners_px, lens=lens)
+    return replace(rig, camera=camera)
+
+
+def shapes() -> Rig:
+    """Return the rig with types of parts."""
+    return load_rig("shapes")
+
+
+def shade(length_m: float, depth: float = 0.5) -> Lighting:
+    """Return a lamp that casts shadows of this length."""
+    return Lighting(shadows=depth, shadow_m=length_m, penumbra_m=min(0.003, length_m / 2))
+
+
+GLOSS = (0.15, 0.2, 0.25, 0.3)
+CONTRASTS = ((160.0, 10.0), (160.0, 20.0), (160.0, 30.0), (205.0, 40.0))
+STEP_DOWN = (1.0, 1.0, 0.85)
+
+KINDS = (
+    Kind("plain"),
+    *(Kind(f"gloss {radius:g} r", lighting=Lighting(gloss=radius)) for radius in GLOSS),
+    *(
+        Kind(f"contrast {less:g} on {plate:g}", greys=(plate - less,), plate=plate)
+        for plate, less in CONTRASTS
+    ),
+    Kind("yellow on white", rig=shapes, greys=((60.0, 215.0, 220.0),)),
+    *(
+        Kind(f"bright on {plate:g}", greys=(200.0,), plate=plate, room=plate / 3)
+        for plate in (70.0, 130.0)
+    ),
+    Kind("5 mm high, 0.91 m", height=0.005, rig=lambda: seen_from(distance_m=0.91)),
+    Kind("5 mm high, 0.43 m", height=0.005, rig=near),
+    Kind("10 mm high, 0.91 m", height=0.01, rig=lambda: seen_from(distance_m=0.91)),
+    Kind("10 mm high, 0.43 m", height=0.01, rig=near),
+    Kind("20 mm high, 0.43 m", height=0.02, rig=near),
+    Kind("10 mm high, 0.43 m, not in the rig file", height=0.01, rig=near, unknown=True),
+    *(Kind(f"shadow {1e3 * length:g} mm", lighting=shade(length)) for length in (3e-3, 5e-3, 1e-2)),
+    *(
+        Kind(f"tilt {tilt} sideways", rig=lambda tilt=tilt: seen_from(tilt_deg=tilt, focal_px=500))  # type: ignore[misc]
+        for tilt in (15, 20, 25, 30, 40)
+    ),
+    Kind("strong lens", rig=strong_lens),
+    Kind("sizes 0.8, 1 and 1.2", sizes=(0.8, 1.0, 1.2)),
+    Kind("sizes 0.7 to 1.3", sizes=(0.7, 0.85, 1.0, 1.15, 1.3)),
+    Kind("radius 4 px, soft 1.5 px", rig=lambda: seen_from(radius_m=0.004), defocus_px=1.5),
+    Kind("radius 4 px, soft 2 px", rig=lambda: seen_from(radius_m=0.004), defocus_px=2.0),
+    Kind("radius 5 px, soft 2 px", rig=lambda: seen_from(radius_m=0.005), defocus_px=2.0),
+    Kind("noise 15", noise=15.0),
+    Kind("noise 20", noise=20.0),
+    Kind("motion 10 px", blur_px=10.0),
+    Kind("light flickers by 10 %", levels=(1.1, 0.9, 1.1)),
+    Kind(
+        "webcam: tilt 15, 5 mm high, shadow, JPEG",
+        rig=lambda: seen_from(tilt_deg=15, towards_deg=-90, focal_px=500), height=0.005,
+        lighting=shade(4e-3, 0.3), jpeg=WEBCAM_QUALITY, marked=True, noise=4.0,
+    ),
+    Kind("typed, plain", typed=True, rig=shapes),
+    Kind("typed, light 15 % down, dark room", typed=True, rig=shapes, room=8.0, levels=STEP_DOWN),
+    Kind("typed, light 20 % down", typed=True, rig=shapes, levels=(1.0, 1.0, 0.8)),
+    Kind("typed, light 5 % down", typed=True, rig=shapes, levels=(1.0, 1.0, 0.95)),
+    Kind("typed, light 10 % up", typed=True, rig=shapes, levels=(1.0, 1.0, 1.1)),
+    *(
+        Kind(
+            f"typed, flicker {100 * part:g} %", typed=True, rig=shapes,
+            levels=(1 + part, 1 - part) * (TYPED_SHOTS // 2),
+        )
+        for part in (0.06, 0.1)
+    ),
+    Kind("typed, 2 px softer", typed=True, rig=shapes, softer_px=2.0),
+    Kind("typed, motion 6 px", typed=True, rig=shapes, blur_px=6.0),
+    Kind("typed, gloss 0.25 r", typed=True, rig=shapes, lighting=Lighting(gloss=0.25)),
+    Kind("typed, shadow 5 mm", typed=True, rig=shapes, lighting=shade(5e-3)),
+    Kind("typed, shadow 10 mm", typed=True, rig=shapes, lighting=shade(1e-2)),
+    Kind(
+        "typed, tilt 25 sideways", typed=True,
+        rig=lambda: seen_from("shapes", tilt_deg=25, focal_px=500),
+    ),
+    Kind(
+        "typed, 10 mm high, 0.43 m", typed=True, height=0.01,
+        rig=lambda: seen_from("shapes", focal_px=430, distance_m=0.43),
+    ),
+)  # fmt: skip
+
+BY_NAME = {kind.name: kind for kind in KINDS}
+
+
+def measure(quick: bool) -> Result:
+    """Measure all kinds of scenes."""
+    cv2.setNumThreads(1)
+    before = read_before()
+    rows = [
+        row_of(kind, QUICK_IMAGES if quick else IMAGES, before.get(kind.name, {})) for kind in KINDS
+    ]
+    return Result([Table.of("views", rows, discs=DISCS, typed=TYPED)])
+
+
+def read_before() -> dict[str, dict[str, float | None]]:
+    """Return the figures before by scene."""
+    if not BEFORE.exists():
+        return {}
+    with BEFORE.open(encoding="utf-8", newline="") as file:
+        return {
+            row["scene"]: {key: float(row[key]) if row[key] else None for key in BEFORE_KEYS}
+            for row in csv.DictReader(file)
+        }
+
+
+def scene(name: str, seed: int) -> Scene:
+    """Return one scene of a kind, by its name in `BY_NAME`."""
+    return drawn(BY_NAME[name], seed)
+
+
+def drawn(kind: Kind, seed: int) -> Scene:
+    """Draw one scene of a kind: `scene`."""
+    rng = np.random.default_rng(seed)
+    real = kind.rig()
+    count = TYPED if kind.typed else DISCS
+    types: list[PartType] = []
+    if kind.typed:
+        every = [replace(part, height_m=kind.height) for part in real.types.values()]
+        real = replace(real, types={part.name: part for part in every})
+        types = [every[k % len(every)] for k in range(count)]
+        place = spread(real, types, rng)
+        colours = part_colours(types, real.camera.colour)
+    else:
+        real = replace(real, parts=replace(real.parts, height_m=kind.height), types={})
+        place = layout(real, count, False, rng)
+        colours = np.array([kind.greys[k % len(kind.greys)] for k in range(count)])
+    light = {"plate": kind.plate, "room": kind.room}
+    camera = Camera(real, kind.noise, **light, defocus_px=kind.defocus_px + kind.softer_px)
+    angle = rng.uniform(-np.pi, np.pi, count)
+    more: dict[str, Any] = {"types": types} if kind.typed else {}
+    if kind.typed or kind.marked:
+        more["angle"] = angle
+    if kind.height:
+        more["height"] = np.full(count, kind.height)
+    if kind.sizes:
+        more["size"] = np.array([kind.sizes[k % len(kind.sizes)] for k in range(count)])
+    begin, path = place, place
+    if kind.blur_px:
+        way, middle = rng.uniform(0, 2 * np.pi, count), np.array(real.camera.corners_px)
+        px_m = float(np.linalg.norm(middle[1] - middle[0]) / real.plate.length_m)
+        step = kind.blur_px / px_m * np.stack([np.cos(way), np.sin(way)], axis=1)
+        begin, path = place - step / 2, np.stack([place - step / 2, place + step / 2])
+    images = []
+    for shot in range(TYPED_SHOTS if kind.typed else SHOTS):
+        lighting = replace(kind.lighting, level=kind.levels[min(shot, len(kind.levels) - 1)])
+        image = camera.render(
+            path if kind.blur_px else begin, colours, rng, lighting=lighting, **more
+        )
+        images.append(compressed(image, kind.jpeg) if kind.jpeg else image)
+    bare = []
+    if kind.typed:
+        sharp = Camera(real, kind.noise, **light, defocus_px=kind.defocus_px)
+        none = np.zeros((0, 2))
+        bare = [sharp.render(none, colours[:0], rng) for _ in range(BARE_IMAGES)]
+    known = real
+    if kind.unknown:
+        known = replace(real, parts=replace(real.parts, height_m=0.0))
+    return Scene(known, bare, images, place, angle, types)
+
+
+def spread(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.ndarray:
+    """Return centres (n, 2) [m] of parts of types, each in its own cell of a grid."""
+    reach = max(part.reach_m for part in types)
+    room = rig.plate.half - reach
+    columns, lines = 10, 6
+    cell = 2 * rig.plate.half / (columns, lines)
+    chosen = rng.permutation(columns * lines)[: len(types)]
+    middle = -rig.plate.half + cell * (np.column_stack([chosen % columns, chosen // columns]) + 0.5)
+    own = np.array([part.reach_m for part in types])[:, None]
+    free = np.maximum(cell / 2 - own - 0.001, 0)
+    return np.clip(middle + rng.uniform(-1, 1, middle.shape) * free, -room, room)
+
+
+def compressed(image: np.ndarray, quality: int) -> np.ndarray:
+    """Return an image as JPEG of this quality leaves it."""
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
+
+
+def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
+    """Yield the detector's result after each image of a scene, and whether it reports that it has
+    not taken everything: things that it has overlooked, or an image that it refuses."""
+    vision, tracker, plate, stamp = make_vision(one.rig), Tracker(), BarePlate(), 1.0
+    if one.types:
+        plate = replace(plate, wanted=len(one.bare))
+    for image in one.bare:
+        plate, vision, _ = know_plate(plate, vision, image)
+    for image in one.images:
+        stamp += INTERVAL_S
+        try:
+            if one.types:
+                plate, vision, _ = know_plate(plate, vision, image)
+            tracker = observe(vision, tracker, image, stamp)
+        except PlateError:
+            yield Tracker(), True
+        else:
+            yield tracker, len(tracker.overlooked) > 0
+
+
+def row_of(kind: Kind, count: int, before: Mapping[str, float | None]) -> dict[str, Any]:
+    """Measure one kind of scene in so many layouts."""
+    gaps: list[float] = []
+    true = false = right = lost = told = 0
+    times = []
+    for seed in range(FIRST_SEED, FIRST_SEED + count):
+        one = drawn(kind, seed)
+        began = time.perf_counter()
+        for number, (tracker, said) in enumerate(seen(one)):
+            times.append(time.perf_counter() - began)
+            began = time.perf_counter()
+            if not kind.typed and number < len(one.images) - 1:
+                continue
+            found, ids = tracker.parts.position, tracker.parts.ids
+            reach = np.array([part.reach_m for part in one.types]) if one.types else None
+            i, j, gap = paired(
+                found, one.position, one.rig.parts.radius_m if reach is None else reach
+            )
+            gaps += gap.tolist()
+            true += len(one.position)
+            false += len(found) - len(i)
+            if one.types:
+                right += sum(
+                    ids[a].rsplit("_", 1)[0] == one.types[b].name for a, b in zip(i, j, strict=True)
+                )
+            if len(i) < len(one.position):
+                lost += 1
+                told += said
+    error = 1e3 * np.array(gaps)
+    return {
+        "scene": kind.name,
+        "true": true,
+        "detected_percent": 100 * len(gaps) / true,
+        "false": false,
+        "rms_mm": float(np.sqrt(np.mean(error**2))) if len(error) else None,
+        "worst_mm": float(np.max(error)) if len(error) else None,
+        "right_percent": 100 * right / max(len(gaps), 1) if kind.typed else None,
+        "told": f"{told} of {lost}" if lost else None,
+        "ms": 1e3 * float(np.median(times)),
+        **{f"before_{key}": before.get(key) for key in BEFORE_KEYS},
+    }
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("scenes", nargs="*", help="names, or beginnings of names (all)")
+    parser.add_argument("--count", type=int, default=1, help="layouts of each (1)")
+    parser.add_argument("--show", type=Path, help="draws the last image of the last scene")
+    parser.add_argument("--csv", type=Path, help="file for the figures: as those before")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    chosen = [k for k in KINDS if not args.scenes or k.name.startswith(tuple(args.scenes))]
+    rows, before = [], read_before()
+    for kind in chosen:
+        row = row_of(kind, args.count, before.get(kind.name, {}))
+        rows.append(row)
+        cells = [f"{row['detected_percent']:6.1f} %", f"{row['false']:4d} false"]
+        cells += [f"rms {row['rms_mm'] or 0:.2f} worst {row['worst_mm'] or 0:.2f} mm"]
+        cells += [] if row["right_percent"] is None else [f"class {row['right_percent']:.0f} %"]
+        cells += [] if row["told"] is None else [f"loss told {row['told']}"]
+        cells += [f"{row['ms']:.0f} ms"]
+        if row["before_detected_percent"] is not None:
+            cells += [f"before {row['before_detected_percent']:.1f} %"]
+            cells += [f"rms {row['before_rms_mm'] or 0:.2f}"]
+        print(f"{kind.name:42s} {'  '.join(cells)}", flush=True)
+    if args.show and chosen:
+        cv2.imwrite(str(args.show), drawn(chosen[-1], FIRST_SEED).image)
+    if args.csv:
+        with args.csv.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, ("scene", *BEFORE_KEYS), lineterminator="\n")
+            writer.writeheader()
+            for row in rows:
+                figures = {key: row[key] for key in BEFORE_KEYS}
+                short = {k: f"{v:.4g}" for k, v in figures.items() if v is not None}
+                writer.writerow({"scene": row["scene"]} | short)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,204 @@
+"""Outlines of parts of another size, and the areas that they sweep: side faces and shadows.
+
+The camera sees a part of height h on the plate's plane, as if it were flat there. Its top face is
+displaced and enlarged by H/(H - h) about the point below the camera, which is H above the plate.
+Between bottom and top lie all sections in between, which grow and move evenly. They fill the convex
+hull of both ends of each convex piece; through a hole the plate is seen where no section hides it.
+A cast shadow is the same without growth: the outline, moved along the light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from plate_core.rig import PartType
+
+from ..friction.outline import convex_pieces
+from .raster import Outlines, edges_of
+
+ROUND = 96
+"""Edges of the polygon that stands for a disc where it sweeps an area: circumscribed, so that it
+reaches 0.05 % too far at its corners."""
+
+STRAIGHT = 1e-9
+"""A way of less than this sweeps nothing [m]."""
+
+
+class _Contour(NamedTuple):
+    """A convex piece of a part, or of a hole: corners (m, 2) [m] and edges (m, 3), normals and
+    distances, in the part's frame; radius [m] of a disc, else 0."""
+
+    corners: np.ndarray
+    edges: np.ndarray
+    radius: float = 0.0
+
+
+def scaled(outlines: Outlines, factor: np.ndarray) -> Outlines:
+    """Return outlines of M parts enlarged by factors (M,) about their centres."""
+    edges: list[np.ndarray] = [np.empty((0, 3))]
+    pieces, first = [0], []
+    for begin, end, size in zip(outlines.first, outlines.end, factor, strict=True):
+        first.append(len(pieces) - 1)
+        for piece in range(begin, end):
+            own = outlines.edges[outlines.pieces[piece] : outlines.pieces[piece + 1]]
+            edges.append(own * [1.0, 1.0, size])
+            pieces.append(pieces[-1] + len(own))
+    start = np.array(first, np.int64)
+    return Outlines(
+        np.concatenate(edges), np.array(pieces),
+        start, start + outlines.hole - outlines.first, start + outlines.end - outlines.first,
+        outlines.reach * factor, outlines.spot * np.stack([factor] * 3 + [factor**2], axis=1),
+    )  # fmt: skip
+
+
+def swept(
+    types: Sequence[PartType],
+    turn: np.ndarray,
+    size: np.ndarray,
+    growth: np.ndarray,
+    shift: np.ndarray,
+) -> Outlines:
+    """Return the outlines of the areas that M parts sweep.
+
+    Parameters
+    ----------
+    types : sequence of M
+    turn : (M, 2)
+        Cosine and sine of their angles.
+    size : (M,)
+        Factor by which they are larger than their types, at the beginning.
+    growth : (M,)
+        Factor by which they are larger at the end than at the beginning.
+    shift : (M, 2)
+        From their centres at the beginning to those at the end [m, plate_home].
+
+    Returns
+    -------
+    Outlines
+        In frames of plate_home's directions, with their origins half way along `shift`.
+    """
+    count = len(types)
+    edges: list[np.ndarray] = [np.empty((0, 3))]
+    sizes: list[np.ndarray] = [np.zeros(1, np.int64)]
+    first, hole, end = (np.zeros(count, np.int64) for _ in range(3))
+    begin = 0
+    for part in dict.fromkeys(types):
+        rows = np.array([k for k, other in enumerate(types) if other == part])
+        solid, holes = _contours(part)
+        c, s = turn[rows].T
+        rotation = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+        own = [
+            _swept_piece(piece, rotation, size[rows], growth[rows], shift[rows], kind)
+            for kind, group in ((True, solid), (False, holes))
+            for piece in group
+        ]
+        edges.append(np.concatenate(own, axis=1).reshape(-1, 3))
+        sizes.append(np.tile([each.shape[1] for each in own], len(rows)))
+        first[rows] = begin + len(own) * np.arange(len(rows))
+        hole[rows], end[rows] = first[rows] + len(solid), first[rows] + len(own)
+        begin += len(own) * len(rows)
+    reach = np.array([part.reach_m for part in types]) * size
+    reach = np.maximum(reach, growth * reach) + 0.5 * np.hypot(*shift.T)
+    pieces = np.cumsum(np.concatenate(sizes))
+    return Outlines(np.concatenate(edges), pieces, first, hole, end, reach, np.zeros((count, 4)))
+
+
+def _swept_piece(
+    piece: _Contour,
+    rotation: np.ndarray,
+    size: np.ndarray,
+    growth: np.ndarray,
+    shift: np.ndarray,
+    solid: bool,
+) -> np.ndarray:
+    """Return the edges (P, e, 3) of what one convex piece sweeps in P parts; of a hole: of what
+    remains of it in all sections.
+
+    Either way they are the piece's own edges, at the greater (solid) or lesser distance of both
+    ends. The hull has two more, the common tangents of both ends.
+    """
+    normal = piece.edges[:, :2] @ np.swapaxes(rotation, 1, 2)
+    near = size[:, None] * piece.edges[:, 2]
+    far = growth[:, None] * near + np.einsum("pmi,pi->pm", normal, shift)
+    distance = np.maximum(near, far) if solid else np.minimum(near, far)
+    if solid:
+        tangent, touch = (
+            _disc_tangents(piece.radius * size, growth, shift)
+            if piece.radius
+            else _tangents(piece.corners, rotation, size, growth, shift)
+        )
+        # Where one end is inside the other there is no tangent: an edge is there twice.
+        lacking = np.isnan(touch)
+        tangent[lacking] = np.broadcast_to(normal[:, :1], tangent.shape)[lacking]
+        touch = np.where(lacking, distance[:, :1], touch)
+        normal = np.concatenate([normal, tangent], axis=1)
+        distance = np.concatenate([distance, touch], axis=1)
+    distance -= 0.5 * np.einsum("pmi,pi->pm", normal, shift)
+    return np.concatenate([normal, distance[..., None]], axis=2)
+
+
+def _disc_tangents(
+    radius: np.ndarray, growth: np.ndarray, shift: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals (P, 2, 2) and distances (P, 2) of the outer tangents of discs of `radius` and
+    of `growth` times that, `shift` away; NaN if there are none."""
+    way = np.hypot(*shift.T)
+    with np.errstate(all="ignore"):
+        cosine = (1 - growth) * radius / way
+        half = np.where((way > STRAIGHT) & (np.abs(cosine) < 1), np.arccos(cosine), np.nan)
+    along = np.arctan2(shift[:, 1], shift[:, 0])
+    angle = along[:, None] + half[:, None] * np.array([1.0, -1.0])
+    touch = np.where(np.isnan(angle), np.nan, radius[:, None])
+    return np.stack([np.cos(angle), np.sin(angle)], axis=2), touch
+
+
+def _tangents(
+    corners: np.ndarray,
+    rotation: np.ndarray,
+    size: np.ndarray,
+    growth: np.ndarray,
+    shift: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same of convex polygons (m, 2).
+
+    Each corner moves along a line; a tangent is such a line with the polygon on one side of it.
+    """
+    point = size[:, None, None] * (corners @ np.swapaxes(rotation, 1, 2))
+    way = (growth[:, None, None] - 1) * point + shift[:, None]
+    length = np.hypot(way[..., 0], way[..., 1])
+    with np.errstate(all="ignore"):
+        normal = np.stack([way[..., 1], -way[..., 0]], axis=2) / length[..., None]
+    found, touch = [], []
+    for side in (1.0, -1.0):
+        across = side * np.einsum("pmi,pni->pmn", normal, point)
+        own = np.einsum("pmm->pm", across)
+        beyond = np.max(across, axis=2) - own
+        beyond = np.where(length > STRAIGHT, beyond, np.inf)
+        best = np.argmin(beyond, axis=1)
+        rows = np.arange(len(best))
+        good = beyond[rows, best] < STRAIGHT
+        found.append(side * normal[rows, best])
+        touch.append(np.where(good, own[rows, best], np.nan))
+    return np.stack(found, axis=1), np.stack(touch, axis=1)
+
+
+@lru_cache(maxsize=64)
+def _contours(part: PartType) -> tuple[list[_Contour], list[_Contour]]:
+    """Return the convex pieces of a part, and of its holes."""
+    if part.radius_m:
+        angle = 2 * np.pi * np.arange(ROUND) / ROUND
+        normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        edges = np.column_stack([normal, np.full(ROUND, part.radius_m)])
+        solid = [_Contour(part.radius_m * normal, edges, part.radius_m)]
+    else:
+        solid = [_contour(piece) for piece in convex_pieces(part.polygon)]
+    holes = [_contour(piece) for hole in part.holes for piece in convex_pieces(np.array(hole))]
+    return solid, holes
+
+
+def _contour(polygon: np.ndarray) -> _Contour:
+    return _Contour(np.asarray(polygon), edges_of(polygon))
