@@ -38,7 +38,7 @@ __all__ = [
     "did_you_mean",
     "keys_of",
     "measured",
-    "read_yaml", "required",
+    "parse_yaml", "read_yaml", "required",
 ]  # fmt: skip
 
 Data = TypeVar("Data")
@@ -458,8 +458,12 @@ def _key(name: str, kind: Kind, default: Any = None) -> Key:
 
 def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
     """Return the top mapping of a YAML file; every failure is one clear line of type `error`."""
+    return parse_yaml(read_file(path, YAML_BYTES, error), path, error)
+
+
+def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fields:
+    """Do so with what is in a file."""
     path = Path(path)
-    content = read_file(path, YAML_BYTES, error)
     try:
         loader = _Loader(content.decode("utf-8"))
         node = loader.get_single_node()

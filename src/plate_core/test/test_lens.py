@@ -7,14 +7,34 @@ import numpy as np
 import pytest
 
 from plate_core import RigError, load_rig
-from plate_core.rig import Lens, camera_place, camera_pose, homography, project, to_image
+from plate_core.rig import (
+    LENS_MODELS,
+    Lens,
+    camera_place,
+    camera_pose,
+    homography,
+    lens_of_matrix,
+    project,
+    to_image,
+)
 
+RATIONAL = (0.5, -0.2, 1e-3, -2e-3, 0.01, 0.8, -0.1, 0.02)
+PRISM = (0.01, -0.02, 0.03, 0.01)
 STRONG = Lens((600.0, 605.0), (318.0, 243.0), (-0.3, 0.09, 1e-3, -2e-3, 0.01))
 LENSES = [
     STRONG,
     Lens((600.0, 600.0), (320.0, 240.0), (0.3, 0.0, 0.0, 0.0, 0.0)),
     Lens((900.0, 890.0), (300.0, 250.0), (0.1, -0.2, -3e-3, 1e-3, 0.3)),
+    Lens((350.0, 350.0), (319.5, 239.5), (1.0, 0.0, 0.0, 0.0)),
+    Lens((600.0, 605.0), (318.0, 243.0), (-0.3, 0.09, 1e-3, -2e-3, 0.01), "rational_polynomial"),
+    Lens((600.0, 590.0), (318.0, 243.0), (*RATIONAL,), "rational_polynomial"),
+    Lens((600.0, 590.0), (318.0, 243.0), (*RATIONAL, *PRISM), "rational_polynomial"),
+    Lens((600.0, 590.0), (318.0, 243.0), (*RATIONAL, *PRISM, 0.1, -0.15), "rational_polynomial"),
+    Lens((300.0, 305.0), (318.0, 243.0), (), "equidistant"),
+    Lens((300.0, 305.0), (318.0, 243.0), (0.05, -0.02, 0.01, -0.003), "equidistant"),
 ]
+"""One for each model and number of values."""
+
 TURN, PLACE = np.array([3.05, 0.04, -0.03]), np.array([0.01, -0.005, 0.65])
 """Of plate_home in the camera's frame: rotation vector [rad], translation [m]."""
 
@@ -24,9 +44,18 @@ def _pixels():
     return np.random.default_rng(0).uniform([0, 0], [640, 480], (300, 2))
 
 
+def through_opencv(lens, points, turn, place):
+    """Where OpenCV sees points (n, 3) [m]."""
+    values = np.array(lens.distortion)
+    if lens.model == "equidistant":
+        seen = cv2.fisheye.projectPoints(points[:, None], turn, place, lens.matrix, values)
+    else:
+        seen = cv2.projectPoints(points, turn, place, lens.matrix, values)
+    return seen[0].reshape(-1, 2)
+
+
 def seen_by_opencv(lens, points):
-    there = np.column_stack([points, np.zeros(len(points))])
-    return cv2.projectPoints(there, TURN, PLACE, lens.matrix, np.array(lens.distortion))[0][:, 0]
+    return through_opencv(lens, np.column_stack([points, np.zeros(len(points))]), TURN, PLACE)
 
 
 def rig_with(lens):
@@ -39,17 +68,19 @@ def rig_with(lens):
 @pytest.mark.parametrize("lens", LENSES)
 def test_bends_as_opencv(lens, pixels):
     rays = np.column_stack([(pixels - lens.centre_px) / lens.focal_px, np.ones(len(pixels))])
-    seen = cv2.projectPoints(
-        rays, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion)
-    )[0][:, 0]
+    seen = through_opencv(lens, rays, np.zeros(3), np.zeros(3))
     assert np.allclose(lens.bend(pixels), seen, atol=1e-9)
+    assert np.allclose(lens.straighten(seen), pixels, atol=1e-9)
     assert np.abs(seen - pixels).max() > 5
 
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_straightens_what_it_bends(lens, pixels):
+    pixels = pixels[np.all(np.isfinite(lens.straighten(pixels)), axis=1)]
+    assert len(pixels) >= 290  # the rest is outside of what the lens shows
     assert np.allclose(lens.bend(lens.straighten(pixels)), pixels, atol=1e-9)
-    grid = pixels.reshape(30, 10, 2)
+    pixels = pixels[:290]
+    grid = pixels.reshape(29, 10, 2)
     assert np.array_equal(lens.straighten(grid).reshape(-1, 2), lens.straighten(pixels))
 
 
@@ -67,6 +98,83 @@ def test_what_a_lens_does_not_show():
     lens = Lens((100.0, 100.0), (0.0, 0.0), (-0.3, 0.0, 0.0, 0.0, 0.0))
     straight = lens.straighten(np.array([[70.0, 0.0], [0.0, -70.0], [70.5, 0.0], [60.0, 60.0]]))
     assert np.array_equal(np.isnan(straight[:, 0]), [False, False, True, True])
+
+
+def test_an_equidistant_lens_sees_angles():
+    """x' = atan(r): 45 degrees off the axis a ray is seen at f pi / 4."""
+    lens = Lens((400.0, 400.0), (320.0, 240.0), (0.0, 0.0, 0.0, 0.0), "equidistant")
+    assert lens.bends
+    assert np.allclose(lens.bend([720.0, 240.0]), [320 + 100 * np.pi, 240])
+    centre = np.array([[320.0, 240.0], [320.0 + 1e-9, 240.0]])
+    assert np.allclose(lens.straighten(centre), centre, atol=1e-12)
+    assert np.isnan(lens.straighten([320.0 + 400 * np.pi / 2, 240.0])).all()  # 90 degrees
+
+
+def test_of_a_fold_the_side_of_the_axis_counts():
+    """r (1 - r2 / 2 + r2^2 / 20) grows to 0.566 at r = 0.874, and again from 2.29 on: steps from
+    the seen point may end on either side."""
+    lens = Lens((300.0, 300.0), (320.0, 240.0), (-0.5, 0.05, 0.0, 0.0, 0.0))
+    r = np.linspace(0, 0.87, 50)
+    ray = np.column_stack([r * np.cos(7 * r), r * np.sin(7 * r)])
+    straight = 300 * ray + [320, 240]
+    assert np.allclose(lens.straighten(lens.bend(straight)), straight, atol=1e-7)
+    r = np.linspace(2.8, 4.0, 20)  # seen where nothing on the axis's side is
+    beyond = np.column_stack([320 + 300 * r, np.full(20, 240.0)])
+    seen = lens.bend(beyond)
+    assert np.isnan(lens.straighten(seen[seen[:, 0] > 320 + 300 * 0.58])).all()
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial"])
+def test_zeros_of_any_number_are_no_distortion(model):
+    for count in (0, 4, 5, 8, 12, 14):
+        lens = Lens((600.0, 600.0), (320.0, 240.0), (0.0,) * count, model)
+        assert not lens.bends
+        assert len(lens.distortion) in LENS_MODELS[model]
+    assert not Lens((600.0, 600.0), (320.0, 240.0), (), "").bends
+
+
+@pytest.mark.parametrize(
+    ("matrix", "distortion", "model", "words"),
+    [
+        (np.eye(2), [], "plumb_bob", r"lens: K is \[\[1.0, 0.0\], .*allowed: \[fx, 0, cx\]"),
+        (np.array([[9, 1, 0], [0, 9, 0], [0, 0, 1.0]]), [], "plumb_bob", "lens: K is .*allowed: "),
+        (np.diag([9, 9, 0.0]), [], "plumb_bob", "lens: K is .*allowed: "),
+        (np.diag([0, 9, 1.0]), [], "plumb_bob", "focal lengths are 0 and 9 px, allowed: 1 px or m"),
+        (np.diag([9, np.inf, 1.0]), [], "plumb_bob", "lens: K .*allowed: "),
+        (np.diag([9, 9, 1.0]), [0.1], "plumb_bob", "distortion has 1 values, allowed: 4 or 5 for"),
+        (np.diag([9, 9, 1.0]), [0.1] * 8, "plumb_bob", "has 8 values, allowed: 4 or 5 for plumb"),
+        (np.diag([9, 9, 1.0]), [0.1] * 6, "rational_polynomial", "allowed: 5 or 8 or 12 or 14 for"),
+        (np.diag([9, 9, 1.0]), [0.1] * 5, "equidistant", "has 5 values, allowed: 4 for equidist"),
+        (np.diag([9, 9, 1.0]), [0.1] * 4, "fisheye", "distortion_model is 'fisheye', allowed: pl"),
+        (np.diag([9, 9, 1.0]), [0.0] * 4, "fisheye", "distortion_model is 'fisheye', allowed: pl"),
+        (np.diag([9, 9, 1.0]), [0.1] * 4, "", "distortion_model is '', allowed: plumb_bob, "),
+        (np.diag([9, 9, 1.0]), [np.nan] * 4, "plumb_bob", "distortion is .*allowed: numbers from"),
+    ],
+)
+def test_what_is_no_lens_is_refused(matrix, distortion, model, words):
+    with pytest.raises(RigError, match=words):
+        lens_of_matrix(matrix, distortion, model)
+
+
+@pytest.mark.parametrize("side", [0.6, 0.9, 1.02, 1.3])
+def test_folding_is_found_where_it_is(side):
+    """r (1 - r2 / 3) folds at r = 1: squares about the axis whose corners are nearer do not
+    reach it."""
+    lens = Lens((100.0, 100.0), (0.0, 0.0), (-1 / 3, 0.0, 0.0, 0.0, 0.0))
+    square = side / 1.1 * 100 / np.sqrt(2) * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1.0]])
+    assert bool(lens.folds(square, straight=True)) == (side > 1)
+    if side < 1:
+        assert not lens.folds(lens.bend(square))
+    assert lens.folds(square / np.abs(square) * 48)  # r = 2 / 3 is the last that is seen
+    assert not Lens(lens.focal_px, lens.centre_px).folds(square)
+    assert not Lens(lens.focal_px, lens.centre_px, (), "equidistant").folds(square, straight=True)
+
+
+def test_a_tilted_mirror_image_is_no_lens():
+    """Tangential terms fold off the axis too, where the radial part does not."""
+    lens = Lens((100.0, 100.0), (0.0, 0.0), (0.0, 0.0, 0.0, 0.4, 0.0))
+    square = 60.0 * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1.0]])
+    assert "folds the image of the plate, allowed: " in lens.folds(square, straight=True)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -94,9 +202,7 @@ def test_default_camera_is_a_rigid_one():
     rotation, translation = camera_pose(rig)
     corners = np.column_stack([rig.plate.corners, np.zeros(4)])
     lens = rig.camera.lens
-    seen = cv2.projectPoints(
-        corners, cv2.Rodrigues(rotation)[0], translation, lens.matrix, np.array(lens.distortion)
-    )[0][:, 0]
+    seen = through_opencv(lens, corners, cv2.Rodrigues(rotation)[0], translation)
     assert np.abs(seen - rig.camera.corners_px).max() < 0.02
 
 

@@ -76,8 +76,10 @@ SPOILT = [
     (("camera", "corners_px"), [[0, 0]] * 4, "allowed: four corners that span"),
     (("camera", "corners_px"), [[0, 0]] * 3, "corners_px is .*, allowed: 4 x 2 numbers"),
     (("camera", "focal_px"), [0, 900], "focal_px is .*, allowed: 2 numbers from 1 to"),
-    (("camera", "distortion"), [0.1] * 4, "distortion is .*, allowed: 5 numbers from -100 to 100"),
-    (("camera", "distortion"), [-2, 0, 0, 0, 0], "allowed: one that does not fold the image"),
+    (("camera", "distortion"), "k1", "distortion is 'k1', allowed: n numbers from -1e.06 to"),
+    (("camera", "distortion"), [0.1] * 3, "lens: distortion has 3 values, allowed: 4 or 5 for plu"),
+    (("camera", "distortion"), [-2, 0, 0, 0, 0], "lens: distortion is .* folds the image of the p"),
+    (("camera", "distortion_model"), "fisheye", "distortion_model is 'fisheye', allowed: one of p"),
     (("extra",), 1, r"rig\.yaml: unknown key extra"),
 ]
 

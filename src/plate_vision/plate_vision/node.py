@@ -44,7 +44,6 @@ from plate_interfaces.msg import PartForces, Parts
 
 from .bare_plate import MODELLED, BarePlate, know_plate, learn_next
 from .camera import (
-    LENS_MODELS,
     Lens,
     decode,
     decode_file,
@@ -55,7 +54,7 @@ from .camera import (
 )
 from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections, outlines_px
-from .errors import CalibrationError, ImageError, TeachError, check_size
+from .errors import ImageError, TeachError, check_size
 from .live_teaching import Teaching, learn_shown
 from .overlooked import Expected, OverlookedTally
 from .plate import PlateLocation, light_problem
@@ -198,6 +197,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._rig = load_rig(values.rig_file)
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
+        self._lens_problem = ""  # until a camera_info is accepted
         if values.source == "file":
             self._open(values)
         for doubt in doubts(self._rig, "camera", "parts"):
@@ -284,7 +284,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _open(self, values: DetectorParameters) -> None:
         """Take pictures for a camera."""
-        self._pictures = read_pictures(Path(values.path))
+        self._pictures = read_pictures(Path(values.path), self.get_logger().warning)
         name, image = first = next(self._pictures)
         self._picture: tuple[str, np.ndarray] | None = first
         self._rig, text = rig_of_picture(self._rig, image.shape[1::-1])
@@ -523,6 +523,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         findings = [used("images", tally.images, tally.refused, tally.why)]
         if rivals := self.rivals(self._topic):
             findings.append(Finding(Level.WARN, rivals))
+        if self._lens_problem:
+            findings.append(Finding(Level.ERROR, self._lens_problem))
         if tally.problem:
             findings.append(Finding(Level.WARN, tally.problem))
         if self._vision.catalogue is not None and not self._plate.learned:
@@ -575,8 +577,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._location = self._unknown_location()
             if self._location is None:
                 self._place_camera()
+            self._lens_problem = ""
         except PlateError as error:
-            self._warn(f"camera_info ignored: {error}")
+            self._lens_problem = f"camera_info ignored: {error}"
+            self._warn(self._lens_problem)
 
     def retune(self) -> None:
         """Take the live options."""
@@ -605,13 +609,7 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
     check_size("size is", (msg.width, msg.height), size_px)
     if msg.k[0] == 0:
         return None
-    models = sorted(set(LENS_MODELS.values()))
-    if any(msg.d) and msg.distortion_model not in models:
-        raise CalibrationError(
-            f"distortion_model is {msg.distortion_model!r}, allowed: {', '.join(models)}"
-        )
-    distortion = np.array(msg.d, dtype=float) if len(msg.d) else np.zeros(5)
-    return Lens(np.array(msg.k, dtype=float).reshape(3, 3), distortion)
+    return Lens(np.array(msg.k, dtype=float).reshape(3, 3), np.array(msg.d), msg.distortion_model)
 
 
 def main() -> None:

@@ -1,11 +1,15 @@
 """Camera files against one that ROS's camera_calibration wrote, and there and back; pictures."""
 
+import contextlib
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
 import yaml
 
-from plate_core import load_rig
+from plate_core import RigError, config_path, load_rig
 from plate_vision import CalibrationError, ImageError, Lens, make_vision
 from plate_vision.camera import load_lens, read_pictures, rig_of_picture, save_lens
 
@@ -71,22 +75,156 @@ def test_there_and_back(tmp_path, rng, count):
     [
         ("image_width: 640", "image_width: wide", "image_width is 'wide', allowed"),
         ("image_width: 640", "image_width: 641", "641 x 480 px, allowed: 640 x 480"),
-        ("plumb_bob", "equidistant", "'equidistant', allowed: one of plumb_bob, rational"),
+        (
+            "plumb_bob",
+            "equidistant",
+            r"camera\.yaml: lens: distortion has 5 values, allowed: 4 for",
+        ),
+        ("plumb_bob", "fisheye", r"camera\.yaml: lens: distortion_model is 'fisheye', allowed: pl"),
         ("cols: 5\n  data: [-0.361976, ", "cols: 4\n  data: [", None),
         ("cols: 5", "cols: 6", "data is .*allowed: 6 numbers"),
-        ("plumb_bob", "rational_polynomial", "5 distortion_coefficients, allowed: 8"),
+        ("plumb_bob", "rational_polynomial", None),
         ("438.783367", ".nan", "camera_matrix: data is"),
-        ("438.783367", "-1", "allowed: more than 0"),
+        (
+            "438.783367",
+            "-1",
+            r"camera\.yaml: lens: focal lengths are -1 and 437.303 px, allowed: 1",
+        ),
+        ("438.783367", "0", r"camera\.yaml: lens: focal lengths are 0 and"),
+        ("438.783367, 0.000000", "438.7, 0.5", r"camera\.yaml: lens: K is .*allowed: \[fx, 0, cx"),
         ("camera_matrix:\n  rows: 3", "camera_matrix:\n  rows: 1", "1 x 3, allowed: 3 x 3"),
         ("distortion_model: plumb_bob", "", "distortion_model is missing"),
     ],
 )
 def test_wrong_files_are_refused(load, old, new, words):
-    if words is None:  # four parameters are allowed too
-        assert len(load(FILE.replace(old, new)).distortion) == 4
+    if words is None:  # four parameters are allowed too, and five of a rational polynomial
+        assert len(load(FILE.replace(old, new)).distortion) == (4 if "4" in new else 5)
         return
     with pytest.raises(CalibrationError, match=words):
         load(FILE.replace(old, new))
+
+
+OPENCV_FILE = """%YAML:1.0
+---
+calibration_time: "Sun 29 Nov 2026 10:00:00 UTC"
+nr_of_frames: 20
+image_width: 640
+image_height: 480
+board_width: 9
+square_size: 3.0000001192092896e-02
+flags: 0
+fisheye_model: 0
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 4.3878336700000000e+02, 0., 3.0559333600000002e+02, 0.,
+       4.3730287600000000e+02, 2.4373835200000000e+02, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -3.6197600000000002e-01, 1.1051000000000000e-01,
+       1.0139999999999999e-03, 5.0500000000000002e-04, 0. ]
+avg_reprojection_error: 2.5e-01
+"""
+
+INI_FILE = """# Prosilica camera intrinsics
+
+[image]
+
+width
+640
+
+height
+480
+
+[narrow_stereo/left]
+
+camera matrix
+438.783367 0.000000 305.593336
+0.000000 437.302876 243.738352
+0.000000 0.000000 1.000000
+
+distortion
+-0.361976 0.110510 0.001014 0.000505 0.000000
+
+rectification
+1.000000 0.000000 0.000000
+0.000000 1.000000 0.000000
+0.000000 0.000000 1.000000
+
+projection
+393.6 0.0 322.8 0.0
+0.0 393.6 241.1 0.0
+0.0 0.0 1.0 0.0
+"""
+
+
+@pytest.mark.parametrize("text", [OPENCV_FILE, INI_FILE])
+def test_camera_files_of_others(load, text):
+    """The same camera as in the file of ROS."""
+    lens, same = load(text), load(FILE)
+    assert lens.matrix.tolist() == same.matrix.tolist()
+    assert lens.distortion.tolist() == same.distortion.tolist()
+    assert lens.model == "plumb_bob"
+    with pytest.raises(CalibrationError, match="320 x 480 px, allowed: 640 x 480 px"):
+        load(text.replace("640", "320"))
+    with pytest.raises(CalibrationError, match=r"camera\.yaml.*allowed|camera\.yaml.*expected"):
+        load(text.replace("437.302876", "0.0").replace("4.3730287600000000e+02", "0."))
+    for spoilt in (text[:200], text.replace("istortion", "istort"), text.replace("5", "x")):
+        with pytest.raises(CalibrationError, match=r"camera\.yaml: "):
+            load(spoilt)
+
+
+def test_files_that_opencv_writes(tmp_path):
+    """As cv::FileStorage of the installed OpenCV does, of a fisheye lens too."""
+    path = tmp_path / "camera.yml"
+    for fisheye, values, model in (
+        (0, [0.1, 0.2, 0.0, 0.0], "plumb_bob"),
+        (0, [0.1, 0.2, 0.0, 0.0, 0.1, 0.2, 0.3, 0.1], "rational_polynomial"),
+        (1, [0.1, 0.02, 0.003, 0.001], "equidistant"),
+    ):
+        file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        file.write("image_width", 640)
+        file.write("image_height", 480)
+        file.write("fisheye_model", fisheye)
+        file.write("camera_matrix", np.array([[600.5, 0, 320], [0, 601, 240], [0, 0, 1.0]]))
+        file.write("distortion_coefficients", np.array(values))
+        file.release()
+        lens = load_lens(path, (640, 480))
+        assert lens.matrix[0, 0] == 600.5
+        assert lens.distortion.tolist() == values
+        assert lens.model == model
+
+
+@pytest.mark.parametrize("model", ["equidistant", "rational_polynomial"])
+def test_models_there_and_back(tmp_path, model):
+    values = [0.1, 0.02, 0.003, 0.001, *([] if model == "equidistant" else [0.1] * 4)]
+    lens = Lens(np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), np.array(values), model)
+    save_lens(tmp_path / "camera.yaml", "plate", (640, 480), lens)
+    again = load_lens(tmp_path / "camera.yaml")
+    assert (again.model, again.distortion.tolist()) == (model, values)
+
+
+def test_a_lens_that_folds_is_refused_wherever_it_comes_from(load, tmp_path):
+    """r (1 - r2 / 2) with f 350 folds at 190 px, inside the default plate's image."""
+    words = r"lens: distortion is .* folds the image of the plate, 191 px from the optical centre, "
+    rig = load_rig()
+    text = FILE.replace("-0.361976, 0.110510, 0.001014, 0.000505", "-0.5, 0, 0, 0")
+    lens = load(text.replace("438.783367", "350").replace("437.302876", "350"))
+    with pytest.raises(CalibrationError, match=f"^camera.yaml: {words}"):
+        make_vision(rig, lens=lens)  # of a camera file
+    with pytest.raises(CalibrationError, match=f"^{words}"):  # of camera_info
+        make_vision(rig, lens=Lens(lens.matrix, lens.distortion, "plumb_bob"))
+    data = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
+    data["camera"] |= {
+        "focal_px": [350, 350], "centre_px": [305.6, 243.7], "distortion": [-0.5, 0, 0, 0, 0]
+    }  # fmt: skip
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(RigError, match=f"^rig.yaml: camera: {words}"):
+        load_rig(path)
 
 
 def test_pictures_come_by_their_names(tmp_path):
@@ -132,3 +270,164 @@ def test_a_picture_of_another_size_is_the_whole_plate():
     assert vision.region.size_px == (1200, 900)
     corners = np.array([[-0.5, 899.5], [1199.5, -0.5], [599.5, 449.5]])
     assert np.allclose(vision.calibration.to_home(corners), [[-0.3, -0.225], [0.3, 0.225], [0, 0]])
+
+
+def exif(orientation, order="<"):
+    """EXIF data with an orientation alone."""
+    mark = b"II" if order == "<" else b"MM"
+    return mark + struct.pack(order + "HIHHHIHHI", 42, 8, 1, 274, 3, 1, orientation, 0, 0)
+
+
+def oriented(kind, picture, orientation):
+    """A file with an orientation, put together by hand from OpenCV's."""
+    data = cv2.imencode(kind, picture)[1].tobytes()
+    tags = exif(orientation, ">" if orientation % 2 else "<")
+    if kind == ".jpg":
+        body = b"Exif\0\0" + tags
+        return data[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + data[2:]
+    if kind == ".png":
+        chunk = b"eXIf" + tags
+        chunk = struct.pack(">I", len(tags)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        return data[:33] + chunk + data[33:]
+    if kind == ".webp":
+        tags += b"\0" * (len(tags) % 2)
+        height, width = picture.shape[:2]
+        head = b"VP8X" + struct.pack("<IB3x", 10, 8)
+        head += (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+        body = b"WEBP" + head + data[12:] + b"EXIF" + struct.pack("<I", len(tags)) + tags
+        return b"RIFF" + struct.pack("<I", len(body)) + body
+    return tiff(picture, orientation, ">" if orientation % 2 else "<")
+
+
+def tiff(picture, orientation, order="<"):
+    """An uncompressed TIFF file of grey levels."""
+    height, width = picture.shape
+    tags = [(256, width), (257, height), (258, 8), (259, 1), (262, 1), (273, 8)]
+    tags += [(274, orientation), (277, 1), (278, height), (279, picture.size)]
+    place = 8 + picture.size
+    data = (b"II" if order == "<" else b"MM") + struct.pack(order + "HI", 42, place)
+    data += picture.tobytes() + struct.pack(order + "H", len(tags))
+    for tag, value in tags:
+        wide = tag in (273, 279)
+        data += struct.pack(order + "HHI", tag, 4 if wide else 3, 1)
+        data += struct.pack(order + ("I" if wide else "H2x"), value)
+    return data + bytes(4)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", [".jpg", ".png", ".webp", ".tif"])
+def test_pictures_are_never_turned(tmp_path, capsys, rng, kind, orientation):
+    """Pixels are where the sensor has them, whatever a viewer does."""
+    picture = cv2.resize(rng.integers(0, 256, (6, 8), np.uint8), (64, 48))
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for name in ("a", "b"):
+        (folder / f"{name}{kind}").write_bytes(oriented(kind, picture, orientation))
+    warnings = []
+    seen = [pixels for _, pixels in read_pictures(folder, warnings.append)]
+    assert len(seen) == 2
+    for pixels in seen:
+        assert pixels.shape == (48, 64, 3)
+        assert np.abs(pixels[:, :, 1].astype(int) - picture).mean() < 8
+    if orientation == 1:
+        assert warnings == []
+    else:
+        (text,) = warnings
+        assert text.startswith(f"a{kind}: orientation {orientation}: viewers show it ")
+        assert "not turned" in text
+    next(read_pictures(folder))
+    assert capsys.readouterr().err.count("warning: a") == (orientation > 1)
+
+
+@pytest.mark.parametrize("turn", [0, 90, 180, 270])
+def test_films_are_never_turned(tmp_path, turn):
+    """The matrix of a track's header, in an MP4 file, is what players turn it by."""
+    path = tmp_path / "film.mp4"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))
+    frame = np.zeros((48, 64, 3), np.uint8)
+    frame[:24, :32] = 255
+    for _ in range(3):
+        film.write(frame)
+    film.release()
+    data = bytearray(path.read_bytes())
+    cos, sin = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[turn]
+    straight = struct.pack(">9i", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    place = data.index(straight, data.index(b"tkhd"))
+    matrix = (cos << 16, sin << 16, 0, -sin << 16, cos << 16, 0, 0, 0, 1 << 30)
+    data[place : place + 36] = struct.pack(">9i", *matrix)
+    path.write_bytes(data)
+    warnings = []
+    frames = [pixels for _, pixels in read_pictures(path, warnings.append)]
+    assert len(frames) == 3
+    assert frames[0].shape == (48, 64, 3)
+    assert np.abs(frames[0].astype(int) - frame).mean() < 10
+    assert len(warnings) == (turn > 0)
+
+
+def test_an_unreadable_header_is_no_picture(tmp_path, rng):
+    """Files that break off anywhere, and noise, are refused or read, never worse."""
+    picture = rng.integers(0, 256, (48, 64), np.uint8)
+    path = tmp_path / "a.png"
+    for kind in (".jpg", ".png", ".webp", ".bmp", ".pgm", ".tif"):
+        whole = tiff(picture, 6) if kind == ".tif" else cv2.imencode(kind, picture)[1].tobytes()
+        for size in (*range(0, 64, 3), len(whole) // 2):
+            path.write_bytes(whole[:size])
+            with contextlib.suppress(ImageError):
+                assert next(read_pictures(path))[1].shape == (48, 64, 3)
+        path.write_bytes(whole)
+        ((_, pixels),) = read_pictures(path)
+        assert pixels.shape == (48, 64, 3)
+
+
+def bomb(kind, side):
+    """A file that claims to hold side x side pixels."""
+    small = np.zeros((16, 16), np.uint8)
+    if kind == ".png":
+        packed = zlib.compress(bytes(1000))  # a thousand times as many would follow
+        head = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+        chunks = ((b"IHDR", head), (b"IDAT", packed), (b"IEND", b""))
+        return b"\x89PNG\r\n\x1a\n" + b"".join(
+            struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+            for name, body in chunks
+        )
+    if kind == ".tif":
+        return (
+            tiff(small, 1)
+            .replace(struct.pack("<HHIH", 256, 3, 1, 16), struct.pack("<HHIH", 256, 3, 1, side))
+            .replace(struct.pack("<HHIH", 257, 3, 1, 16), struct.pack("<HHIH", 257, 3, 1, side))
+        )
+    if kind == ".ppm":
+        return b"P6 # a comment\n%d\n%d 255\n" % (side, side)
+    data = bytearray(cv2.imencode(kind, small)[1].tobytes())
+    if kind == ".jpg":
+        place = data.index(b"\xff\xc0") + 5
+        data[place : place + 4] = struct.pack(">HH", side, side)
+    if kind == ".bmp":
+        data[18:26] = struct.pack("<ii", side, -side)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("kind", [".png", ".jpg", ".bmp", ".ppm", ".tif"])
+def test_picture_bombs_are_refused_by_their_size(tmp_path, kind, monkeypatch):
+    """Before anything is unpacked."""
+    path = tmp_path / f"bomb{kind}"
+    path.write_bytes(bomb(kind, 20_000))
+    assert path.stat().st_size < 1e6
+    monkeypatch.setattr(cv2, "imdecode", None)
+    with pytest.raises(ImageError, match=f"bomb{kind}: size is 20000 x 20000 px, allowed: .*50,00"):
+        list(read_pictures(path))
+
+
+@pytest.mark.parametrize("kind", [".png", ".tif"])
+def test_pictures_of_all_depths_and_colours(tmp_path, kind):
+    """16 bits, grey, with alpha: as 8 bits, blue, green, red."""
+    grey = np.tile(np.arange(0, 240, 10, dtype=np.uint8), (16, 1))
+    colour = np.dstack([grey, grey[::-1], grey])
+    for pixels in (grey, colour, np.dstack([colour, 255 - grey]), grey.astype(np.uint16) * 257):
+        path = tmp_path / f"a{kind}"
+        cv2.imwrite(str(path), pixels)
+        ((_, seen),) = read_pictures(path)
+        expected = pixels // (257 if pixels.dtype == np.uint16 else 1)
+        expected = expected[..., :3] if expected.ndim == 3 else np.dstack([expected] * 3)
+        assert seen.dtype == np.uint8
+        assert np.array_equal(seen, expected)

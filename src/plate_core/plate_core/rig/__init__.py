@@ -22,7 +22,8 @@ from .frames import (
     to_plate,
 )
 from .keys import ODRIVE_COUNTS
-from .lens import Lens
+from .lens import MODELS as LENS_MODELS
+from .lens import Lens, lens_of_matrix
 from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
 from .part_types import (
     MOST_CORNERS,
@@ -55,6 +56,7 @@ from .suspension import Suspension, mass_matrix, modal_matrices
 __all__ = [
     "CYCLE_HZ",
     "LEAST_GAMMA",
+    "LENS_MODELS",
     "MOST_CORNERS",
     "MOST_HOLES",
     "ODRIVE_COUNTS",
@@ -87,6 +89,7 @@ __all__ = [
     "home_pose",
     "homography",
     "is_simple",
+    "lens_of_matrix",
     "load_part_types",
     "load_rig",
     "mass_matrix",

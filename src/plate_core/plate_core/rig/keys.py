@@ -4,6 +4,7 @@ means (docs/reference.md)."""
 from __future__ import annotations
 
 from ..yaml_fields import Choice, Flag, Key, Number, Numbers, Section, Sign, Table, Whole
+from .lens import MODELS
 
 FAR_M = 10.0
 """No coordinate is greater [m]."""
@@ -92,8 +93,13 @@ CAMERA = Section(
             None, "needed with `focal_px`",
         ),
         Key(
-            "distortion", Numbers((5,), -100, 100), "k1, k2, p1, p2, k3: D in camera_info (plumb "
-            "bob).", None, "0, 0, 0, 0, 0",
+            "distortion", Numbers((None,), -1e6, 1e6), "D in camera_info. plumb_bob: k1, k2, p1, "
+            "p2[, k3]; rational_polynomial: k1, k2, p1, p2, k3[, k4, k5, k6[, s1, s2, s3, s4[, "
+            "tau_x, tau_y]]]; equidistant: k1, k2, k3, k4.", None, "zeros",
+        ),
+        Key(
+            "distortion_model", Choice(tuple(MODELS)), "distortion_model in camera_info.",
+            "plumb_bob",
         ),
     ),
 )  # fmt: skip

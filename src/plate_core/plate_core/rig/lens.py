@@ -1,28 +1,83 @@
-"""A camera's lens: the K and D (`plumb_bob`) of sensor_msgs/CameraInfo."""
+"""A camera's lens: the K, D and distortion_model of sensor_msgs/CameraInfo.
+
+All that is refused of a lens is refused here, in the same words for rig file, camera file and
+camera_info; those that call put before them where the lens comes from.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+
+from ..errors import RigError
+
+MODELS = {
+    "plumb_bob": (4, 5),
+    "rational_polynomial": (5, 8, 12, 14),
+    "equidistant": (4,),
+}
+"""Distortion models, and how many values each may have."""
+
+BIGGEST = 1e6
+"""Greatest absolute value in K [px] or D [-]."""
+
+LEAST_FOCAL_PX = 1.0
+"""Shortest focal length [px]."""
+
+STEEPEST_RAD = np.deg2rad(89.0)
+"""Greatest angle of a ray to the optical axis: at 90 degrees the straight image has no end."""
 
 SETTLED = 1e-13
 """Change of a ray [focal lengths] after which straightening has converged: 1e-10 px."""
 
+CONVERGED = 1e-9
+"""Change after which a result counts, relative to the ray."""
+
 MAX_STEPS = 30
-"""Newton steps of straightening; 4 to 6 are enough wherever a lens does not fold the image."""
+"""Newton steps of straightening; 2 or 3 are enough wherever a lens does not fold the image."""
+
+TABLE = 1025
+"""Radii in the table from which Newton's method starts."""
+
+ROUNDED = 1.01
+"""Radius that a result may have over that at which the radial part of the lens folds: tangential
+terms move the fold."""
+
+MARGIN = 0.05
+"""Border around the plate in which a lens must not fold the image either, over the plate's length
+and width: parts at the edge move with the plate."""
+
+GRID = 33
+"""Points along each side of the grid over the plate on which folding is looked for."""
+
+VALUES = 14
+"""k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Where a ray of light falls on the image: Brown and Conrady's model.
+    """Where a ray of light falls on the image.
 
     The ray (x, y, 1) in the camera's frame (x to the right, y down, z ahead) is seen at
 
-        u = fx x' + cx,    x' = x (1 + k1 r2 + k2 r2^2 + k3 r2^3) + 2 p1 x y + p2 (r2 + 2 x^2)
-        v = fy y' + cy,    y' = y (1 + k1 r2 + k2 r2^2 + k3 r2^3) + p1 (r2 + 2 y^2) + 2 p2 x y
+        u = fx x' + cx,    v = fy y' + cy
 
-    with r2 = x^2 + y^2. Without distortion x' = x and y' = y: the straight image.
+    `plumb_bob` and `rational_polynomial`, with r2 = x^2 + y^2 and
+    c = (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3):
+
+        x' = x c + 2 p1 x y + p2 (r2 + 2 x^2) + s1 r2 + s2 r2^2
+        y' = y c + p1 (r2 + 2 y^2) + 2 p2 x y + s3 r2 + s4 r2^2
+
+    and, with tau_x and tau_y, the image plane is tilted. `equidistant`, with r = sqrt(r2) and
+    t = atan(r):
+
+        (x', y') = (x, y) / r (t + k1 t^3 + k2 t^5 + k3 t^7 + k4 t^9)
+
+    These are the formulas of OpenCV's `projectPoints` and `fisheye.projectPoints`. In the straight
+    image x' = x and y' = y.
 
     Attributes
     ----------
@@ -30,13 +85,53 @@ class Lens:
         fx, fy [px].
     centre_px : (float, float)
         cx, cy [px]; the centre of the first pixel is (0, 0).
-    distortion : five floats
-        k1, k2, p1, p2, k3 [-].
+    distortion : floats
+        k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]] [-, tau in rad];
+        equidistant: k1, k2, k3, k4.
+    model : str
+        A key of `MODELS`.
+
+    Raises
+    ------
+    RigError
+        If the model is unknown, its number of values is not one of `MODELS`, or a value is not
+        allowed. Zeros, also none at all, may be of any number.
     """
 
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    model: str = "plumb_bob"
+
+    def __post_init__(self) -> None:
+        values = tuple(float(value) for value in self.distortion)
+        if not self.model and not any(values):
+            object.__setattr__(self, "model", "plumb_bob")  # as drivers of ideal cameras publish it
+        if self.model not in MODELS:
+            raise RigError(
+                f"lens: distortion_model is {self.model!r}, allowed: {', '.join(MODELS)}"
+            )
+        counts = MODELS[self.model]
+        if len(values) not in counts:
+            if any(values):
+                allowed = " or ".join(map(str, counts))
+                raise RigError(
+                    f"lens: distortion has {len(values)} values, allowed: {allowed} for "
+                    f"{self.model}"
+                )
+            values = (0.0,) * (5 if 5 in counts else counts[0])
+        if not np.all(np.abs([*values, *self.focal_px, *self.centre_px]) <= BIGGEST):  # NaN neither
+            raise RigError(
+                f"lens: K has {self.focal_px + self.centre_px} for fx, fy, cx, cy, distortion is "
+                f"{values}, allowed: numbers from {-BIGGEST:g} to {BIGGEST:g}"
+            )
+        if min(self.focal_px) < LEAST_FOCAL_PX:
+            fx, fy = self.focal_px
+            raise RigError(
+                f"lens: focal lengths are {fx:g} and {fy:g} px, allowed: {LEAST_FOCAL_PX:g} px or "
+                "more (is the camera calibrated?)"
+            )
+        object.__setattr__(self, "distortion", values)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -46,68 +141,223 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """Whether there is any distortion."""
-        return any(self.distortion)
+        """Whether there is any distortion: an equidistant lens bends lines with zeros too."""
+        return self.model == "equidistant" or any(self.distortion)
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
         """Return where points (..., 2) [px] of the straight image are seen (..., 2) [px]."""
-        seen, _ = _distort(self._rays(point_px), self.distortion)
-        return seen * self.focal_px + self.centre_px
+        seen, _ = self._distort(self._rays(point_px))
+        return _tilted(seen, self._tilt)[0] * self.focal_px + self.centre_px
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
         """Derivative (..., 2, 2) of `bend` at points (..., 2) [px] of the straight image."""
-        _, slopes = _distort(self._rays(point_px), self.distortion)
+        seen, slopes = self._distort(self._rays(point_px))
+        _, tilts = _tilted(seen, self._tilt)
         focal = np.array(self.focal_px)
-        return slopes * focal[:, None] / focal
+        return (slopes if tilts is None else tilts @ slopes) * focal[:, None] / focal
 
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
         """Return where seen points (..., 2) [px] are in the straight image (..., 2) [px].
 
         The inverse of `bend`, by Newton's method; NaN where there is none, that is outside of what
-        the lens shows.
+        the lens shows. Of several rays that are seen in one place it is the one on the axis's side
+        of the fold.
         """
-        seen = self._rays(point_px)
-        ray = seen.copy()
+        tilt = self._tilt
+        seen = _tilted(self._rays(point_px), None if tilt is None else np.linalg.inv(tilt))[0]
+        radius = np.linalg.norm(seen, axis=-1, keepdims=True)
         with np.errstate(all="ignore"):
+            growth = np.interp(radius, self._table[1], self._table[0]) / radius
+            ray = np.where(radius > 0, seen * growth, seen)
             for _ in range(MAX_STEPS):
-                bent, slopes = _distort(ray, self.distortion)
+                bent, slopes = self._distort(ray)
                 error = seen - bent
                 (a, b), (c, d) = np.moveaxis(slopes, (-2, -1), (0, 1))
                 step = np.stack(
                     [d * error[..., 0] - b * error[..., 1], a * error[..., 1] - c * error[..., 0]],
                     axis=-1,
                 ) / (a * d - b * c)[..., None]  # fmt: skip
-                ray += step
+                ray = ray + step
                 if not np.any(np.abs(step) > SETTLED):
                     break
-            folded = ~((a * d - b * c > 0) & (a + d > 0) & (np.abs(step).max(axis=-1) < 1e-9))
-        ray[folded] = np.nan
-        return ray * self.focal_px + self.centre_px
+            length = np.linalg.norm(ray, axis=-1)
+            shown = (np.abs(step).max(axis=-1) < CONVERGED * (1 + length)) & self._upright(
+                slopes, length
+            )
+        return np.where(shown[..., None], ray, np.nan) * self.focal_px + self.centre_px
+
+    def folds(self, corners_px: np.ndarray, straight: bool = False) -> str:
+        """Say that the lens folds the image of a plate; empty if it maps it one to one.
+
+        Parameters
+        ----------
+        corners_px : (4, 2)
+            Where the plate's corners are seen [px].
+        straight : bool
+            They are those of the straight image.
+        """
+        if not self.bends:
+            return ""
+        corner = np.asarray(corners_px, dtype=float).reshape(4, 2)
+        if not straight:
+            corner = self.straighten(corner)
+        if np.all(np.isfinite(corner)):
+            along = np.linspace(-MARGIN, 1 + MARGIN, GRID)
+            u, v = (part[..., None] for part in np.meshgrid(along, along))
+            near = corner[0] + u * (corner[1] - corner[0])
+            far = corner[3] + u * (corner[2] - corner[3])
+            ray = self._rays(near + v * (far - near))
+            if np.all(self._upright(self._distort(ray)[1], np.linalg.norm(ray, axis=-1))):
+                return ""
+        edge = ""
+        if np.isfinite(self._reach):
+            pixels = self._table[1][-1] * np.array(self.focal_px).min()
+            edge = f", {pixels:.0f} px from the optical centre"
+        return (
+            f"lens: distortion is {[float(f'{value:.6g}') for value in self.distortion]} "
+            f"({self.model}), which folds the image of the plate{edge}, allowed: one that does not "
+            "(are K and D those of this camera, at this size of image?)"
+        )
 
     def _rays(self, point_px: np.ndarray) -> np.ndarray:
         return (np.asarray(point_px, dtype=float) - self.centre_px) / self.focal_px
 
+    def _upright(self, slopes: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Whether the image is neither folded nor mirrored (...) where the derivative is
+        (..., 2, 2), at rays of a radius (...)."""
+        (a, b), (c, d) = np.moveaxis(slopes, (-2, -1), (0, 1))
+        return (a * d - b * c > 0) & (a + d > 0) & (radius <= ROUNDED * self._reach)
 
-def _distort(ray: np.ndarray, distortion: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return distorted rays (..., 2) and their derivative (..., 2, 2) in the rays (..., 2)."""
-    k1, k2, p1, p2, k3 = distortion
-    x, y = ray[..., 0], ray[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    growth = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
-    bent = np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
-    across = x * y * growth + 2 * p1 * x + 2 * p2 * y
-    slopes = np.stack(
-        [
-            np.stack([radial + x * x * growth + 2 * p1 * y + 6 * p2 * x, across], axis=-1),
-            np.stack([across, radial + y * y * growth + 6 * p1 * y + 2 * p2 * x], axis=-1),
-        ],
-        axis=-2,
-    )
-    return bent, slopes
+    @cached_property
+    def _all(self) -> tuple[float, ...]:
+        return self.distortion + (0.0,) * (VALUES - len(self.distortion))
+
+    @cached_property
+    def _tilt(self) -> np.ndarray | None:
+        """The projection (3, 3) onto a tilted image plane; None if it is not."""
+        tau_x, tau_y = self._all[12:]
+        if self.model == "equidistant" or (tau_x == 0 and tau_y == 0):
+            return None
+        (cx, sx), (cy, sy) = ((np.cos(tau), np.sin(tau)) for tau in (tau_x, tau_y))
+        turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
+            [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
+        )
+        return (
+            np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+        )
+
+    @cached_property
+    def _reach(self) -> float:
+        """Radius [focal lengths] of the rays at which the radial part folds the image; infinite if
+        it never does."""
+        if self.model == "equidistant":
+            powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
+            least = np.sqrt(_first_root(powers))
+            return float(np.tan(least)) if least < STEEPEST_RAD else np.inf
+        k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]
+        up, down = (
+            np.polynomial.Polynomial([1, k1, k2, k3]),
+            np.polynomial.Polynomial([1, k4, k5, k6]),
+        )
+        twice = np.polynomial.Polynomial([0, 2])
+        growth = up * down + twice * (up.deriv() * down - up * down.deriv())  # of r c, times down^2
+        return float(np.sqrt(min(_first_root(growth.coef), _first_root(down.coef))))
+
+    @cached_property
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Radii of rays from 0 on, and where the radial part has them: growing [focal lengths]."""
+        steep = min(np.arctan(self._reach), STEEPEST_RAD)
+        radius = np.tan(np.linspace(0, steep, TABLE))
+        return radius, radius * self._radial(radius * radius)[0]
+
+    def _radial(self, r2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return c and its derivative in r2 for the squares r2 of the radii of rays."""
+        if self.model == "equidistant":
+            k1, k2, k3, k4 = self.distortion
+            far = r2 > 1e-8
+            safe = np.where(far, r2, 1.0)
+            r = np.sqrt(safe)
+            t = np.arctan(r)
+            t2 = t * t
+            bent = t * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+            slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+            steep = (slope / (1 + safe) - bent / r) / (2 * safe)  # of bent / r, in r2
+            first = k1 - 1 / 3  # Taylor's series about the axis
+            return np.where(far, bent / r, 1 + first * r2), np.where(far, steep, first)
+        k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        steep = k1 + r2 * (2 * k2 + r2 * 3 * k3)
+        if k4 or k5 or k6:
+            down = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+            radial = radial / down
+            steep = (steep - radial * (k4 + r2 * (2 * k5 + r2 * 3 * k6))) / down
+        return radial, steep
+
+    def _distort(self, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distorted rays (..., 2), before the tilt of the image plane, and their derivative
+        (..., 2, 2) in the rays (..., 2)."""
+        x, y = ray[..., 0], ray[..., 1]
+        r2 = x * x + y * y
+        radial, steep = self._radial(r2)
+        growth = 2 * steep
+        plain = self.model == "equidistant"
+        p1, p2 = (0.0, 0.0) if plain else self._all[2:4]
+        bent = np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+        across = x * y * growth + 2 * p1 * x + 2 * p2 * y
+        slopes = np.stack(
+            [
+                np.stack([radial + x * x * growth + 2 * p1 * y + 6 * p2 * x, across], axis=-1),
+                np.stack([across, radial + y * y * growth + 6 * p1 * y + 2 * p2 * x], axis=-1),
+            ],
+            axis=-2,
+        )
+        s1, s2, s3, s4 = self._all[8:12]
+        if not plain and (s1 or s2 or s3 or s4):
+            bent = bent + np.stack([r2 * (s1 + r2 * s2), r2 * (s3 + r2 * s4)], axis=-1)
+            prism = np.stack([s1 + 2 * s2 * r2, s3 + 2 * s4 * r2], axis=-1)
+            slopes = slopes + 2 * prism[..., :, None] * ray[..., None, :]
+        return bent, slopes
+
+
+def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) -> Lens:
+    """Return the lens with a camera matrix K (3, 3) [px], and D and distortion_model of
+    sensor_msgs/CameraInfo.
+
+    Raises
+    ------
+    RigError
+        If K is not [fx, 0, cx], [0, fy, cy], [0, 0, 1], or as `Lens`.
+    """
+    matrix = np.array(matrix, dtype=float)
+    shape = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 0]])
+    if matrix.shape != (3, 3) or not np.array_equal(matrix * shape + np.diag([0, 0, 1]), matrix):
+        raise RigError(
+            f"lens: K is {matrix.tolist()}, allowed: [fx, 0, cx], [0, fy, cy], [0, 0, 1]"
+        )
+    (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+    return Lens((fx, fy), (cx, cy), tuple(np.ravel(distortion).tolist()), model)
+
+
+def _first_root(powers: np.ndarray) -> float:
+    """Return the least positive root of a polynomial with these coefficients, lowest first;
+    infinite if there is none."""
+    roots = np.polynomial.Polynomial(powers).trim().roots()
+    real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
+    return float(np.min(real[real > 0], initial=np.inf))
+
+
+def _tilted(ray: np.ndarray, tilt: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Project rays (..., 2) onto a tilted plane by a matrix (3, 3), and return the derivative
+    (..., 2, 2) too; None: it is not tilted."""
+    if tilt is None:
+        return ray, None
+    third = ray @ tilt[2, :2] + tilt[2, 2]
+    seen = (ray @ tilt[:2, :2].T + tilt[:2, 2]) / third[..., None]
+    slopes = (tilt[:2, :2] - seen[..., :, None] * tilt[2, :2]) / third[..., None, None]
+    return seen, slopes

@@ -435,7 +435,7 @@ def _camera(fields: Fields) -> Camera:
         exposure_s=fields.value(keys.CAMERA["exposure_s"]),
         readout_s=fields.value(keys.CAMERA["readout_s"]),
         corners_px=tuple((float(a), float(b)) for a, b in corners),
-        lens=_lens(fields, width, height),
+        lens=_lens(fields, corners),
         trigger=_trigger(fields),
         colour=fields.value(keys.CAMERA["colour"]),
         height_m=fields.value(keys.CAMERA["height_m"]),
@@ -451,20 +451,21 @@ def _trigger(fields: Fields) -> CameraTrigger | None:
     return CameraTrigger(phase, fields.value(keys.CAMERA["trigger_pulse_s"]))
 
 
-def _lens(fields: Fields, width: int, height: int) -> Lens | None:
-    if not any(fields.has(key) for key in ("focal_px", "centre_px", "distortion")):
+def _lens(fields: Fields, corners: np.ndarray) -> Lens | None:
+    names = ("focal_px", "centre_px", "distortion", "distortion_model")
+    if not any(fields.has(key) for key in names):
         return None
     fx, fy = fields.value(required(keys.CAMERA["focal_px"]))
     cx, cy = fields.value(required(keys.CAMERA["centre_px"]))
-    distortion = [0.0] * 5
-    if fields.has("distortion"):
-        distortion = fields.value(keys.CAMERA["distortion"]).tolist()
-    k1, k2, p1, p2, k3 = distortion
-    lens = Lens((float(fx), float(fy)), (float(cx), float(cy)), (k1, k2, p1, p2, k3))
-    across, down = np.linspace(0, width - 1, 33), np.linspace(0, height - 1, 33)
-    image = np.stack(np.meshgrid(across, down), axis=-1)
-    if not np.all(np.isfinite(lens.straighten(image))):
-        raise fields.fail("distortion", "one that does not fold the image")
+    distortion = fields.value(keys.CAMERA["distortion"])
+    values = () if distortion is None else tuple(distortion.tolist())
+    model = fields.value(keys.CAMERA["distortion_model"])
+    try:
+        lens = Lens((float(fx), float(fy)), (float(cx), float(cy)), values, model)
+    except RigError as error:
+        raise RigError(f"{fields.where}: {error}") from None
+    if folded := lens.folds(corners):
+        raise RigError(f"{fields.where}: {folded}")
     return lens
 
 

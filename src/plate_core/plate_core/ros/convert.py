@@ -462,6 +462,7 @@ def camera_to_info(camera: Camera, header: Header) -> CameraInfo:
     info = CameraInfo(header=header, width=camera.width_px, height=camera.height_px)
     info.distortion_model = "plumb_bob"
     if camera.lens is not None:
+        info.distortion_model = camera.lens.model
         matrix = camera.lens.matrix
         info.d = list(camera.lens.distortion)
         info.k = matrix.ravel().tolist()

@@ -7,7 +7,6 @@ from .boards import Board, LensFit, draw_board, find_corners, fit_lens
 from .encodings import decode, decode_file, grey_levels
 from .files import load_lens, read_pictures, rig_of_picture, save_lens, write_picture
 from .lens import (
-    LENS_MODELS,
     Calibration,
     Lens,
     calibrate,
@@ -18,7 +17,6 @@ from .lens import (
 from .markers import draw_marker, find_markers, square_corners
 
 __all__ = [
-    "LENS_MODELS",
     "Board",
     "Calibration",
     "Lens",

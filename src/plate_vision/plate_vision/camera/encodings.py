@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import struct
-
 import cv2
 import numpy as np
 
 from ..errors import ImageError, check_image, check_size
+from .headers import Header, not_turned, read_header
 
 BAYER = {
     "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV's names are those of the second row and column
@@ -142,16 +141,18 @@ def decode_file(
     if "compressedDepth" in form:
         raise ImageError(f"image: format is {form!r}, allowed: jpeg, png")
     content = bytes(data)
-    seen = _file_size(content)
-    check_pixels(*seen)
+    header = read_header(content)
+    if header is None or header.kind not in ("JPEG", "PNG"):
+        raise ImageError(f"image: {len(content)} bytes are no JPEG or PNG file, allowed: these")
+    check_pixels(header.width, header.height)
     if size_px is not None:
-        check_size("image: size is", seen, size_px)
+        check_size("image: size is", (header.width, header.height), size_px)
     tail = content[-TAIL:]
     if not (b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail):
         raise ImageError(
             f"image: {len(content)} bytes break off before the file's end, allowed: whole files"
         )
-    pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+    pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH, header)
     if pixels is None:
         raise ImageError(f"image: {len(content)} bytes are damaged, allowed: a JPEG or PNG file")
     if pixels.dtype != np.uint8:
@@ -160,12 +161,27 @@ def decode_file(
     return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
 
 
-def unpack(content: bytes, flags: int) -> np.ndarray | None:
-    """Return the pixels of a picture's file by OpenCV's flags; None if it is none, or damaged."""
-    try:
-        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-    except cv2.error:  # also if it is empty
+def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
+    """Return the pixels of a picture's file by OpenCV's flags, never turned; None if it is none, or
+    damaged.
+
+    `header` is the file's, if it is known already.
+
+    Raises
+    ------
+    ImageError
+        If it has no pixels, or far too many: before they are unpacked.
+    """
+    header = header or read_header(content)
+    if header is None:
         return None
+    check_pixels(header.width, header.height)
+    data = np.frombuffer(not_turned(content, header), np.uint8)
+    try:
+        pixels = cv2.imdecode(data, flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        return None
+    return pixels
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
@@ -183,11 +199,11 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(grey)  # once, or each kernel would
 
 
-def check_pixels(width: int, height: int) -> None:
-    """Refuse images without pixels, or with far too many."""
+def check_pixels(width: int, height: int, what: str = "image:") -> None:
+    """Refuse images without pixels, or with far too many; `what` begins the message."""
     if width < 1 or height < 1 or width * height > MOST_PIXELS:
         raise ImageError(
-            f"image: size is {width} x {height} px, allowed: at least 1 x 1, "
+            f"{what} size is {width} x {height} px, allowed: at least 1 x 1, "
             f"at most {MOST_PIXELS:,} pixels"
         )
 
@@ -203,19 +219,3 @@ def to_colour(pixels: np.ndarray, kind: str) -> np.ndarray:
     if code is None:
         return pixels
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
-
-
-def _file_size(content: bytes) -> tuple[int, int]:
-    """Return width and height as a file's first bytes tell them, before anything is unpacked."""
-    if content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) >= 24:
-        width, height = struct.unpack(">II", content[16:24])
-        return int(width), int(height)
-    if content[:2] == b"\xff\xd8":
-        place = 2
-        while place + 9 <= len(content) and content[place] == 0xFF:
-            mark = content[place + 1]
-            if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):  # a frame's header
-                height, width = struct.unpack(">HH", content[place + 5 : place + 9])
-                return int(width), int(height)
-            place += 2 + int.from_bytes(content[place + 2 : place + 4], "big")
-    raise ImageError(f"image: {len(content)} bytes are no JPEG or PNG file, allowed: these")

@@ -3,7 +3,8 @@ a video in place of a camera."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,14 @@ import numpy as np
 import yaml
 
 from plate_core import Rig
-from plate_core.files import check_file, draft, read_file
-from plate_core.yaml_fields import Fields, read_yaml
+from plate_core.files import YAML_BYTES, check_file, draft, read_file
+from plate_core.yaml_fields import Fields, parse_yaml
 
 from ..errors import CalibrationError, ImageError, check_size
-from .encodings import unpack
-from .lens import LENS_MODELS, Lens
+from .encodings import check_pixels, unpack
+from .foreign import is_ini, is_opencv, read_ini, read_opencv
+from .headers import read_header, turned_text
+from .lens import Lens
 
 FAR = 1e6
 """Greatest number that is believed in such a file."""
@@ -30,26 +33,36 @@ PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
 """Most in a file: 20 megapixels without compression; half an hour of full HD."""
 
 
+NO_FILM = "cannot be read, allowed: a video that OpenCV knows"
+
+
 def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> Lens:
     """Read a camera_info file, for images of the expected width and height if these are given.
+
+    Files that OpenCV writes (`%YAML:1.0`) and `.ini` files of ROS 1 are read, too.
 
     Raises
     ------
     CalibrationError
         If a key is missing or its value is not allowed.
     """
-    fields = read_yaml(path, CalibrationError)
+    fields = _camera_fields(Path(path))
     size_px = (fields.integer("image_width", 16, 16384), fields.integer("image_height", 16, 16384))
     if expected_px is not None:
         check_size(f"{fields.where}: image size is", size_px, expected_px, CalibrationError)
-    model = fields.text("distortion_model", sorted(set(LENS_MODELS.values())))
+    model = fields.text("distortion_model")
     values = _matrix(fields.child("distortion_coefficients"), None)
-    if LENS_MODELS.get(len(values)) != model:
-        counts = " or ".join(str(n) for n, name in LENS_MODELS.items() if name == model)
-        raise CalibrationError(
-            f"{fields.where}: {len(values)} distortion_coefficients, allowed: {counts} for {model}"
-        )
-    return Lens(_matrix(fields.child("camera_matrix"), (3, 3)).reshape(3, 3), values)
+    matrix = _matrix(fields.child("camera_matrix"), (3, 3)).reshape(3, 3)
+    return Lens(matrix, values, model, fields.where)
+
+
+def _camera_fields(path: Path) -> Fields:
+    content = read_file(path, YAML_BYTES, CalibrationError)
+    if is_opencv(content):
+        return read_opencv(content, path)
+    if is_ini(content):
+        return read_ini(content, path)
+    return parse_yaml(content, path, CalibrationError)
 
 
 def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Lens) -> None:
@@ -66,7 +79,7 @@ def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Len
         "image_height": size_px[1],
         "camera_name": camera,
         "camera_matrix": _block(lens.matrix),
-        "distortion_model": LENS_MODELS[len(lens.distortion)],
+        "distortion_model": lens.model,
         "distortion_coefficients": _block(lens.distortion[None]),
         "rectification_matrix": _block(np.eye(3)),
         "projection_matrix": _block(np.column_stack([lens.matrix, np.zeros(3)])),
@@ -91,18 +104,24 @@ def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
     return fields.array("data", (rows * columns,), -FAR, FAR)
 
 
-def read_pictures(path: Path) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield name and pixels (H, W, 3) uint8, blue, green, red, of each picture.
+def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pictures:
+    """Return an iterator over pictures: name and pixels (H, W, 3) uint8, blue, green, red, of each.
+
+    Pictures are never turned: an orientation in EXIF, PNG, TIFF, WebP or a video is what a viewer
+    does. The first that has one is named in a warning.
 
     Parameters
     ----------
     path : Path
         A folder, of which pictures are taken by their names; a picture; or a video.
+    warn : callable, optional
+        Takes a warning. Default: it is printed to stderr.
 
     Raises
     ------
     ImageError
-        If there is nothing at the path that can be read.
+        If there is nothing at the path that can be read, or a picture has too many pixels; also
+        while it is read.
     """
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
@@ -112,10 +131,91 @@ def read_pictures(path: Path) -> Iterator[tuple[str, np.ndarray]]:
         raise ImageError(f"{path}: no such file or folder, allowed: pictures or a video")
     else:
         files = [path] if path.suffix.lower() in PICTURES else []
-    for file in files:
-        yield file.name, _read(file)
-    if not files:
-        yield from _film(path)
+    return Pictures(path, files, warn or _print_warning)
+
+
+class Pictures:
+    """Pictures of a folder, or of a video, one after the other.
+
+    Attributes
+    ----------
+    count : int
+        How many there are; of a video as its file says, which may be wrong or 0.
+    """
+
+    def __init__(self, path: Path, files: Sequence[Path], warn: Callable[[str], None]) -> None:
+        self._path, self._files, self._warn = path, files, warn
+        self._next = 0
+        self._warned = False
+        self._film: cv2.VideoCapture | None = None if files else _open_film(path)
+        self.count = len(files)
+        if self._film is not None:
+            self.count = max(0, int(self._film.get(cv2.CAP_PROP_FRAME_COUNT)))
+            turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
+            if turn in (90, 180, 270):  # -1: it does not know
+                self._tell(
+                    f"{path.name}: rotation of {turn} degrees: players turn the film; here it is "
+                    "not turned, as nothing in ROS is: pixels are where the sensor has them"
+                )
+
+    def __iter__(self) -> Pictures:
+        return self
+
+    def __next__(self) -> tuple[str, np.ndarray]:
+        number = self._next
+        if self._film is None:
+            if number == len(self._files):
+                raise StopIteration
+            file = self._files[number]
+            self._next += 1
+            return file.name, self._read(file)
+        there, pixels = self._film.read()
+        if not there:
+            self._end()
+        self._next += 1
+        return f"{self._path.name}: {number}", np.asarray(pixels)
+
+    def skip(self) -> None:
+        """Leave out a picture, in less time than it takes to read it.
+
+        Raises
+        ------
+        StopIteration
+            If there is none.
+        """
+        if self._film is None:
+            if self._next == len(self._files):
+                raise StopIteration
+        elif not self._film.grab():
+            self._end()
+        self._next += 1
+
+    def _end(self) -> None:
+        if self._next == 0:
+            raise ImageError(f"{self._path}: {NO_FILM}")
+        raise StopIteration
+
+    def _read(self, file: Path) -> np.ndarray:
+        content = read_file(file, PICTURE_BYTES, ImageError)
+        header = read_header(content)
+        if header is not None:
+            check_pixels(header.width, header.height, f"{file}:")
+            if text := turned_text(header):
+                self._tell(f"{file.name}: {text}")
+        pixels = unpack(content, cv2.IMREAD_COLOR, header)
+        if pixels is None:
+            raise ImageError(f"{file}: cannot be read, allowed: a whole picture")
+        return pixels
+
+    def _tell(self, text: str) -> None:
+        if not self._warned:
+            self._warned = True
+            more = " (so with all pictures)" if len(self._files) > 1 else ""
+            self._warn(text + more)
+
+
+def _print_warning(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr)
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
@@ -161,25 +261,13 @@ def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
     return replace(rig, plate=plate, camera=camera), text
 
 
-def _read(file: Path) -> np.ndarray:
-    pixels = unpack(read_file(file, PICTURE_BYTES, ImageError), cv2.IMREAD_COLOR)
-    if pixels is None:
-        raise ImageError(f"{file}: cannot be read, allowed: a whole picture")
-    return pixels
-
-
-def _film(path: Path) -> Iterator[tuple[str, np.ndarray]]:
+def _open_film(path: Path) -> cv2.VideoCapture:
     check_file(path, VIDEO_BYTES, ImageError)
     film = cv2.VideoCapture(str(path))
-    try:
-        number = 0
-        while True:
-            there, pixels = film.read()
-            if not there:
-                break
-            yield f"{path.name}: {number}", np.asarray(pixels)
-            number += 1
-    finally:
-        film.release()
-    if number == 0:
-        raise ImageError(f"{path}: cannot be read, allowed: a video that OpenCV knows")
+    if not film.isOpened():
+        raise ImageError(f"{path}: {NO_FILM}")
+    film.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    size = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    width, height = (int(film.get(side)) for side in size)
+    check_pixels(width, height, f"{path}:")
+    return film

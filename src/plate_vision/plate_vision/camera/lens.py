@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
-from plate_core import PlateError, Rig
-from plate_core.rig import camera_place, fit_homography, home_pose, project
+from plate_core import PlateError, Rig, RigError
+from plate_core.rig import Lens as Formula
+from plate_core.rig import camera_place, fit_homography, home_pose, lens_of_matrix, project
 
 from ..errors import CalibrationError
 
@@ -22,15 +22,6 @@ MIN_AREA_PX2 = 100.0
 SLENDER = 1e-4
 """Least area of four points of the plate, over their extent squared."""
 
-LENS_MODELS = {4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
-"""Distortion models of sensor_msgs/CameraInfo by their number of parameters: k1, k2, p1, p2[, k3];
-the rational polynomial has k4, k5, k6 too."""
-
-LENS_MATRIX = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 1]])
-"""Where a camera matrix may be other than 0."""
-
-CORRECTIONS = 2
-"""Times that what OpenCV's straightening leaves is taken off: each leaves a hundredth of it."""
 
 SLOPE_STEP = 1e-4
 """Step [m] of the differences from which the scale is taken under a lens."""
@@ -38,64 +29,85 @@ SLOPE_STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A lens that bends straight lines: the K and D of sensor_msgs/CameraInfo.
+    """A lens that bends straight lines: K, D and distortion_model of sensor_msgs/CameraInfo.
+
+    The formulas are those of `plate_core.rig.Lens`.
 
     Attributes
     ----------
     matrix : (3, 3)
         Focal lengths and image centre [px].
-    distortion : (4,), (5,) or (8,)
-        OpenCV's k1, k2, p1, p2, k3, k4, k5, k6.
+    distortion : (n,)
+        OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]; of an
+        equidistant lens k1, k2, k3, k4.
+    model : str, optional
+        A key of `plate_core.rig.LENS_MODELS`. None: plumb_bob if there are up to five values, else
+        rational_polynomial.
+    source : str
+        Where it comes from, such as a file's name: the beginning of messages; or empty.
+
+    Raises
+    ------
+    CalibrationError
+        If K, D or the model is not understood.
     """
 
     matrix: np.ndarray
     distortion: np.ndarray
+    model: str | None = None
+    source: str = ""
+    _formula: Formula = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        matrix = _finite(self.matrix, (3, 3), "lens matrix")
-        object.__setattr__(self, "matrix", matrix)
-        if min(matrix[0, 0], matrix[1, 1]) <= 0:
-            raise CalibrationError(
-                f"lens matrix: focal lengths are {matrix[0, 0]:g} and {matrix[1, 1]:g} px, "
-                "allowed: more than 0"
-            )
-        if not np.array_equal(matrix * LENS_MATRIX, matrix) or matrix[2, 2] != 1:
-            raise CalibrationError(
-                f"lens matrix: got {matrix.tolist()}, allowed: [fx, 0, cx], [0, fy, cy], [0, 0, 1]"
-            )
         count = np.size(self.distortion)
-        if count not in LENS_MODELS:
-            raise CalibrationError(
-                f"lens distortion: {count} values, allowed: {', '.join(map(str, LENS_MODELS))}"
-            )
-        distortion = _finite(self.distortion, (count,), "lens distortion")
-        object.__setattr__(self, "distortion", distortion)
+        model = self.model
+        if model is None:
+            model = "plumb_bob" if count <= 5 else "rational_polynomial"
+        try:
+            lens = lens_of_matrix(self.matrix, np.ravel(self.distortion).tolist(), model)
+        except RigError as error:
+            raise CalibrationError(f"{self._begin}{error}") from None
+        object.__setattr__(self, "matrix", lens.matrix)
+        object.__setattr__(self, "distortion", np.array(lens.distortion))
+        object.__setattr__(self, "model", lens.model)
+        object.__setattr__(self, "_formula", lens)
+
+    @property
+    def bends(self) -> bool:
+        """Whether there is any distortion."""
+        return self._formula.bends
 
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
-        """Return where points (M, 2) [px] would be without distortion (M, 2) [px]."""
+        """Return where points (M, 2) [px] would be without distortion (M, 2) [px]; NaN outside of
+        what the lens shows."""
         point_px = _points(point_px)
-        if not len(point_px) or not np.any(self.distortion):
-            return point_px
-        first = straight = self._unbend(point_px)
-        for _ in range(CORRECTIONS):
-            straight = straight + first - self._unbend(self.bend(straight))
-        return straight
-
-    def _unbend(self, point_px: np.ndarray) -> np.ndarray:
-        """OpenCV's five fixed-point steps: with a strong lens wrong by some tenths of a pixel."""
-        bent = point_px.reshape(-1, 1, 2)
-        straight = cv2.undistortPoints(bent, self.matrix, self.distortion, P=self.matrix)
-        return np.asarray(straight).reshape(-1, 2)
+        return self._formula.straighten(point_px) if len(point_px) and self.bends else point_px
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
         """Return where straight points (M, 2) [px] are seen (M, 2) [px]."""
-        point_px = _points(point_px)
-        if not len(point_px):
-            return point_px
-        ray = np.column_stack([point_px, np.ones(len(point_px))]) @ np.linalg.inv(self.matrix).T
-        still = np.zeros(3)
-        seen = cv2.projectPoints(ray, still, still, self.matrix, self.distortion)[0]
-        return np.asarray(seen).reshape(-1, 2)
+        return self._formula.bend(_points(point_px))
+
+    def check_folding(self, corners_px: np.ndarray, straight: bool = False) -> None:
+        """Refuse a lens that folds the image of a plate.
+
+        Parameters
+        ----------
+        corners_px : (4, 2)
+            Where the plate's corners are seen [px].
+        straight : bool
+            They are those of the straight image.
+
+        Raises
+        ------
+        CalibrationError
+            If it does: parts would be seen where they are not.
+        """
+        if folded := self._formula.folds(corners_px, straight):
+            raise CalibrationError(f"{self._begin}{folded}")
+
+    @property
+    def _begin(self) -> str:
+        return f"{self.source}: " if self.source else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,13 +204,15 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        If either four points are not the corners of a convex quadrilateral.
+        If either four points are not the corners of a convex quadrilateral, or the lens folds the
+        image of the plate.
     """
     corners_px = check_quadrilateral(corners_px, "corners_px", CalibrationError)
     corners = np.asarray(corners, dtype=float)
     least = SLENDER * float(np.max(np.ptp(corners, axis=0), initial=0)) ** 2
     corners = check_quadrilateral(corners, "corners", CalibrationError, "m", least)
     if lens is not None:
+        lens.check_folding(corners_px)
         straight, name = lens.straighten(corners_px), "corners_px without the lens's distortion"
         corners_px = check_quadrilateral(straight, name, CalibrationError)
     return calibrate_by_matrix(fit_homography(corners, corners_px), lens, place)
@@ -261,7 +275,7 @@ def calibrate_by_matrix(
     if lens is not None:
         rotation, translation = home_pose(matrix, lens.matrix)
         place = -rotation.T @ translation
-    bends = lens is not None and np.any(lens.distortion)
+    bends = lens is not None and lens.bends
     return Calibration(matrix, np.linalg.inv(matrix), lens if bends else None, place)
 
 
@@ -275,7 +289,7 @@ def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
 def rig_lens(rig: Rig) -> Lens | None:
     """Return the lens that the rig file gives, if it does."""
     lens = rig.camera.lens
-    return None if lens is None else Lens(lens.matrix, np.array(lens.distortion))
+    return None if lens is None else Lens(lens.matrix, np.array(lens.distortion), lens.model)
 
 
 def _points(point: np.ndarray) -> np.ndarray:

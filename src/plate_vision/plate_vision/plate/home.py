@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from plate_core import Rig
-from plate_core.rig import Fiducials, to_home
+from plate_core.rig import Fiducials, project, to_home
 
 from ..camera.encodings import grey_levels
 from ..camera.lens import Calibration, Lens, calibrate_by_matrix, rig_lens
@@ -95,6 +95,9 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
     home = location.home
     if home is None:
         home, _ = find_home(image, fiducials, location.lens or rig_lens(rig))
+        if home.lens is not None:
+            plate_px = project(home.image_from_home, rig.plate.corners)
+            home.lens.check_folding(plate_px, straight=True)
     pose = find_pose(image, fiducials, home, location.pose)
     used = location.region_pose
     here = pose if pose is not None else np.zeros(3) if used is None else used
@@ -127,6 +130,11 @@ def find_home(
     corners_px = np.concatenate([found[number] for number in fiducials.numbers])
     straight = corners_px if lens is None else lens.straighten(corners_px)
     corners = fiducials.corners.reshape(-1, 2)
+    if not np.all(np.isfinite(straight)):
+        raise CalibrationError(
+            "fiducials: markers are seen where the lens shows nothing, allowed: K and D of this "
+            "camera, at this size of image"
+        )
     matrix, _ = cv2.findHomography(corners, straight)
     if matrix is None:
         raise CalibrationError("fiducials: no homography, allowed: markers that span an area")

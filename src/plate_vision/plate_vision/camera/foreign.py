@@ -1,0 +1,125 @@
+"""Camera files of others, as the keys of a camera_info file: OpenCV's, and `.ini` of ROS 1."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from plate_core.yaml_fields import Fields, parse_yaml
+
+from ..errors import CalibrationError
+
+OPENCV = b"%YAML:1.0"
+"""First bytes of files that cv::FileStorage wrote up to OpenCV 4; version 5 writes proper YAML."""
+
+MATRIX = re.compile(rb"!!opencv-[a-z-]+")
+"""Tag of a matrix in them."""
+
+NAMES = {
+    "image_width": ("imagewidth", "width"),
+    "image_height": ("imageheight", "height"),
+    "camera_matrix": ("cameramatrix", "intrinsics", "k", "mtx"),
+    "distortion_coefficients": ("distortioncoefficients", "distcoeffs", "dist", "d"),
+}
+"""Keys of a camera_info file, and the names that programs of OpenCV give them, without `_`."""
+
+BLOCKS = {"camera matrix": (3, 3), "distortion": (1, None)}
+"""Blocks of numbers in an `.ini` file that count, and their shapes."""
+
+
+def is_ini(content: bytes) -> bool:
+    """Whether a file is one of ROS 1's camera_calibration_parsers: `[image]` comes first."""
+    lines = (line.strip() for line in content.splitlines())
+    first = next((line for line in lines if line and line[:1] not in (b"#", b";")), b"")
+    return first == b"[image]"
+
+
+def is_opencv(content: bytes) -> bool:
+    """Whether a file is one that cv::FileStorage writes."""
+    return content.startswith(OPENCV) or MATRIX.search(content) is not None
+
+
+def read_opencv(content: bytes, path: Path) -> Fields:
+    """Return the camera in a file of cv::FileStorage.
+
+    Without `distortion_model` it is told by the number of values and `fisheye_model`, which
+    OpenCV's example writes.
+
+    Raises
+    ------
+    CalibrationError
+        If it is broken, or there are no K and D in it.
+    """
+    content = MATRIX.sub(b"", content.removeprefix(OPENCV))
+    given = parse_yaml(content, path, CalibrationError).data
+    spelt = {str(key).lower().replace("_", ""): value for key, value in given.items()}
+    data: dict[str, Any] = {}
+    for key, names in NAMES.items():
+        found = [spelt[name] for name in names if name in spelt]
+        if found:
+            data[key] = _block(found[0])
+    if "camera_matrix" not in data:
+        raise CalibrationError(
+            f"{path.name}: a file of OpenCV without camera_matrix, allowed: camera_matrix, "
+            "distortion_coefficients, image_width and image_height"
+        )
+    data["distortion_model"] = spelt.get("distortionmodel") or _model(spelt, data)
+    return Fields(data, path.name, CalibrationError)
+
+
+def _block(value: Any) -> Any:
+    """Return a matrix as camera_info files have it: an nd-matrix has `sizes`."""
+    if not isinstance(value, Mapping) or not isinstance(value.get("sizes"), list):
+        return value
+    rows, columns = [1, 1, *value["sizes"]][-2:]
+    return {"rows": rows, "cols": columns, "data": value.get("data")}
+
+
+def _model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
+    if spelt.get("fisheyemodel"):
+        return "equidistant"
+    block = data.get("distortion_coefficients")
+    values = block.get("data") if isinstance(block, Mapping) else None
+    few = not isinstance(values, list) or len(values) <= 5
+    return "plumb_bob" if few else "rational_polynomial"
+
+
+def read_ini(content: bytes, path: Path) -> Fields:
+    """Return the camera in an `.ini` file of ROS 1: blocks of numbers below a line that names them.
+
+    Raises
+    ------
+    CalibrationError
+        If it is no text, or a number is none.
+    """
+    blocks: dict[str, list[float]] = {}
+    name = ""
+    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
+        text = line.strip()
+        if not text or text[0] in "#;[":
+            continue
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            name = text
+            if text[0].isdigit() or text[0] in "+-.":
+                raise CalibrationError(
+                    f"{path.name}: {text!r} at line {number}, allowed: numbers, or the name of a "
+                    "block of them"
+                ) from None
+            continue
+        blocks.setdefault(name, []).extend(values)
+    data: dict[str, Any] = {}
+    for side in ("width", "height"):
+        if len(blocks.get(side, ())) == 1:
+            value = blocks[side][0]
+            data[f"image_{side}"] = int(value) if value.is_integer() else value
+    for name, (rows, columns) in BLOCKS.items():
+        if name in blocks:
+            values = blocks[name]
+            key = "distortion_coefficients" if name == "distortion" else "camera_matrix"
+            data[key] = {"rows": rows, "cols": columns or len(values), "data": values}
+    data["distortion_model"] = _model({}, data)
+    return Fields(data, path.name, CalibrationError)

@@ -1,0 +1,198 @@
+"""The first bytes of a picture's file: its size and orientation, before anything is unpacked.
+
+A file of 389 kB can unpack to 20000 x 20000 pixels; and OpenCV turns pictures as their orientation
+says, which ROS never does: pixels here are always where the sensor has them, as camera_info and
+corners_px have them too.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+ORIENTATION = 274
+"""Tag of EXIF and TIFF: how a viewer turns the picture; 1: not at all."""
+
+WIDTH, HEIGHT = 256, 257
+"""Tags of TIFF."""
+
+TURNS = {
+    2: "mirrored", 3: "turned by 180 degrees", 4: "upside down in a mirror",
+    5: "turned by 90 degrees in a mirror", 6: "turned by 90 degrees clockwise",
+    7: "turned by 270 degrees in a mirror", 8: "turned by 90 degrees anticlockwise",
+}  # fmt: skip
+"""What a viewer does by an orientation."""
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(\d+)\s")
+"""Kind, width, height, with comments between."""
+
+MOST_ENTRIES = 1000
+"""Tags of a directory that are looked at; files have some dozens."""
+
+
+class Header(NamedTuple):
+    """What a file's first bytes tell.
+
+    Attributes
+    ----------
+    kind : str
+        PNG, JPEG, BMP, PNM, TIFF or WebP.
+    width, height : int
+        As they are stored [px].
+    orientation : int
+        1 to 8, by EXIF.
+    place : int
+        TIFF: where the orientation stands in the file; else 0.
+    """
+
+    kind: str
+    width: int
+    height: int
+    orientation: int = 1
+    place: int = 0
+
+
+def read_header(content: bytes) -> Header | None:
+    """Return the header of a picture's file; None if it is of no kind that is known, or broken."""
+    try:
+        if content.startswith(PNG):
+            return _png(content)
+        if content.startswith(b"\xff\xd8"):
+            return _jpeg(content)
+        if content.startswith(b"RIFF") and content[8:12] == b"WEBP":
+            return _webp(content)
+        if content[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            return _tiff(content)
+        if content.startswith(b"BM"):
+            return _bmp(content)
+        if found := PNM.match(content[:4096]):
+            return Header("PNM", int(found[1]), int(found[2]))
+    except (struct.error, IndexError):  # it breaks off
+        pass
+    return None
+
+
+def not_turned(content: bytes, header: Header) -> bytes:
+    """Return a file whose picture OpenCV does not turn: TIFF it turns whatever it is asked for."""
+    if header.kind != "TIFF" or not header.place:
+        return content
+    value = b"\1\0" if content[:2] == b"II" else b"\0\1"
+    return content[: header.place] + value + content[header.place + 2 :]
+
+
+def turned_text(header: Header) -> str:
+    """Say that viewers turn a picture, and what is done here; empty if they do not."""
+    if header.orientation == 1:
+        return ""
+    return (
+        f"orientation {header.orientation}: viewers show it {TURNS[header.orientation]}; here it "
+        "is not turned, as nothing in ROS is: pixels are where the sensor has them"
+    )
+
+
+def _png(content: bytes) -> Header:
+    width, height = struct.unpack_from(">II", content, 16)
+    orientation, place = 1, 8
+    while place + 8 <= len(content):
+        size, kind = struct.unpack_from(">I4s", content, place)
+        if kind == b"eXIf":
+            orientation = _exif(content[place + 8 : place + 8 + size])
+        place += 12 + size
+    return Header("PNG", width, height, orientation)
+
+
+def _jpeg(content: bytes) -> Header | None:
+    orientation, place = 1, 2
+    while content[place] == 0xFF:
+        mark = content[place + 1]
+        if mark == 0xFF:  # padding
+            place += 1
+            continue
+        if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):  # a frame's header
+            height, width = struct.unpack_from(">HH", content, place + 5)
+            return Header("JPEG", width, height, orientation)
+        (size,) = struct.unpack_from(">H", content, place + 2)
+        if mark == 0xE1 and content[place + 4 : place + 10] == b"Exif\0\0":
+            orientation = _exif(content[place + 10 : place + 2 + size])
+        place += 2 + size
+    return None
+
+
+def _webp(content: bytes) -> Header | None:
+    size: tuple[int, int] | None = None
+    orientation, place = 1, 12
+    while place + 8 <= len(content):
+        kind, length = struct.unpack_from("<4sI", content, place)
+        body = place + 8
+        if kind == b"VP8X":
+            sides = content[body + 4 : body + 7], content[body + 7 : body + 10]
+            wide, high = (int.from_bytes(side, "little") for side in sides)
+            size = wide + 1, high + 1
+        elif kind == b"VP8 " and size is None:
+            wide, high = struct.unpack_from("<HH", content, body + 6)
+            size = wide & 0x3FFF, high & 0x3FFF
+        elif kind == b"VP8L" and size is None:
+            (bits,) = struct.unpack_from("<I", content, body + 1)
+            size = (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+        elif kind == b"EXIF":
+            data = content[body : body + length]
+            orientation = _exif(data.removeprefix(b"Exif\0\0"))
+        place = body + length + length % 2
+    return None if size is None else Header("WebP", *size, orientation)
+
+
+def _bmp(content: bytes) -> Header:
+    (size,) = struct.unpack_from("<I", content, 14)
+    width, height = struct.unpack_from("<HH" if size == 12 else "<ii", content, 18)
+    return Header("BMP", width, abs(height))
+
+
+def _tiff(content: bytes) -> Header | None:
+    tags = {tag: (value, place) for tag, value, place in _tags(content)}
+    if WIDTH not in tags or HEIGHT not in tags:
+        return None
+    orientation, place = tags.get(ORIENTATION, (1, 0))
+    width, height = tags[WIDTH][0], tags[HEIGHT][0]
+    return Header("TIFF", width, height, _known(orientation), place)
+
+
+def _exif(data: bytes) -> int:
+    """Return the orientation in EXIF data, which are those of a TIFF file; 1 if they do not say."""
+    try:
+        found = (value for tag, value, _ in _tags(data) if tag == ORIENTATION)
+        return _known(next(found, 1))
+    except (struct.error, IndexError):
+        return 1
+
+
+def _known(orientation: int) -> int:
+    return orientation if orientation in TURNS else 1
+
+
+def _tags(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield tag, first value and its place of the whole numbers in a TIFF file's first directory.
+
+    Raises
+    ------
+    struct.error
+        If the file breaks off.
+    """
+    order = {b"II": "<", b"MM": ">"}.get(data[:2])
+    if order is None:
+        return
+    (version,) = struct.unpack_from(order + "H", data, 2)
+    big = version == 43
+    (place,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
+    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, place)
+    place += 8 if big else 2
+    for _ in range(min(count, MOST_ENTRIES)):
+        tag, kind = struct.unpack_from(order + "HH", data, place)
+        value = place + (12 if big else 8)
+        form = {3: "H", 4: "I", 16: "Q"}.get(kind)
+        if form is not None:
+            yield tag, struct.unpack_from(order + form, data, value)[0], value
+        place += 20 if big else 12
