@@ -30,11 +30,12 @@ LEAST_FOCAL_PX = 1.0
 STEEPEST_RAD = np.deg2rad(89.0)
 """Greatest angle of a ray to the optical axis: at 90 degrees the straight image has no end."""
 
-SETTLED = 1e-13
-"""Change of a ray [focal lengths] after which straightening has converged: 1e-10 px."""
+SETTLED = 1e-8
+"""Last step of a ray [focal lengths] after which straightening ends: the error that is left is its
+square, 1e-13 px."""
 
-CONVERGED = 1e-9
-"""Change after which a result counts, relative to the ray."""
+CONVERGED = 1e-7
+"""Last step after which a result counts [focal lengths], for a ray on the axis."""
 
 MAX_STEPS = 30
 """Newton steps of straightening; 2 or 3 are enough wherever a lens does not fold the image."""
@@ -165,26 +166,25 @@ class Lens:
         """
         tilt = self._tilt
         seen = _tilted(self._rays(point_px), None if tilt is None else np.linalg.inv(tilt))[0]
-        radius = np.linalg.norm(seen, axis=-1, keepdims=True)
+        u, v = seen[..., 0], seen[..., 1]
         with np.errstate(all="ignore"):
+            radius = np.hypot(u, v)
             growth = np.interp(radius, self._table[1], self._table[0]) / radius
-            ray = np.where(radius > 0, seen * growth, seen)
+            growth = np.where(radius > 0, growth, 1.0)
+            x, y = u * growth, v * growth
             for _ in range(MAX_STEPS):
-                bent, slopes = self._distort(ray)
-                error = seen - bent
-                (a, b), (c, d) = np.moveaxis(slopes, (-2, -1), (0, 1))
-                step = np.stack(
-                    [d * error[..., 0] - b * error[..., 1], a * error[..., 1] - c * error[..., 0]],
-                    axis=-1,
-                ) / (a * d - b * c)[..., None]  # fmt: skip
-                ray = ray + step
-                if not np.any(np.abs(step) > SETTLED):
+                r2 = x * x + y * y
+                bent_u, bent_v, a, b, c, d = self._seen(x, y, r2)
+                off_u, off_v = u - bent_u, v - bent_v
+                volume = a * d - b * c
+                step_x, step_y = (d * off_u - b * off_v) / volume, (a * off_v - c * off_u) / volume
+                x, y = x + step_x, y + step_y
+                step = np.maximum(np.abs(step_x), np.abs(step_y))
+                if not np.any(step > SETTLED):
                     break
-            length = np.linalg.norm(ray, axis=-1)
-            shown = (np.abs(step).max(axis=-1) < CONVERGED * (1 + length)) & self._upright(
-                slopes, length
-            )
-        return np.where(shown[..., None], ray, np.nan) * self.focal_px + self.centre_px
+            shown = (step <= CONVERGED * (1 + r2)) & self._upright(volume, a + d, r2)
+        straight = np.stack([x, y], axis=-1) * self.focal_px + self.centre_px
+        return np.where(shown[..., None], straight, np.nan)
 
     def folds(self, corners_px: np.ndarray, straight: bool = False) -> str:
         """Say that the lens folds the image of a plate; empty if it maps it one to one.
@@ -206,8 +206,9 @@ class Lens:
             u, v = (part[..., None] for part in np.meshgrid(along, along))
             near = corner[0] + u * (corner[1] - corner[0])
             far = corner[3] + u * (corner[2] - corner[3])
-            ray = self._rays(near + v * (far - near))
-            if np.all(self._upright(self._distort(ray)[1], np.linalg.norm(ray, axis=-1))):
+            x, y = np.moveaxis(self._rays(near + v * (far - near)), -1, 0)
+            _, _, a, b, c, d = self._seen(x, y, r2 := x * x + y * y)
+            if np.all(self._upright(a * d - b * c, a + d, r2)):
                 return ""
         edge = ""
         if np.isfinite(self._reach):
@@ -222,11 +223,10 @@ class Lens:
     def _rays(self, point_px: np.ndarray) -> np.ndarray:
         return (np.asarray(point_px, dtype=float) - self.centre_px) / self.focal_px
 
-    def _upright(self, slopes: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """Whether the image is neither folded nor mirrored (...) where the derivative is
-        (..., 2, 2), at rays of a radius (...)."""
-        (a, b), (c, d) = np.moveaxis(slopes, (-2, -1), (0, 1))
-        return (a * d - b * c > 0) & (a + d > 0) & (radius <= ROUNDED * self._reach)
+    def _upright(self, volume: np.ndarray, trace: np.ndarray, r2: np.ndarray) -> np.ndarray:
+        """Whether the image is neither folded nor mirrored (...) where the derivative has a
+        determinant and a trace (...), at rays with squared radii (...)."""
+        return (volume > 0) & (trace > 0) & (r2 <= (ROUNDED * self._reach) ** 2)
 
     @cached_property
     def _all(self) -> tuple[float, ...]:
@@ -293,36 +293,39 @@ class Lens:
             steep = (steep - radial * (k4 + r2 * (2 * k5 + r2 * 3 * k6))) / down
         return radial, steep
 
+    def _seen(self, x: np.ndarray, y: np.ndarray, r2: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return distorted rays x', y' (...), before the tilt of the image plane, and their
+        derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy at rays x, y with x^2 + y^2 = r2 (...)."""
+        radial, steep = self._radial(r2)
+        growth = 2 * steep
+        xy = x * y
+        u, v = x * radial, y * radial
+        a, d = radial + x * x * growth, radial + y * y * growth
+        b = c = xy * growth
+        if self.model == "equidistant":
+            return u, v, a, b, c, d
+        p1, p2 = self._all[2:4]
+        if p1 or p2:
+            twice = 2 * xy
+            u, v = u + p1 * twice + p2 * (r2 + 2 * x * x), v + p1 * (r2 + 2 * y * y) + p2 * twice
+            b = c = b + 2 * p1 * x + 2 * p2 * y
+            a, d = a + 2 * p1 * y + 6 * p2 * x, d + 6 * p1 * y + 2 * p2 * x
+        s1, s2, s3, s4 = self._all[8:12]
+        if s1 or s2 or s3 or s4:
+            u, v = u + r2 * (s1 + r2 * s2), v + r2 * (s3 + r2 * s4)
+            across, down = 2 * s1 + 4 * s2 * r2, 2 * s3 + 4 * s4 * r2
+            a, b, c, d = a + across * x, b + across * y, c + down * x, d + down * y
+        return u, v, a, b, c, d
+
     def _distort(self, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return distorted rays (..., 2), before the tilt of the image plane, and their derivative
         (..., 2, 2) in the rays (..., 2)."""
         x, y = ray[..., 0], ray[..., 1]
-        r2 = x * x + y * y
-        radial, steep = self._radial(r2)
-        growth = 2 * steep
-        plain = self.model == "equidistant"
-        p1, p2 = (0.0, 0.0) if plain else self._all[2:4]
-        bent = np.stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-            ],
-            axis=-1,
+        u, v, *slopes = self._seen(x, y, x * x + y * y)
+        return (
+            np.stack([u, v], axis=-1),
+            np.stack(slopes, axis=-1).reshape(*np.shape(u), 2, 2),
         )
-        across = x * y * growth + 2 * p1 * x + 2 * p2 * y
-        slopes = np.stack(
-            [
-                np.stack([radial + x * x * growth + 2 * p1 * y + 6 * p2 * x, across], axis=-1),
-                np.stack([across, radial + y * y * growth + 6 * p1 * y + 2 * p2 * x], axis=-1),
-            ],
-            axis=-2,
-        )
-        s1, s2, s3, s4 = self._all[8:12]
-        if not plain and (s1 or s2 or s3 or s4):
-            bent = bent + np.stack([r2 * (s1 + r2 * s2), r2 * (s3 + r2 * s4)], axis=-1)
-            prism = np.stack([s1 + 2 * s2 * r2, s3 + 2 * s4 * r2], axis=-1)
-            slopes = slopes + 2 * prism[..., :, None] * ray[..., None, :]
-        return bent, slopes
 
 
 def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) -> Lens:
