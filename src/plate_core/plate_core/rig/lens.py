@@ -35,7 +35,7 @@ SETTLED = 1e-8
 square, 1e-13 px."""
 
 CONVERGED = 1e-7
-"""Last step after which a result counts [focal lengths], for a ray on the axis."""
+"""Last step after which a result counts, over the length of the ray (x, y, 1)."""
 
 MAX_STEPS = 30
 """Newton steps of straightening; 2 or 3 are enough wherever a lens does not fold the image."""
@@ -182,7 +182,7 @@ class Lens:
                 step = np.maximum(np.abs(step_x), np.abs(step_y))
                 if not np.any(step > SETTLED):
                     break
-            shown = (step <= CONVERGED * (1 + r2)) & self._upright(volume, a + d, r2)
+            shown = (step * step <= CONVERGED**2 * (1 + r2)) & self._upright(volume, a + d, r2)
         straight = np.stack([x, y], axis=-1) * self.focal_px + self.centre_px
         return np.where(shown[..., None], straight, np.nan)
 
@@ -249,11 +249,10 @@ class Lens:
     @cached_property
     def _reach(self) -> float:
         """Radius [focal lengths] of the rays at which the radial part folds the image; infinite if
-        it never does."""
+        it never does. An equidistant lens sees beyond 90 degrees, but not the straight image."""
         if self.model == "equidistant":
             powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
-            least = np.sqrt(_first_root(powers))
-            return float(np.tan(least)) if least < STEEPEST_RAD else np.inf
+            return float(np.tan(min(np.sqrt(_first_root(powers)), STEEPEST_RAD)))
         k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]
         up, down = (
             np.polynomial.Polynomial([1, k1, k2, k3]),

@@ -22,7 +22,6 @@ MIN_AREA_PX2 = 100.0
 SLENDER = 1e-4
 """Least area of four points of the plate, over their extent squared."""
 
-
 SLOPE_STEP = 1e-4
 """Step [m] of the differences from which the scale is taken under a lens."""
 
