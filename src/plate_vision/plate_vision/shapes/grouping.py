@@ -88,6 +88,32 @@ MOSTLY = 0.5
 """Share of the pieces that are like others, from which on one that is not may be a group."""
 
 
+WORK = 12.0
+"""Pixels that cuts within pieces may visit in all, relative to those of the plate: that is half a
+second. Heaps of 80 parts need as much."""
+
+PLATE_SIZED = 0.5
+"""What covers more of the plate is not taken apart: light or a bare plate that is wrong."""
+
+
+LABEL_WORK = 0.1
+"""Work for each pixel of a piece's own window, relative to that of a cut."""
+
+
+@dataclass
+class Work:
+    """Pixels that may still be visited: a count, so that a computer's speed changes no result."""
+
+    left: float
+
+    def take(self, pixels: float) -> bool:
+        """Take so many of them, if there are as many."""
+        enough = pixels <= self.left
+        if enough:
+            self.left -= pixels
+        return enough
+
+
 @dataclass
 class Piece:
     """What was found within one outer rim, or a part of it.
@@ -149,8 +175,9 @@ def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
     )
 
 
-def pieces_of(solids: list[Solid], least_area: float, limit: float) -> list[Piece]:
-    """Return the parts, and groups of parts, that patches consist of.
+def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int) -> list[Piece]:
+    """Return the parts, and groups of parts, that patches consist of. Those that would take too
+    much work are groups.
 
     Parameters
     ----------
@@ -160,17 +187,24 @@ def pieces_of(solids: list[Solid], least_area: float, limit: float) -> list[Piec
         Smallest part [px2].
     limit : float
         Deviation of colours that noise or texture has [L].
+    pixels : int
+        Of the plate in the image.
     """
+    work = Work(WORK * pixels)
     sure: list[Piece] = []
     unsure: list[tuple[int, np.ndarray, np.ndarray]] = []
     for rank, (inside, amount, _) in enumerate(solids):
         whole = Piece(inside, rank, True)
-        if whole.solidity > CONVEX:
+        if whole.area > PLATE_SIZED * pixels:
+            whole.group = True
+        if whole.solidity > CONVEX or whole.group:
             sure.append(whole)
             continue
         labels, count, necks = split(amount, inside)
         if count < 2:
             sure.append(whole)
+        elif not work.take(LABEL_WORK * count * inside.size):
+            sure.append(Piece(inside, rank, True, group=True))
         elif np.all(necks[:, 2] < CLEAR):
             sure += [Piece(labels == k, rank, False) for k in range(1, count + 1)]
         else:
@@ -181,7 +215,7 @@ def pieces_of(solids: list[Solid], least_area: float, limit: float) -> list[Piec
         sure += found
         known += [piece.traits for piece in found if not piece.group]
     sure = [piece for piece in sure if piece.area >= least_area]
-    return _cut_by_kind(_without_shreds(sure, solids), solids, limit)
+    return _cut_by_kind(_without_shreds(sure, solids), solids, limit, pixels, work)
 
 
 def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
@@ -237,6 +271,8 @@ def _cut_by_kind(
     pieces: list[Piece],
     solids: list[Solid],
     limit: float,
+    pixels: int,
+    work: Work,
 ) -> list[Piece]:
     """Return pieces, those cut that fall in pieces like others, or along edges inside; what is far
     larger than others, dented and unlike them all is a group."""
@@ -248,31 +284,39 @@ def _cut_by_kind(
     usual = float(np.median([kind[0] for kind in kinds])) if kinds else np.inf
     common = [kind for kind in kinds if kind[0] > SMALLER * usual]
     done: list[Piece] = []
-    todo = list(pieces)
+    todo = sorted(pieces, key=lambda piece: -piece.inside.size)  # the smallest first
     while todo:
         piece = todo.pop()
-        if any(alike(piece.traits, kind) for kind in kinds):
+        if piece.area > PLATE_SIZED * pixels or any(alike(piece.traits, kind) for kind in kinds):
             done.append(piece)
             continue
         smaller = [kind for kind in kinds if LARGER * kind[0] < piece.area]
-        halves = _halves(piece, smaller) if smaller else None
+        halves = _halves(piece, smaller, work) if smaller else None
         if halves is not None:
             todo += halves
             continue
         several = len(kinds) >= MOSTLY * len(pieces) and piece.area > LARGER * usual
         piece.group = piece.group or (several and piece.solidity < DENTED)
         if piece.group or (not piece.alone and piece.solidity < CONVEX):
-            done += _along_edges(piece, *solids[piece.rank][1:], common, limit)
+            done += _along_edges(piece, *solids[piece.rank][1:], common, limit, work)
         else:
             done.append(piece)
     return done
 
 
 def _along_edges(
-    piece: Piece, amount: np.ndarray, colours: np.ndarray, kinds: list[Traits], limit: float
+    piece: Piece,
+    amount: np.ndarray,
+    colours: np.ndarray,
+    kinds: list[Traits],
+    limit: float,
+    work: Work,
 ) -> list[Piece]:
     """Return the pieces into which edges inside part a piece, as of parts of different colours that
     touch, and what is left of it; itself if they part nothing compact."""
+    if not work.take((len(EDGES_PERCENT) + len(COLOURS)) * piece.inside.size):
+        piece.group = True
+        return [piece]
     steep = steepness(colours)
     inner = cv2.erode(piece.inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if np.count_nonzero(inner) < LEAST_INNER:
@@ -306,7 +350,7 @@ def _along_edges(
         part
         for one in best
         for part in (
-            _along_edges(one, amount, colours, kinds, limit)
+            _along_edges(one, amount, colours, kinds, limit, work)
             if one.group and one is not piece
             else [one]
         )
@@ -352,8 +396,10 @@ def _nearest(places: list[np.ndarray]) -> np.ndarray:
     return np.argmin(gaps, axis=0)
 
 
-def _halves(piece: Piece, kinds: list[Traits]) -> list[Piece] | None:
+def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None:
     """Return the two pieces that a straight cut from a dent gives if both are like known kinds."""
+    if piece.area * (1 - ALIKE[0]) > 2 * max(kind[0] for kind in kinds):
+        return None
     pixels = piece.inside.astype(np.uint8)
     rims = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
     rim = max(rims, key=len)
@@ -374,6 +420,8 @@ def _halves(piece: Piece, kinds: list[Traits]) -> list[Piece] | None:
         ends = [points[other[2]] for other in dents[number + 1 :]]
         ends += list(_across(points, int(dent[2])))
         for end in ends:
+            if not work.take(pixels.size):
+                break
             parted = pixels.copy()
             cv2.line(parted, start.tolist(), end.tolist(), 0, 1)
             count, labels = cv2.connectedComponents(parted, connectivity=4)

@@ -37,6 +37,7 @@ from .classes import (
     recognise,
     to_lab,
 )
+from .grouping import Work
 from .outlines import Outline, fit_pose
 from .patch import Patch
 
@@ -75,6 +76,9 @@ FIRST, TRIES = 3, 30
 
 MOST_PARTS = 12
 """In a group."""
+
+MOST_TRIES = 200
+"""Choices of parts that are tried in all groups of an image: a heap may have dozens of groups."""
 
 COVERED = 0.88
 """Least intersection of parts and group over their union."""
@@ -188,8 +192,10 @@ def explain_groups(
     kept, added = np.ones(len(seen), bool), []
     least = np.min(catalogue.area)
     area = np.pi * (seen["radius_px"] / calibration.scale(_places(seen))) ** 2
-    for members in _clusters(patches, settled, image.shape[:2]):
-        if np.sum(area[members]) < TWO * least:
+    tries = Work(MOST_TRIES)
+    clusters = _clusters(patches, settled, image.shape[:2])
+    for members in sorted(clusters, key=lambda one: float(np.sum(area[one]))):
+        if np.sum(area[members]) < TWO * least or not tries.left:
             continue
         own = members[~settled[members]]
         for chosen in (members, own) if len(own) < len(members) else (members,):
@@ -198,7 +204,7 @@ def explain_groups(
             if len(chosen) > 1 and one["label"][0] != GROUP:
                 parts = one
             else:
-                parts = _parts(image, union, one, catalogue, calibration)
+                parts = _parts(image, union, one, catalogue, calibration, tries)
             if len(parts):
                 kept[chosen] = False
                 added.append(parts)
@@ -249,7 +255,12 @@ def _union(patches: Sequence[Patch]) -> Patch:
 
 
 def _parts(
-    image: np.ndarray, union: Patch, one: np.ndarray, catalogue: Catalogue, calibration: Calibration
+    image: np.ndarray,
+    union: Patch,
+    one: np.ndarray,
+    catalogue: Catalogue,
+    calibration: Calibration,
+    tries: Work,
 ) -> np.ndarray:
     """Return the sightings (n,) SIGHTING of the parts of a group; none if it is not explained.
     `one` (1,) is the sighting of all of it."""
@@ -265,7 +276,7 @@ def _parts(
     view = View(mask, image[here], to_px, scale, outlines[0])
     most = LARGER * float(np.max(catalogue.filled_area))
     doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
-    found = take_apart(_coarser(view, catalogue), catalogue, doubtful)
+    found = take_apart(_coarser(view, catalogue), catalogue, doubtful, tries)
     # Laid onto the group's rim once more, as finely as that is seen.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
@@ -314,9 +325,13 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
     return View(mask.astype(np.uint8), pixels, to_px, scale, view.outline)
 
 
-def take_apart(view: View, catalogue: Catalogue, doubtful: bool = False) -> list[Found]:
+def take_apart(
+    view: View, catalogue: Catalogue, doubtful: bool = False, tries: Work | None = None
+) -> list[Found]:
     """Return the parts (x, y, angle in plate_home) of which a group consists; none if it cannot be
-    told. What is doubtful, a part or a group, is one unless parts cover all of it."""
+    told. What is doubtful, a part or a group, is one unless parts cover all of it. `tries` are
+    those that are left for it and other groups."""
+    tries = tries or Work(TRIES)
     border = _to_rims(view)
     least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
     if np.count_nonzero(view.mask) > MOST_PARTS * most:
@@ -327,7 +342,7 @@ def take_apart(view: View, catalogue: Catalogue, doubtful: bool = False) -> list
     number = itertools.count()
     heapq.heappush(open_, (0, 0, 0, (), view.mask, choices))
     for _ in range(TRIES):
-        if not open_:
+        if not open_ or not tries.take(1):
             break
         passed, depth, _, parts, left, fitting = heapq.heappop(open_)
         if parts:

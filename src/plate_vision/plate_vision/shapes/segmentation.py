@@ -23,6 +23,9 @@ from .shadows import take_out_shadows
 LEAST_AREA_PX2: float = _kernels.LEAST_AREA_PX2
 """Smallest part: a disc of 3 px radius."""
 
+MOST_PATCHES = 250
+"""Patches that are looked at, the largest ones: more are noise, or texture that has moved."""
+
 LEAST_DEPTH_PX = 1.8
 """How far the inside of a part is from its rim at least [px]: a scratch is thinner."""
 
@@ -160,11 +163,12 @@ def _patches(
         for number, rim in enumerate(rims)
         if family[0][number][3] < 0 and len(rim) >= LEAST_RIM_PX
     ]
-    windows = _without_inner(windows)
+    windows = _without_inner(_largest(windows))
+    pixels = cover.size if region is None else int(np.count_nonzero(region.usable))
     solids = [(window.solid, window.amount, lab[window.place]) for window in windows]
     return [
         patch
-        for piece in pieces_of(solids, LEAST_AREA_PX2, noise)
+        for piece in pieces_of(solids, LEAST_AREA_PX2, noise, pixels)
         if (patch := _patch(piece, windows[piece.rank], region)) is not None
     ]
 
@@ -176,24 +180,35 @@ def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
     return bool(taken > LEFT * patch.area_px2)
 
 
+def _largest(windows: list[Window]) -> list[Window]:
+    """Return windows, the `MOST_PATCHES` with most pixels if there are more."""
+    if len(windows) <= MOST_PATCHES:
+        return windows
+    size = [-np.count_nonzero(window.solid) for window in windows]
+    kept = np.sort(np.argsort(size, kind="stable")[:MOST_PATCHES])
+    return [windows[k] for k in kept.tolist()]
+
+
 def _without_inner(windows: list[Window]) -> list[Window]:
     """Return windows, those filled and left out that are a ring and what nearly fills it: the rim
     and the inside of one part, where it is like the plate between them."""
     kept = []
     inner: set[int] = set()
+    low = np.array([window.corner for window in windows]).reshape(-1, 2)
+    high = low + np.array([window.solid.shape[::-1] for window in windows]).reshape(-1, 2)
     for outer, window in enumerate(windows):
         enclosed = window.enclosed
         if np.any(enclosed):
             total = 0
             inside = []
-            for k, other in enumerate(windows):
-                x, y = np.subtract(other.corner, window.corner)
-                h, w = other.solid.shape
-                if k != outer and x >= 0 and y >= 0:
-                    here = enclosed[y : y + h, x : x + w]
-                    if here.shape == (h, w) and np.all(here[other.solid]):
-                        inside.append(k)
-                        total += int(np.count_nonzero(other.solid))
+            within = np.all((low >= low[outer]) & (high <= high[outer]), axis=1)
+            within[outer] = False
+            for k in np.flatnonzero(within).tolist():
+                other = windows[k]
+                (x, y), (h, w) = low[k] - low[outer], other.solid.shape
+                if np.all(enclosed[y : y + h, x : x + w][other.solid]):
+                    inside.append(k)
+                    total += int(np.count_nonzero(other.solid))
             if total > FILLED * np.count_nonzero(enclosed):
                 inner.update(inside)
                 window = window.filled()
@@ -264,7 +279,10 @@ def _window(
     full = np.mean(deviation_here[inside > 0]) if child >= 0 else 0
     while child >= 0:
         rim = rims[child]
-        left, top, wide, high = cv2.boundingRect(rim)  # noise has thousands of them
+        left, top, wide, high = cv2.boundingRect(rim)
+        if (wide - 2) * (high - 2) < LEAST_HOLE_PX2:  # noise has thousands of them
+            child = family[child][0]
+            continue
         part = np.s_[top - y0 : top - y0 + high, left - x0 : left - x0 + wide]
         one = np.zeros((high, wide), np.uint8)
         cv2.drawContours(one, [rim], 0, 1, cv2.FILLED, offset=(-left, -top))
