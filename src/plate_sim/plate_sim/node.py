@@ -65,12 +65,21 @@ QUIET_S = 2.0
 MOST_WRONG_NS = 50_000_000
 """How far stamps may be from the system's clock in real time [ns]."""
 
+DRAWN = "What images show, see config/nodes.yaml"
+"""Heading of the parameters that only images depend on."""
+
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
-def _disturbance(name: str, description: str, live: bool = True) -> Any:
+def _disturbance(name: str, description: str, live: bool = True, group: str = "") -> Any:
     """Return the parameter of one kind of disturbance."""
-    return parameter(getattr(Disturbances, name), description, *RANGES[name], live=live)
+    value = getattr(Disturbances, name)
+    return parameter(value, description, *RANGES[name], live=live, group=group)
+
+
+def _drawn(name: str, description: str) -> Any:
+    """Return the parameter of a disturbance of images."""
+    return _disturbance(name, description, group=DRAWN)
 
 
 @dataclass(frozen=True)
@@ -134,17 +143,32 @@ class Options(NodeOptions):
     missed_images: float = _disturbance(
         "missed_images", "Share of images that are never published."
     )
-    highlights: float = _disturbance("highlights", "Share of each part that mirrors the light.")
-    shadows: float = _disturbance("shadows", "Darkening of the plate in parts' shadows [share].")
-    missed_parts: float = _disturbance(
-        "missed_parts", "Share of parts that an image does not show."
-    )
-    false_parts: float = _disturbance(
-        "false_parts", "False parts in an image [share of true ones]."
-    )
+    highlights: float = _drawn("highlights", "Share of each part that mirrors the light.")
+    shadows: float = _drawn("shadows", "Darkening of the plate in parts' shadows [share].")
+    missed_parts: float = _drawn("missed_parts", "Share of parts that an image does not show.")
+    false_parts: float = _drawn("false_parts", "False parts in an image [share of true ones].")
     pick_failure: float = _disturbance(
         "pick_failure", "Share of the robot's grips in which the part slips."
     )
+
+    part_height_m: float = _drawn(
+        "part_height_m", "Height of parts in images [m]; 0: the rig file's."
+    )
+    side_shade: float = _drawn("side_shade", "Brightness of side faces over tops [-].")
+    size_spread: float = _drawn("size_spread", "Sizes of parts in images differ by [fraction].")
+    gloss: float = _drawn("gloss", "Radius of the lamp's image on a part [radii].")
+    shadow_length_m: float = _drawn("shadow_length_m", "Length of the shadows [m].")
+    shadow_deg: float = _drawn("shadow_deg", "Direction of the shadows from x [degrees].")
+    penumbra_m: float = _drawn("penumbra_m", "Width of the shadows' soft edge [m].")
+    light_step: float = _drawn("light_step", "Change of the light at a time [fraction].")
+    light_step_s: float = _drawn("light_step_s", "That time, from the start [s].")
+    flicker: float = _drawn("flicker", "Light varies to either side by [fraction].")
+    flicker_hz: float = _drawn("flicker_hz", "Frequency of the flicker [Hz].")
+    defocus_px: float = _drawn("defocus_px", "Gaussian blur of images [px].")
+    plate_grey: float = _drawn("plate_grey", "Grey value of the plate at full light.")
+    room_grey: float = _drawn("room_grey", "Grey value around the plate.")
+    black_grey: float = _drawn("black_grey", "Grey value of black parts.")
+    grey_grey: float = _drawn("grey_grey", "Grey value of grey parts.")
 
     @property
     def disturbances(self) -> Disturbances:

@@ -26,6 +26,7 @@ from .lens import MODELS as LENS_MODELS
 from .lens import Lens, lens_of_matrix
 from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
 from .part_types import (
+    MAX_HEIGHT_M,
     MOST_CORNERS,
     MOST_HOLES,
     PART_TYPE,
@@ -57,6 +58,7 @@ __all__ = [
     "CYCLE_HZ",
     "LEAST_GAMMA",
     "LENS_MODELS",
+    "MAX_HEIGHT_M",
     "MOST_CORNERS",
     "MOST_HOLES",
     "ODRIVE_COUNTS",

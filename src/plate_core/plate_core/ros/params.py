@@ -27,7 +27,8 @@ OF_RCLPY = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 @dataclass(frozen=True)
 class Spec:
     """What is allowed for one parameter, and when it may change: live at any time, fixed never
-    while the process lives, else while the node is not active (and never if it has no lifecycle)"""
+    while the process lives, else while the node is not active (and never if it has no lifecycle).
+    The help only names the parameters of a group, after its heading."""
 
     description: str
     low: float | None = None
@@ -35,6 +36,7 @@ class Spec:
     choices: tuple[str, ...] | None = None
     live: bool = False
     fixed: bool = False
+    group: str = ""
 
     @property
     def allowed(self) -> str:
@@ -63,9 +65,10 @@ def parameter(
     choices: Sequence[str] | None = None,
     live: bool = False,
     fixed: bool = False,
+    group: str = "",
 ) -> Any:
     """Return a dataclass field that declares a parameter."""
-    spec = Spec(description, low, high, tuple(choices) if choices else None, live, fixed)
+    spec = Spec(description, low, high, tuple(choices) if choices else None, live, fixed, group)
     return field(default=default, metadata={"spec": spec})
 
 

@@ -75,13 +75,24 @@ def usage(start: str, node: Any, options: type | None) -> str:
     lines += (inspect.getdoc(node) or "").splitlines()
     if options is not None:
         lines += ["", "Parameters, with their defaults (* may be changed while it runs):"]
+        others: dict[str, list[str]] = {}
         for item in fields(options):
             assert item.default is not MISSING
             spec = item.metadata["spec"]
             name = f"{item.name}{'*' if spec.live else ''}"
+            if spec.group:
+                others.setdefault(spec.group, []).append(name)
+                continue
             default = str(item.default).lower() if isinstance(item.default, bool) else item.default
             allowed = f" ({spec.allowed})" if spec.allowed else ""
             head = f"  {name:18} {str(default) or repr(''):12} "
             text = wrap(f"{spec.description}{allowed}", WIDTH - len(head))
             lines += [head + text[0], *(" " * len(head) + more for more in text[1:])]
+        for group, names in others.items():
+            lines += wrap(
+                f"{group}: {', '.join(names)}",
+                WIDTH - 2,
+                initial_indent="  ",
+                subsequent_indent="    ",
+            )
     return "\n".join(lines)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from plate_core.rig import PartType, camera_place, homography, project, to_home
 from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, joined, outlines_of
 from .sweeps import scaled, swept
 
-BACKGROUND, PLATE = 60.0, 220.0
+ROOM, PLATE = 60.0, 220.0
 """Grey values of the room and the plate at full light."""
 
 GREY_OF_CLASS = {"black": 40.0, "grey": 130.0}
@@ -67,6 +67,10 @@ PENUMBRA_STEPS = 5
 
 SIDE_SHADE = 0.7
 """Default brightness of a part's side face, over its top face."""
+
+EDGE_PX = 0.7
+"""Distance between the edges of a top face and of the highest section below it that is drawn [px]:
+an edge is a pixel wide."""
 
 GLOSS_PLACE = 0.35
 """Distance of a glossy part's highlight from the middle of the part, towards the lamp, as a
@@ -142,12 +146,15 @@ EVEN = Lighting()
 """From all sides."""
 
 
-def part_colours(types: Sequence[PartType], colour: bool) -> np.ndarray:
+def part_colours(
+    types: Sequence[PartType], colour: bool, greys: Mapping[str, float] = GREY_OF_CLASS
+) -> np.ndarray:
     """Return the grey values (M,) at full light of parts of these types, or blue, green and red
-    (M, 3); a type whose colour is not known is black or grey by its name, or else dark grey.
+    (M, 3); a type whose colour is not known has the grey value of its name in `greys`, or else is
+    dark grey.
     """
-    greys = [GREY_OF_CLASS.get(part.name, UNKNOWN_GREY) for part in types]
-    result = np.tile(np.array(greys)[:, None], (1, 3))
+    known = [greys.get(part.name, UNKNOWN_GREY) for part in types]
+    result = np.tile(np.array(known)[:, None], (1, 3))
     for row, part in zip(result, types, strict=True):
         if part.colour_lab is not None:
             lab = np.array(part.colour_lab) * (1.0 if colour else [1.0, 0.0, 0.0])
@@ -216,7 +223,7 @@ class Camera:
         noise: float = NOISE,
         *,
         plate: float = PLATE,
-        room: float = BACKGROUND,
+        room: float = ROOM,
         defocus_px: float = 0.0,
     ) -> None:
         self._rig = rig
@@ -413,9 +420,15 @@ class Camera:
             layers = [*shadows, *layers]
         first = len(layers) - 1
         if scene.growth is not None:
-            shift = path.mean(axis=0) - scene.path.mean(axis=0)
-            outlines = swept(scene.types, turn, size, scene.growth, shift)
-            layers.insert(first, _Layer(4, scene.path + shift / 2, outlines, 1.0, level))
+            # Sections up to just below the top: where two edges coincide, the pixels on them would
+            # be covered twice.
+            rise = path.mean(axis=0) - scene.path.mean(axis=0)
+            swell = (scene.growth - 1)[:, None]
+            reach = size * [part.reach_m for part in scene.types]
+            way = self._scale * (np.hypot(*rise.T) + swell[:, 0] * reach)
+            part = np.maximum(1 - EDGE_PX / np.maximum(way, EDGE_PX), 0)[:, None]
+            outlines = swept(scene.types, turn, size, 1 + (part * swell)[:, 0], part * rise)
+            layers.insert(first, _Layer(4, scene.path + part * rise / 2, outlines, 1.0, level))
         if marked:
             marks = own.discs(MARK_RADIUS * own.reach)
             there = path + MARK_PLACE * own.reach[:, None] * turn

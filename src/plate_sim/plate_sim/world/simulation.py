@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -10,10 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import MOST_PARTS, PlateCycle, PlateError, Rig, did_you_mean, part_class
-from plate_core.rig import row_delay
+from plate_core.rig import camera_place, row_delay
 from plate_core.tasks import CLASSES, FeedTask, Scenario
 
-from ..camera import NOISE, Camera, Lighting, part_colours
+from ..camera import NOISE, Camera, part_colours
 from ..contacts import INELASTIC, Contacts
 from ..friction.outline import footprint_of
 from ..plate import PlateMotion, PlateState, realise
@@ -41,6 +42,9 @@ distance between two [s]: the plate turns round in no less than 20 ms."""
 
 WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 """Of a simulation: allowed values."""
+
+DRAWN = ("plate_grey", "room_grey", "defocus_px")
+"""Disturbances of which the camera keeps images."""
 
 FINEST_STAMP_S = 1e-4
 """Least distance of two stamps [s]."""
@@ -126,6 +130,7 @@ class Simulation:
         contacts: Contacts = INELASTIC,
     ) -> None:
         _check(noise=noise, mu_scale=mu_scale)
+        _check_height(rig, disturbances)
         if disturbances.image_rate > 0 and rig.camera.trigger is not None:
             raise PlateError(
                 f"image_rate is {disturbances.image_rate:g} with a trigger_phase, allowed: 0, "
@@ -139,7 +144,7 @@ class Simulation:
         self.state = WorldState.of_scenario(scenario, rig, layout)
         self.plate = PlateState.at_rest()
         self.disturbances = disturbances
-        self._rig, self._contacts = rig, contacts
+        self._rig, self._contacts, self._seed = rig, contacts, seed
         self._field = FrictionField.draw(disturbances, len(self.state.ids), field)
         self._noise, self._mu_scale = noise, mu_scale
         self._marked = scenario.marked
@@ -158,13 +163,24 @@ class Simulation:
         self._types = [self._rig.part_type(label) for label in labels]
         self._shapes = Shapes.of([footprint_of(part) for part in self._types])
         self._mu = np.array([part.mu for part in self._types], dtype=float)
-        self._grey = part_colours(self._types, self._rig.camera.colour)
+        world = self.disturbances
+        self._grey = part_colours(self._types, self._rig.camera.colour, world.greys)
+        height = np.array([world.part_height_m or part.height_m for part in self._types])
+        self._height = height if np.any(height) else None
+        self._size = None
+        if world.size_spread:
+            units = [_own_number(self._seed, name) for name in self.state.ids]
+            self._size = 1 + world.size_spread * np.array(units)
         self._typed = any(label in self._rig.types for label in labels)
 
     @cached_property
     def _camera(self) -> Camera:
         """Made for the first image: it takes as long as a hundred cycles."""
-        return Camera(self._rig, self._noise)
+        world = self.disturbances
+        return Camera(
+            self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
+            defocus_px=world.defocus_px,
+        )  # fmt: skip
 
     @property
     def mu(self) -> np.ndarray:
@@ -185,11 +201,17 @@ class Simulation:
         Raises
         ------
         PlateError
-            If noise or mu_scale is out of range.
+            If noise or mu_scale is out of range, or parts get a height and the rig does not give
+            the camera's place.
         """
         _check(noise=noise, mu_scale=mu_scale)
+        _check_height(self._rig, disturbances)
+        before = self.disturbances
         self.disturbances, self._mu_scale, self._noise = disturbances, mu_scale, noise
+        if any(getattr(before, name) != getattr(disturbances, name) for name in DRAWN):
+            self.__dict__.pop("_camera", None)  # what it keeps is drawn again
         self._camera.noise = noise
+        self._know_types()
         self._field = replace(
             self._field, spread=disturbances.friction_spread, share=disturbances.friction_patches
         )
@@ -464,6 +486,7 @@ class Simulation:
         spots = np.broadcast_to(place, (len(path), false, 2))
         there = path[:, drawn[: len(drawn) - false]]
         turned = self._marked or self._typed
+        old = self.disturbances.latency if age is None else age
         return self._camera.render(
             np.concatenate([there, spots], axis=1),
             self._grey[drawn],
@@ -473,8 +496,10 @@ class Simulation:
             if turned
             else None,
             types=[self._types[i] for i in drawn] if self._typed else None,
-            lighting=Lighting(self.disturbances.highlights, self.disturbances.shadows),
-            gripper=self._robot_ago(self.disturbances.latency if age is None else age),
+            lighting=self.disturbances.lighting(self._time - old),
+            gripper=self._robot_ago(old),
+            height=None if self._height is None else self._height[drawn],
+            size=None if self._size is None else self._size[drawn],
         )
 
     def sight(self, age: float | None = None) -> Sight | None:
@@ -502,7 +527,10 @@ class Simulation:
     def capture_bare(self) -> np.ndarray:
         """Return an image (height, width) or (height, width, 3), uint8, of the bare plate at
         home."""
-        return self._camera.render(np.zeros((0, 2)), self._grey[:0], self._pixel_rng)
+        return self._camera.render(
+            np.zeros((0, 2)), self._grey[:0], self._pixel_rng,
+            lighting=self.disturbances.lighting(self._time),
+        )  # fmt: skip
 
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
         """Command a cycle, or what a motor controller has played, and move the parts to its end;
@@ -634,6 +662,33 @@ def _check(**values: float) -> None:
         low, high = WORLD_RANGES[name]
         if not low <= value <= high:
             raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
+
+
+def _check_height(rig: Rig, disturbances: Disturbances) -> None:
+    """Refuse parts with a height if the camera's place is not known."""
+    named = {f"types: {name}: height_m": part.height_m for name, part in rig.types.items()}
+    heights = {
+        "part_height_m": disturbances.part_height_m,
+        "parts: height_m": rig.parts.height_m,
+        **named,
+    }
+    high = [(name, value) for name, value in heights.items() if value > 0]
+    if not high or (place := camera_place(rig)) is None:
+        if high:
+            raise PlateError(
+                f"{high[0][0]} is {high[0][1]:g}, allowed: 0, as the rig file gives neither "
+                "focal_px nor camera: height_m: the camera's place is not known"
+            )
+        return
+    for name, value in high:
+        if value >= place[2]:
+            raise PlateError(f"{name} is {value:g}, allowed: below the camera, {place[2]:.3g} m")
+
+
+def _own_number(seed: int, part_id: str) -> float:
+    """Return a number of a part's own, -1 to 1, evenly: the same in each run of a seed."""
+    rng = np.random.default_rng([seed, zlib.crc32(part_id.encode())])
+    return float(rng.uniform(-1, 1))
 
 
 def _number(part_id: str) -> int:
