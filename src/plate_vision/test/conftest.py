@@ -104,16 +104,17 @@ RAYS = 3
 
 
 @lru_cache(maxsize=4)
-def rays(matrix, distortion):
+def rays(matrix, distortion, fisheye=False):
     """Return x, y of the rays (x, y, 1) of all sub-pixels (rows, columns, 2) of a camera (3, 3) and
-    lens (5,)."""
+    lens (5,), or (4,) of a fisheye."""
     import cv2
 
     matrix, distortion = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     pixel = np.stack(np.meshgrid(np.arange(WIDTH_PX), np.arange(HEIGHT_PX)), axis=2)
     pixel = pixel.reshape(-1, 1, 2).astype(float)
-    ray = first = cv2.undistortPoints(pixel, matrix, distortion)[:, 0]
-    for _ in range(4):  # OpenCV's answer is not exact: each time a hundredth remains
+    opencv = cv2.fisheye if fisheye else cv2
+    ray = first = opencv.undistortPoints(pixel, matrix, distortion)[:, 0]
+    for _ in range(0 if fisheye else 4):  # its answer is not exact: each time a hundredth remains
         space = np.column_stack([ray, np.ones(len(ray))])
         seen = cv2.projectPoints(space, np.zeros(3), np.zeros(3), matrix, distortion)[0]
         ray = ray + first - cv2.undistortPoints(seen, matrix, distortion)[:, 0]
@@ -139,12 +140,12 @@ class Scene:
         Its length along x and y [m]; the origin is its centre.
     """
 
-    def __init__(self, texture, size, matrix, distortion=None):
+    def __init__(self, texture, size, matrix, distortion=None, fisheye=False):
 
         self.texture, self.size = texture, size
         self.matrix = np.asarray(matrix, float)
         bend = np.zeros(5) if distortion is None else np.asarray(distortion, float)
-        self.ray = rays(self.matrix.tobytes(), bend.tobytes())
+        self.ray = rays(self.matrix.tobytes(), bend.tobytes(), fisheye)
 
     def take(self, rotation, translation, rng, blur=0.7, noise=2.0, light=1.0):
         """Return the picture (H, W) uint8 of the print at a pose in the camera's frame [m]."""

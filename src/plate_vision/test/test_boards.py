@@ -1,11 +1,14 @@
 """Lenses from pictures of boards, traced through a lens that is known."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from plate_vision import CalibrationError, Lens
 from plate_vision.camera import Board, draw_board, find_corners, fit_lens
+from plate_vision.camera.boards import choose, find_board
 
 MATRIX = np.array([[620.0, 0, 331.0], [0, 610.0, 236.0], [0, 0, 1]])
 BENT = [-0.22, 0.06, 0.0008, -0.0006, 0.0]
@@ -25,11 +28,11 @@ def poses(count, rng):
         yield turn, np.array([x, y, rng.uniform(0.36, 0.46)])
 
 
-def sights(board, make_scene, rng, count=14):
+def sights(board, make_scene, rng, count=14, lens=(MATRIX, BENT)):
     picture = draw_board(board, SQUARE_PX)
     rows, columns = picture.shape
     size = np.array([columns, rows]) / SQUARE_PX * board.square_m
-    scene = make_scene(picture, size, MATRIX, BENT)
+    scene = make_scene(picture, size, *lens)
     for turn, move in poses(count, rng):
         yield scene.take(turn, move, rng, blur=0.7, noise=3.0), turn, move
 
@@ -65,6 +68,96 @@ def test_lens_is_found(board, make_scene, rng):
     moved = np.column_stack([ours, np.ones(len(ours))]) @ matrix.T
     assert np.abs(moved[:, :2] / moved[:, 2:] - theirs).max() < 0.15
     assert np.all(np.abs(np.diag(fit.lens.matrix)[:2] - [620, 610]) < 4 * fit.deviation[:2] + 2)
+
+
+WIDE = np.array([[330.0, 0, 322.0], [0, 328.0, 241.0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("model", "bend"),
+    [
+        ("rational_polynomial", [0.25, 0.05, 1e-3, -5e-4, 0.0, 0.6, 0.05, 0.0]),
+        ("equidistant", [0.03, -0.01, 0.004, -0.001]),
+    ],
+)
+def test_lenses_of_other_models_are_found(model, bend, make_scene, rng):
+    """A wide lens, 88 degrees across: rays within 0.25 px of where OpenCV has them, and deviations
+    that cover the errors."""
+    fisheye = model == "equidistant"
+    found = []
+    for k, (turn, move) in enumerate(poses(18, rng)):
+        picture = draw_board(CHARUCO, SQUARE_PX)
+        size = np.array(picture.shape[::-1]) / SQUARE_PX * CHARUCO.square_m
+        scene = make_scene(picture, size, WIDE, bend, fisheye)
+        move = move * [1.3, 1.3, 0.5 if k % 2 else 0.65]
+        sight = find_corners(scene.take(turn, move, rng, blur=0.6, noise=2.0), CHARUCO)
+        if sight is not None:
+            found.append(sight)
+    assert len(found) >= 12
+    fit = fit_lens(CHARUCO, found, (640, 480), model)
+    assert fit.error_px < 0.3
+    assert fit.lens.model == model
+    truth = Lens(WIDE, np.array(bend), model)
+    off = fit.lens.matrix - WIDE
+    assert np.all(np.abs([off[0, 0], off[1, 1]]) < 5 * fit.deviation[:2] + 0.5)
+    assert len(fit.deviation) == 4 + len(bend)
+    grid = np.stack(np.meshgrid(np.linspace(80, 560, 9), np.linspace(60, 420, 7)), axis=2)
+    ours, theirs = (lens.straighten(grid.reshape(-1, 2)) for lens in (fit.lens, truth))
+    matrix, _ = cv2.findHomography(ours, theirs)
+    moved = np.column_stack([ours, np.ones(len(ours))]) @ matrix.T
+    back = truth.bend(moved[:, :2] / moved[:, 2:])
+    assert np.abs(back - grid.reshape(-1, 2)).max() < 0.25
+
+
+def opencv_board(columns, rows, legacy):
+    shape, known = (columns, rows), cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    board = cv2.aruco.CharucoBoard(shape, 0.03, 0.022, known)
+    board.setLegacyPattern(legacy)
+    picture = board.generateImage((columns * SQUARE_PX, rows * SQUARE_PX))
+    return np.pad(picture, SQUARE_PX // 2, constant_values=255)
+
+
+@pytest.mark.skipif(
+    not hasattr(getattr(cv2.aruco, "CharucoBoard", None), "setLegacyPattern"),
+    reason="this OpenCV draws boards in one way",
+)
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize(("columns", "rows"), [(9, 6), (8, 6), (9, 7)])
+def test_boards_that_begin_white_are_recognised(columns, rows, legacy, make_scene, rng):
+    """OpenCV's legacy pattern begins white where the number of rows is even."""
+    picture = opencv_board(columns, rows, legacy)
+    white = picture[SQUARE_PX // 2 + 3, SQUARE_PX // 2 + 3] == 255
+    assert white == (legacy and rows % 2 == 0)
+    board = Board(columns, rows, 0.03, 0.022)
+    assert np.mean(draw_board(replace(board, white_first=white), SQUARE_PX) != picture) < 0.03
+    size = np.array(picture.shape[::-1]) / SQUARE_PX * 0.03
+    turn, move = next(poses(1, rng))
+    image = make_scene(picture, size, MATRIX, BENT).take(turn, move, rng)
+    printed, (which, place) = find_board(image, board)
+    assert printed == replace(board, white_first=white)
+    middle = 0.5 * 0.03 * np.array([columns, rows])
+    point = (board.corners[which] - middle) * [1, -1]
+    space = np.column_stack([point, np.zeros(len(point))])
+    true = cv2.projectPoints(space, cv2.Rodrigues(turn)[0], move, MATRIX, np.array(BENT))[0]
+    assert np.linalg.norm(place - true[:, 0], axis=1).max() < 0.35
+    assert len(which) > 0.9 * len(board.corners)
+    assert find_board(np.full_like(image, 200), printed) == (printed, None)  # as the one before
+    with pytest.raises(CalibrationError, match=f"as {columns}x{rows} they would fit.*allowed: "):
+        find_corners(image, Board(rows, columns, 0.03, 0.022))
+
+
+def test_pictures_that_differ_most_are_chosen(rng):
+    """Of a board that stays in one place for long, then moves: every place is chosen."""
+    grid = np.array([[x, y] for x in (0, 150, 300) for y in (0, 100, 200)], dtype=float)
+    which = np.arange(len(CHESS.corners))
+    still = [(which, 60 + 3000 * CHESS.corners + rng.normal(0, 0.1, (48, 2))) for _ in range(200)]
+    moved = [(which, 60 + 3000 * CHESS.corners + place) for place in grid]
+    seen = [*still, *moved]
+    chosen = choose(seen, CHESS, 12)
+    assert len(chosen) == len(set(chosen)) == 12
+    assert set(chosen) >= set(range(201, 209))
+    assert choose(seen[:40], CHESS) == list(range(40))
+    assert len(choose(seen, CHESS)) == 40
 
 
 def test_boards_are_those_of_opencv():

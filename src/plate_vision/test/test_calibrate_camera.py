@@ -1,14 +1,17 @@
 """The program `calibrate`, from pictures in a folder to the files it writes."""
 
 import os
+import re
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from plate_core import config_path
-from plate_vision.camera import Board, draw_board, find_markers, load_lens
+from plate_vision.camera import Board, calibrate_camera, draw_board, find_markers, load_lens
 from plate_vision.camera.calibrate_camera import main
 
 BOARD = ["--board", "9x7", "--square", "0.03", "--marker", "0.022"]
@@ -43,6 +46,67 @@ def test_from_pictures_to_a_camera_file(make_scene, rng, tmp_path, capsys):
     assert "nothing.png: 0 of 48 corners" in told
     assert "px rms over 8 pictures" in told
     assert "focal_px: [6" in told
+
+
+def test_a_long_film_is_done_by_forty_frames(make_scene, rng, tmp_path, capsys, monkeypatch):
+    """Of a film with long rests: frames that differ, searched ever less often."""
+    board = Board(8, 6, 0.03, 0.022, white_first=True)
+    picture = draw_board(board, 60)
+    scene = make_scene(picture, np.array(picture.shape[::-1]) / 60 * 0.03, MATRIX)
+    path = tmp_path / "film.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480))
+    if not film.isOpened():
+        pytest.skip("OpenCV cannot write films here")
+    for k in range(10):
+        tilt = 0.5 * np.array([np.cos(0.8 * k), np.sin(0.8 * k), 0.2])
+        turn = cv2.Rodrigues(tilt)[0] @ np.diag([1.0, -1, -1])
+        move = np.array([0.09 * np.cos(2.4 * k), 0.06 * np.sin(2.4 * k), 0.4])
+        frame = cv2.cvtColor(scene.take(turn, move, rng), cv2.COLOR_GRAY2BGR)
+        for _ in range(10):
+            film.write(frame)
+    film.release()
+    monkeypatch.setattr(calibrate_camera, "FRAMES_SEARCHED", 30)
+    out = tmp_path / "camera.yaml"
+    files = ["--out", str(out), "--errors", str(tmp_path / "errors.png")]
+    main(["lens", str(path), "--board", "8x6", "--square", "0.03", "--marker", "0.022", *files])
+    told = capsys.readouterr().out
+    assert re.search(r"^100 of 100 frames read, 6[2-5] searched, board found in [56]\d$", told, re.M)
+    assert "first square is white" in told
+    assert "fitted to the 40 pictures that differ most" in told
+    assert "px rms over 40 pictures" in told
+    assert np.allclose(np.diag(load_lens(out).matrix)[:2], [620, 610], rtol=0.02)
+
+
+def test_progress_on_a_terminal(monkeypatch, capsys):
+    """One line that changes, on stderr; nothing of it in a file."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    progress = calibrate_camera.Progress(SimpleNamespace(is_film=True, place=7, count=50))
+    progress.searched("film: 6", 40, 48)
+    progress.searched("film: 7", 0, 48)
+    progress.end()
+    told = capsys.readouterr()
+    assert told.out == ""
+    line = "7 of 50 frames read, {} searched, board found in 1"
+    assert told.err == f"\r{line.format(1)}\r{line.format(2)}\n"
+
+
+@pytest.mark.parametrize("model", ["rational_polynomial", "equidistant"])
+def test_models_in_the_camera_file(model, make_scene, rng, tmp_path, capsys):
+    picture = draw_board(Board(9, 7, 0.03, 0.022), 60)
+    size = np.array(picture.shape[::-1]) / 60 * 0.03
+    scene = make_scene(picture, size, MATRIX, [0.0, 0, 0, 0], model == "equidistant")
+    for k in range(8):
+        tilt = 0.5 * np.array([np.cos(0.8 * k), np.sin(0.8 * k), 0.2])
+        turn = cv2.Rodrigues(tilt)[0] @ np.diag([1.0, -1, -1])
+        move = np.array([0.09 * np.cos(2.4 * k), 0.06 * np.sin(2.4 * k), 0.4])
+        cv2.imwrite(str(tmp_path / f"{k}.png"), scene.take(turn, move, rng))
+    out = tmp_path / "camera.yaml"
+    files = ["--out", str(out), "--errors", str(tmp_path / "errors.txt.bmp")]
+    main(["lens", str(tmp_path), *BOARD, "--model", model, *files])
+    lens = load_lens(out, (640, 480))
+    assert lens.model == model
+    assert np.allclose(np.diag(lens.matrix)[:2], [620, 610], rtol=0.03)
+    assert f"  distortion_model: {model}" in capsys.readouterr().out
 
 
 def test_board_for_the_printer(tmp_path, capsys):

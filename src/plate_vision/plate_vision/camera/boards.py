@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
 from plate_core.rig import project
 
@@ -26,6 +27,13 @@ LEAST_WINDOW_PX, MOST_WINDOW_PX = 2, 11
 LEAST_CORNERS = 6
 """Corners that a picture needs: a homography takes four."""
 
+LEAST_MARKERS = 4
+"""Markers from which on they tell how the board is printed."""
+
+WORST_MISFIT = 0.4
+"""Root mean square distance of markers from where the board has them, over their side: of a wrong
+board it is 0.7 or more, of the right one through a strong lens 0.2."""
+
 NEAR = 4
 """Markers from whose corners the place of one between them is predicted, so that a lens that bends
 is no matter."""
@@ -40,6 +48,15 @@ MOST_PIXELS = 200_000_000
 LEAST_PICTURES = 5
 """Pictures that are needed: three tell K in principle, in noise more are wanted."""
 
+MOST_PICTURES = 40
+"""Pictures from which a lens is fitted: more take long, and tell little more."""
+
+START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
+"""Angles across the longer side of the image from which the fit of an equidistant lens begins."""
+
+FIT_STEPS = 200
+"""Steps of that fit at most; 10 to 20 are enough."""
+
 WORST_ERROR_PX = 1.0
 """Root mean square of the errors above which a lens is refused: good pictures leave 0.1 to 0.3."""
 
@@ -53,7 +70,7 @@ Corners = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board of squares, black and white in turns; the one at the top left is black.
+    """A flat board of squares, black and white in turns.
 
     Attributes
     ----------
@@ -66,6 +83,9 @@ class Board:
         0: a chessboard.
     dictionary : str
         Of the markers.
+    white_first : bool
+        The square at the top left is white, as on boards of OpenCV before 4.6 with an even number
+        of rows, and of other programs; else it is black.
     """
 
     columns: int
@@ -73,6 +93,7 @@ class Board:
     square_m: float
     marker_m: float = 0.0
     dictionary: str = "5X5_100"
+    white_first: bool = False
 
     def __post_init__(self) -> None:
         least = 4 if self.marker_m == 0 else 3  # OpenCV finds no chessboard of fewer
@@ -98,11 +119,16 @@ class Board:
         return self.square_m * np.column_stack([x.ravel(), y.ravel()]).astype(float)
 
     @property
+    def white(self) -> np.ndarray:
+        """Which squares (rows, columns) are white."""
+        y, x = np.mgrid[: self.rows, : self.columns]
+        return np.asarray((x + y) % 2 == (0 if self.white_first else 1))
+
+    @property
     def markers(self) -> np.ndarray:
         """Corners (n, 4, 2) [m] of the markers, as `find_markers` gives them; y down."""
-        y, x = np.mgrid[: self.rows, : self.columns]
-        white = (x + y) % 2 == 1
-        middle = np.column_stack([x[white], y[white]]) + 0.5
+        y, x = np.nonzero(self.white)
+        middle = np.column_stack([x, y]) + 0.5
         square = 0.5 * self.marker_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
         return np.asarray(self.square_m * middle[:, None] + square)
 
@@ -121,13 +147,11 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
             f"board: {board.columns} x {board.rows} squares of {square_px} px are {pixels:,} "
             f"pixels, allowed: {MOST_PIXELS:,} (is the square's side in metres?)"
         )
-    y, x = np.mgrid[: board.rows, : board.columns]
-    squares = np.where((x + y) % 2 == 1, 255, 0).astype(np.uint8)
+    squares = np.where(board.white, 255, 0).astype(np.uint8)
     picture = squares.repeat(square_px, axis=0).repeat(square_px, axis=1)
     side = round(board.marker_m / board.square_m * square_px)
     if side:
-        white = np.argwhere((x + y) % 2 == 1)
-        for number, (row, column) in enumerate(white.tolist()):
+        for number, (row, column) in enumerate(np.argwhere(board.white).tolist()):
             top = row * square_px + (square_px - side) // 2
             left = column * square_px + (square_px - side) // 2
             marker = draw_marker(board.dictionary, number, side)
@@ -138,21 +162,71 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
 def find_corners(grey: np.ndarray, board: Board) -> Corners | None:
     """Find a board's inner corners in an image (H, W) uint8; None if fewer than `LEAST_CORNERS`.
 
-    Of a chessboard all corners must be seen, of a ChArUco board those next to markers that are.
+    Of a chessboard all corners must be seen, of a ChArUco board those next to markers that are; its
+    first square may be black or white.
+
+    Raises
+    ------
+    CalibrationError
+        If markers are seen, but not where such a board has them.
     """
+    return find_board(grey, board)[1]
+
+
+def find_board(grey: np.ndarray, board: Board) -> tuple[Board, Corners | None]:
+    """Do so, and return the board too, as it is printed: the one that is given, unless the markers
+    show that the other square is the first."""
     grey = np.ascontiguousarray(grey)
     if board.marker_m == 0:
         size = (board.columns - 1, board.rows - 1)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE
         seen, corners = cv2.findChessboardCorners(grey, size, flags=flags)
         if not seen:
-            return None
-        return np.arange(len(board.corners)), _refine(grey, corners, board)
-    which, corners = _corners_beside(find_markers(grey, board.dictionary), board)
+            return board, None
+        return board, (np.arange(len(board.corners)), _refine(grey, corners, board))
+    found = find_markers(grey, board.dictionary)
+    board = _as_printed(found, board)
+    which, corners = _corners_beside(found, board)
     inside = np.all((corners > 3) & (corners < np.array(grey.shape[::-1]) - 4), axis=1)
     if np.count_nonzero(inside) < LEAST_CORNERS:
-        return None
-    return which[inside], _refine(grey, corners[inside], board)
+        return board, None
+    return board, (which[inside], _refine(grey, corners[inside], board))
+
+
+def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
+    """Return the board, its first square black or white, on which markers (4, 2) [px], by number,
+    are where they are found."""
+    if len(found) < LEAST_MARKERS:
+        return board
+    other = replace(board, white_first=not board.white_first)
+    here, there = _misfit(found, board), _misfit(found, other)
+    best, misfit = (other, there) if there < 0.5 * here else (board, here)
+    if misfit > WORST_MISFIT:
+        turned = replace(board, columns=board.rows, rows=board.columns)
+        swapped = min(_misfit(found, replace(turned, white_first=first)) for first in (False, True))
+        hint = (
+            f" (as {board.rows}x{board.columns} they would fit)" if swapped < WORST_MISFIT else ""
+        )
+        raise CalibrationError(
+            f"{len(found)} markers are seen, but not where a board of {board.columns}x{board.rows} "
+            f"has them{hint}, allowed: its squares along x and y, numbered along the rows"
+        )
+    return best
+
+
+def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
+    """Return how far the markers found are from where a homography has the board's [markers]."""
+    known = board.markers
+    numbers = [number for number in found if number < len(known)]
+    if 2 * len(numbers) < len(found):  # a few may be others' markers
+        return np.inf
+    place, seen = known[numbers].reshape(-1, 2), np.concatenate([found[k] for k in numbers])
+    matrix, _ = cv2.findHomography(place, seen)
+    if matrix is None:
+        return np.inf
+    gap = np.linalg.norm(project(matrix, place) - seen, axis=1)
+    sides = np.linalg.norm(np.diff(seen.reshape(-1, 4, 2), axis=1), axis=2)
+    return float(np.sqrt(np.mean(gap**2)) / np.median(sides))
 
 
 def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
@@ -188,6 +262,34 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     return np.asarray(refined, dtype=float).reshape(-1, 2)
 
 
+def choose(seen: Sequence[Corners], board: Board, most: int = MOST_PICTURES) -> list[int]:
+    """Choose pictures in which the board is in places that differ most, and return their indices.
+
+    The first shows most of the board; each next one is the one whose board is farthest from those
+    of all chosen ones, by the images of its four outer corners: so they spread over the image,
+    distances and tilts.
+    """
+    if len(seen) <= most:
+        return list(range(len(seen)))
+    outer = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * [board.columns, board.rows]
+    places = []
+    for which, corners_px in seen:
+        matrix, _ = cv2.findHomography(board.corners[which], np.asarray(corners_px))
+        places.append(
+            np.full(8, np.nan)
+            if matrix is None
+            else project(matrix, board.square_m * outer).ravel()
+        )
+    place = np.array(places)
+    usable = np.all(np.isfinite(place), axis=1)
+    chosen = [max(np.flatnonzero(usable).tolist(), key=lambda k: len(seen[k][0]))]
+    gap = np.where(usable, np.linalg.norm(place - place[chosen[0]], axis=1), -np.inf)
+    while len(chosen) < min(most, int(np.count_nonzero(usable))):
+        chosen.append(int(np.argmax(gap)))
+        gap = np.fmin(gap, np.linalg.norm(place - place[chosen[-1]], axis=1))
+    return sorted(chosen)
+
+
 @dataclass(frozen=True, eq=False)
 class LensFit:
     """The result.
@@ -195,7 +297,6 @@ class LensFit:
     Attributes
     ----------
     lens : Lens
-        With k1, k2, p1, p2, k3.
     size_px : (int, int)
         Width and height of the pictures.
     error_px : float
@@ -204,8 +305,8 @@ class LensFit:
         By picture: corners seen less computed [px].
     corners : tuple
         By picture: which corners, and where they are seen [px].
-    deviation : (9,)
-        Standard deviations of fx, fy, cx, cy [px], k1, k2, p1, p2, k3 that the errors entail.
+    deviation : (n,)
+        Standard deviations of fx, fy, cx, cy [px] and the lens's distortion that the errors entail.
     cover : (float, float)
         Fraction of the image's width and height that the corners span.
     """
@@ -229,8 +330,13 @@ class LensFit:
         return None
 
 
-def fit_lens(board: Board, seen: Sequence[Corners], size_px: tuple[int, int]) -> LensFit:
+def fit_lens(
+    board: Board, seen: Sequence[Corners], size_px: tuple[int, int], model: str = "plumb_bob"
+) -> LensFit:
     """Find the lens from what was seen of a board in pictures of a width and height [px].
+
+    `model` is a key of `plate_core.rig.LENS_MODELS`: a plumb_bob with k1, k2, p1, p2, k3, a
+    rational_polynomial with k4, k5, k6 too, or an equidistant lens.
 
     Raises
     ------
@@ -242,36 +348,124 @@ def fit_lens(board: Board, seen: Sequence[Corners], size_px: tuple[int, int]) ->
             f"board seen in {len(seen)} pictures, allowed: at least {LEAST_PICTURES}, from "
             "different sides (is the number of squares right?)"
         )
-    corners = np.column_stack([board.corners, np.zeros(len(board.corners))]).astype(np.float32)
+    corners = np.column_stack([board.corners, np.zeros(len(board.corners))])
     points = [corners[which] for which, _ in seen]
-    places = [np.asarray(place, dtype=np.float32).reshape(-1, 1, 2) for _, place in seen]
-    try:
-        answer = cv2.calibrateCameraExtended(points, places, size_px, np.eye(3), np.zeros(5))
-    except cv2.error as error:
-        raise CalibrationError(
-            f"no lens fits what was seen ({error.err}), allowed: boards seen from different sides"
-        ) from None
-    _, matrix, bend, turns, moves, deviation = answer[:6]
-    bend = np.ravel(bend)[:5]
-    errors = tuple(
-        place - cv2.projectPoints(point, turn, move, matrix, bend)[0].reshape(-1, 2)
-        for point, (_, place), turn, move in zip(points, seen, turns, moves, strict=True)
-    )
+    places = [np.asarray(place, dtype=float) for _, place in seen]
+    fit = _fit_equidistant if model == "equidistant" else _fit_brown
+    matrix, bend, errors, deviation = fit(points, places, size_px, model)
     everything = np.concatenate(errors)
     error_px = float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
-    deviation = np.ravel(deviation)[:9]
     if not np.all(np.isfinite(matrix)) or not error_px <= WORST_ERROR_PX:
         raise CalibrationError(
             f"corners are {error_px:.3g} px from where the lens has them, allowed: "
             f"{WORST_ERROR_PX:g} px (is the board flat, are its numbers right?)"
         )
-    if deviation[0] > 0.05 * matrix[0, 0]:
+    if not deviation[0] <= 0.05 * matrix[0, 0]:
         raise CalibrationError(
             f"focal length is {matrix[0, 0]:.0f} +- {deviation[0]:.0f} px, allowed: 5 % (tilt the "
             "board against the camera, by 20 to 40 degrees, to all sides)"
         )
-    width, height = np.ptp(np.concatenate([place for _, place in seen]), axis=0) / size_px
+    width, height = np.ptp(np.concatenate(places), axis=0) / size_px
     return LensFit(
-        Lens(matrix, bend), size_px, error_px, errors,
+        Lens(matrix, bend, model), size_px, error_px, tuple(errors),
         tuple(seen), deviation, (float(width), float(height)),
     )  # fmt: skip
+
+
+Fit = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
+"""K (3, 3) [px], D, by picture the corners seen less computed (n, 2) [px], and the standard
+deviations of fx, fy, cx, cy [px] and D."""
+
+
+def _fit_brown(
+    points: Sequence[np.ndarray], places: Sequence[np.ndarray], size_px: tuple[int, int], model: str
+) -> Fit:
+    """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] seen in places (n, 2) [px]."""
+    rational = model == "rational_polynomial"
+    flags, count = (cv2.CALIB_RATIONAL_MODEL, 8) if rational else (0, 5)
+    try:
+        answer = cv2.calibrateCameraExtended(
+            [point.astype(np.float32) for point in points],
+            [place.astype(np.float32).reshape(-1, 1, 2) for place in places],
+            size_px, np.eye(3), np.zeros(count), flags=flags,
+        )  # fmt: skip
+    except cv2.error as error:
+        raise CalibrationError(
+            f"no lens fits what was seen ({error.err}), allowed: boards seen from different sides"
+        ) from None
+    _, matrix, bend, turns, moves, deviation = answer[:6]
+    bend = np.ravel(bend)[:count]
+    errors = [
+        place - cv2.projectPoints(point, turn, move, matrix, bend)[0].reshape(-1, 2)
+        for point, place, turn, move in zip(points, places, turns, moves, strict=True)
+    ]
+    return matrix, bend, errors, np.ravel(deviation)[: 4 + count]
+
+
+def _fit_equidistant(
+    points: Sequence[np.ndarray], places: Sequence[np.ndarray], size_px: tuple[int, int], model: str
+) -> Fit:
+    """Fit an equidistant lens: Levenberg and Marquardt's method with OpenCV's derivatives.
+
+    It begins with a lens that shows 180 degrees across the image, or less until the boards' poses
+    are found.
+    """
+    starts = []
+    for angle in START_ANGLES_RAD:
+        focal = max(size_px) / angle
+        middle = [(side - 1) / 2 for side in size_px]
+        matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
+        lens = Lens(matrix, np.zeros(4), model)
+        poses = [_pose(point, lens, place) for point, place in zip(points, places, strict=True)]
+        start = np.concatenate([[focal, focal, *middle], np.zeros(4), *poses])
+        if np.all(np.isfinite(start)):
+            residual = _equidistant_errors(start, points, places)[0]
+            starts.append((float(residual @ residual), start))
+    if not starts:
+        raise CalibrationError(
+            "no equidistant lens fits what was seen, allowed: boards seen from different sides"
+        )
+    first = min(starts, key=lambda one: one[0])[1]
+    found = least_squares(
+        lambda x: _equidistant_errors(x, points, places)[0],
+        first,
+        lambda x: _equidistant_errors(x, points, places)[1],
+        x_scale="jac", max_nfev=FIT_STEPS,
+    )  # fmt: skip
+    fx, fy, cx, cy, *bend = found.x[:8]
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    freedom = max(1, len(found.fun) - len(found.x))
+    spread = np.linalg.pinv(found.jac.T @ found.jac) * (found.fun @ found.fun) / freedom
+    ends = np.cumsum([len(point) for point in points])[:-1]
+    errors = np.split(-found.fun.reshape(-1, 2), ends)
+    return matrix, np.array(bend), errors, np.sqrt(np.maximum(np.diag(spread)[:8], 0))
+
+
+def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
+    """Return rotation vector and translation (6,) of a board by a lens; NaN if there is none."""
+    straight = lens.straighten(place)
+    if not np.all(np.isfinite(straight)):
+        return np.full(6, np.nan)
+    found, turn, move = cv2.solvePnP(point, straight, lens.matrix, np.zeros(4))
+    return np.concatenate([turn.ravel(), move.ravel()]) if found else np.full(6, np.nan)
+
+
+def _equidistant_errors(
+    values: np.ndarray, points: Sequence[np.ndarray], places: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners computed less seen (2 n,) [px], and their derivative (2 n, m), of fx, fy, cx,
+    cy, k1 to k4 and six numbers for each picture's pose (m,)."""
+    fx, fy, cx, cy = values[:4]
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    residuals = []
+    slopes = np.zeros((2 * sum(map(len, points)), len(values)))
+    row = 0
+    for k, (point, place) in enumerate(zip(points, places, strict=True)):
+        own = slice(8 + 6 * k, 14 + 6 * k)
+        turn, move = values[own].reshape(2, 3)
+        seen, slope = cv2.fisheye.projectPoints(point[:, None], turn, move, matrix, values[4:8])
+        residuals.append(seen.reshape(-1, 2) - place)
+        rows = slice(row, row := row + 2 * len(point))
+        slopes[rows, :8] = slope[:, :8]
+        slopes[rows, own] = slope[:, 8:14]
+    return np.concatenate(residuals).ravel(), slopes

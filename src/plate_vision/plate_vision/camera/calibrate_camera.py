@@ -14,12 +14,22 @@ import cv2
 import numpy as np
 
 from plate_core import PlateError, load_rig
+from plate_core.rig import LENS_MODELS
 
 from ..drawing import draw_errors
 from ..errors import CalibrationError, check_size
 from ..plate.home import find_home
-from .boards import Board, Corners, LensFit, draw_board, find_corners, fit_lens
-from .files import load_lens, read_pictures, save_lens, write_picture
+from .boards import (
+    LEAST_PICTURES,
+    Board,
+    Corners,
+    LensFit,
+    choose,
+    draw_board,
+    find_board,
+    fit_lens,
+)
+from .files import Pictures, load_lens, read_pictures, save_lens, write_picture
 from .lens import rig_lens
 from .markers import draw_marker
 
@@ -27,6 +37,14 @@ PRINT_DPI = 300
 """Resolution of what is printed [dots per inch]."""
 
 INCH_M = 0.0254
+
+FRAMES_SEARCHED = 60
+"""Frames of a film that are searched one after the other; then as many of every second one, of
+every fourth and so on: 250 of 1000, 450 of 10,000."""
+
+BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE = ("k1", "k2", "k3", "k4")
+"""Names of distortion's values."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -45,6 +63,11 @@ def _parser() -> argparse.ArgumentParser:
     lens = commands.add_parser("lens", help="find the lens from pictures of a board")
     lens.add_argument("pictures", type=Path, help="folder of pictures, or a video file")
     _board_options(lens)
+    lens.add_argument(
+        "--model", choices=tuple(LENS_MODELS), default="plumb_bob",
+        help="of the distortion: rational_polynomial for wide lenses, equidistant for fisheyes "
+        "(plumb_bob)",
+    )  # fmt: skip
     lens.add_argument("--name", default="camera", help="name of the camera (camera)")
     lens.add_argument("--out", type=Path, default=Path("camera.yaml"), help="camera_info file")
     lens.add_argument("--errors", type=Path, default=Path("errors.png"), help="picture of errors")
@@ -90,30 +113,84 @@ def _make_board(args: argparse.Namespace) -> Board:
 
 def _lens(args: argparse.Namespace) -> None:
     board = _make_board(args)
-    seen: list[Corners] = []
-    size_px = (0, 0)
-    for name, picture in read_pictures(args.pictures):
-        here = (picture.shape[1], picture.shape[0])
-        if size_px not in ((0, 0), here):
-            raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as the one before")
-        size_px = here
-        corners = find_corners(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), board)
-        print(
-            f"{name}: {0 if corners is None else len(corners[0])} of {len(board.corners)} corners"
-        )
-        if corners is not None:
-            seen.append(corners)
-    fit = fit_lens(board, seen, size_px)
+    pictures = read_pictures(args.pictures)
+    board, seen, size_px = _search(pictures, board)
+    if board.white_first:
+        print("the board's first square is white, as OpenCV before 4.6 drew it: taken so")
+    chosen = choose(seen, board)
+    if len(chosen) < len(seen):
+        print(f"the lens is fitted to the {len(chosen)} pictures that differ most")
+    fit = fit_lens(board, [seen[k] for k in chosen], size_px, args.model)
     print(_summary(fit))
     save_lens(args.out, args.name, size_px, fit.lens)
     write_picture(args.errors, draw_errors(fit))
     print(f"{args.out}: camera_info file; {args.errors}: errors of the corners")
 
 
+def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
+    """Look for the board in pictures of one size: in each one of a folder, in fewer and fewer
+    frames of a long film. Returns the board as it is printed, too."""
+    progress = Progress(pictures)
+    seen: list[Corners] = []
+    size_px = (0, 0)
+    unlike: CalibrationError | None = None
+    for name, picture in pictures:
+        here = (picture.shape[1], picture.shape[0])
+        if size_px not in ((0, 0), here):
+            raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as the one before")
+        size_px = here
+        corners = None
+        try:
+            board, corners = find_board(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), board)
+        except CalibrationError as error:
+            unlike = error
+        if corners is not None:
+            seen.append(corners)
+        progress.searched(name, 0 if corners is None else len(corners[0]), len(board.corners))
+        if pictures.is_film:
+            pictures.skip(2 ** (progress.count // FRAMES_SEARCHED) - 1)
+    progress.end()
+    if unlike is not None and len(seen) < LEAST_PICTURES:
+        raise unlike
+    return board, seen, size_px
+
+
+class Progress:
+    """Tells how the search goes on: a line for each picture of a folder; of a film one that changes
+    on a terminal, and the sum at the end."""
+
+    def __init__(self, pictures: Pictures) -> None:
+        self._pictures = pictures
+        self._changes = pictures.is_film and sys.stderr.isatty()
+        self.count = self._found = 0
+
+    def searched(self, name: str, corners: int, of: int) -> None:
+        """A picture was searched."""
+        self.count += 1
+        self._found += corners > 0
+        if not self._pictures.is_film:
+            print(f"{name}: {corners} of {of} corners", flush=True)
+        elif self._changes:
+            print(f"\r{self._text()}", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """All are searched."""
+        if self._changes:
+            print(file=sys.stderr)
+        elif self._pictures.is_film:
+            print(self._text())
+
+    def _text(self) -> str:
+        read, count = self._pictures.place, self._pictures.count
+        of = f" of {count}" if count >= read else ""
+        return f"{read}{of} frames read, {self.count} searched, board found in {self._found}"
+
+
 def _summary(fit: LensFit) -> str:
-    matrix, deviation = fit.lens.matrix, fit.deviation
-    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *fit.lens.distortion]
-    names = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
+    matrix, deviation, lens = fit.lens.matrix, fit.deviation, fit.lens
+    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens.distortion]
+    own = FISHEYE if lens.model == "equidistant" else BROWN
+    names = ["fx", "fy", "cx", "cy", *own[: len(lens.distortion)]]
     lines = [f"{n} = {v:.5g} +- {s:.2g}" for n, v, s in zip(names, values, deviation, strict=True)]
     lines.append(f"error {fit.error_px:.3f} px rms over {len(fit.errors)} pictures")
     if fit.warning:
@@ -122,8 +199,10 @@ def _summary(fit: LensFit) -> str:
         "for the rig file, section camera:",
         f"  focal_px: [{matrix[0, 0]:.3f}, {matrix[1, 1]:.3f}]",
         f"  centre_px: [{matrix[0, 2]:.3f}, {matrix[1, 2]:.3f}]",
-        f"  distortion: [{', '.join(f'{d:.6g}' for d in fit.lens.distortion)}]",
+        f"  distortion: [{', '.join(f'{d:.6g}' for d in lens.distortion)}]",
     ]
+    if lens.model != "plumb_bob":
+        lines.append(f"  distortion_model: {lens.model}")
     return "\n".join(lines)
 
 

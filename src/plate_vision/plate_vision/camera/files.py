@@ -139,16 +139,19 @@ class Pictures:
 
     Attributes
     ----------
+    is_film : bool
     count : int
         How many there are; of a video as its file says, which may be wrong or 0.
+    place : int
+        How many have been read or left out.
     """
 
     def __init__(self, path: Path, files: Sequence[Path], warn: Callable[[str], None]) -> None:
         self._path, self._files, self._warn = path, files, warn
-        self._next = 0
+        self.place = 0
         self._warned = False
         self._film: cv2.VideoCapture | None = None if files else _open_film(path)
-        self.count = len(files)
+        self.is_film, self.count = self._film is not None, len(files)
         if self._film is not None:
             self.count = max(0, int(self._film.get(cv2.CAP_PROP_FRAME_COUNT)))
             turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
@@ -162,36 +165,28 @@ class Pictures:
         return self
 
     def __next__(self) -> tuple[str, np.ndarray]:
-        number = self._next
+        number = self.place
         if self._film is None:
-            if number == len(self._files):
+            if number >= len(self._files):
                 raise StopIteration
             file = self._files[number]
-            self._next += 1
+            self.place += 1
             return file.name, self._read(file)
         there, pixels = self._film.read()
         if not there:
             self._end()
-        self._next += 1
+        self.place += 1
         return f"{self._path.name}: {number}", np.asarray(pixels)
 
-    def skip(self) -> None:
-        """Leave out a picture, in less time than it takes to read it.
-
-        Raises
-        ------
-        StopIteration
-            If there is none.
-        """
-        if self._film is None:
-            if self._next == len(self._files):
-                raise StopIteration
-        elif not self._film.grab():
-            self._end()
-        self._next += 1
+    def skip(self, count: int) -> None:
+        """Leave out some pictures, in less time than it takes to read them."""
+        for _ in range(count):
+            if self._film is not None and not self._film.grab():
+                return
+            self.place += 1
 
     def _end(self) -> None:
-        if self._next == 0:
+        if self.place == 0:
             raise ImageError(f"{self._path}: {NO_FILM}")
         raise StopIteration
 
