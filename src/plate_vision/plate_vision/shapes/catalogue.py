@@ -138,6 +138,8 @@ class Catalogue:
         CIE L, a, b; NaN where it is not known.
     form : (T, HARMONICS - 1)
         See `Outline.form`.
+    height : (T,)
+        Above the plate [m]; 0: flat, or not known.
     """
 
     templates: tuple[Template, ...]
@@ -148,6 +150,7 @@ class Catalogue:
     scatter: np.ndarray
     colour: np.ndarray
     form: np.ndarray
+    height: np.ndarray
 
 
 def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
@@ -163,6 +166,7 @@ def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
         np.array([template.part.scatter_m for template in templates]),
         np.array([t.part.colour_lab or unknown for t in templates]).reshape(-1, 3),
         np.array([t.outline.form for t in templates]).reshape(-1, HARMONICS - 1),
+        np.array([template.part.height_m for template in templates]),
     )
 
 

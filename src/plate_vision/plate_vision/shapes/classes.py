@@ -21,7 +21,8 @@ from plate_core.rig import PartType
 from .. import _kernels
 from ..camera.lens import Calibration
 from .catalogue import Catalogue, Template, lay_on
-from .outlines import POINTS, Outline, make_outline, patch_rings
+from .heights import footprint, magnified
+from .outlines import POINTS, THREE, Outline, make_outline, patch_rings
 from .patch import Patch
 
 UNKNOWN = "unknown"
@@ -130,30 +131,94 @@ def recognise(
     found = np.zeros(len(outlines), SIGHTING)
     if not len(outlines):
         return found
-    centre = np.array([outline.centre for outline in outlines])
-    scale = calibration.scale(centre)
-    area = np.array([outline.area for outline in outlines])
-    found["x"], found["y"] = centre.T
-    found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
     found["whole"] = [patch.whole for patch in patches]
     found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
+    levels, which, usual = height_levels(catalogue, calibration)
+    on_plate = [outlines if h == 0 else footprints(outlines, calibration, h) for h in levels]
+    centre = np.array([outline.centre for outline in on_plate[usual]])
+    scale = calibration.scale(centre)
+    area = np.array([outline.area for outline in on_plate[usual]])
+    found["x"], found["y"] = centre.T
+    found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
     if catalogue.templates:
         reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
         fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
         size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
-        filled = np.array([outline.filled.area for outline in outlines])[:, None]
+        filled = np.array([[one.filled.area for one in own] for own in on_plate])[which].T
         swell_px = scale[:, None] * np.abs(filled - catalogue.filled_area) / catalogue.rim
         ratio = np.log(np.maximum(filled, 1e-12) / catalogue.filled_area) / 2
         other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
-        form = np.array([outline.form for outline in outlines])[:, None] - catalogue.form
-        other |= np.sum(form**2, axis=2) > UNLIKE**2
-        tint = np.nan_to_num(colour_distance(colours[:, None], catalogue.colour, image.ndim == 3))
+        form = np.array([[one.form for one in own] for own in on_plate])[which].swapaxes(0, 1)
+        other |= np.sum((form - catalogue.form) ** 2, axis=2) > UNLIKE**2
+        tints = [
+            colours if h == 0 else top_colours(image, own, calibration, h, colours)
+            for h, own in zip(levels, on_plate, strict=True)
+        ]
+        tint = np.array(tints)[which].swapaxes(0, 1)
+        tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
         least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
         least[other] = np.inf
-        for i, outline in enumerate(outlines):
-            _judge_one(found[i], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i])
+        for i in range(len(outlines)):
+            seen = [own[i] for own in on_plate]
+            own_outlines = [seen[level] for level in which]
+            _judge_one(
+                found[i], own_outlines, catalogue, scale[i], least[i], fit[i], size[i], tint[i]
+            )
     fitted = np.column_stack([found["x"], found["y"]])
     found["x_px"], found["y_px"] = calibration.to_image(fitted).T
+    return found
+
+
+def height_levels(
+    catalogue: Catalogue, calibration: Calibration
+) -> tuple[list[float], np.ndarray, int]:
+    """Return the different heights of types [m], which of them each type (T,) has, and which most
+    of them have. All are 0 if the camera's place is not known."""
+    height = catalogue.height if calibration.place is not None else np.zeros(len(catalogue.area))
+    if not np.any(height):
+        return [0.0], np.zeros(len(height), int), 0
+    levels, which, count = np.unique(height, return_inverse=True, return_counts=True)
+    return levels.tolist(), which.ravel(), int(np.argmax(count))
+
+
+def footprints(
+    outlines: Sequence[Outline], calibration: Calibration, height: float
+) -> list[Outline]:
+    """Return where parts of a height [m] touch the plate, of which all that is seen has these
+    outlines; those of what is not so high as they are."""
+    if calibration.place is None:
+        return list(outlines)
+    scale = calibration.scale(np.array([outline.centre for outline in outlines]).reshape(-1, 2))
+    return [
+        footprint(one, calibration.place, height, float(own)) or one
+        for one, own in zip(outlines, scale, strict=True)
+    ]
+
+
+def top_colours(
+    image: np.ndarray,
+    outlines: Sequence[Outline],
+    calibration: Calibration,
+    height: float,
+    otherwise: np.ndarray,
+) -> np.ndarray:
+    """Return the colours CIE L, a, b (n, 3) of the tops of parts of a height [m] with these
+    outlines on the plate; `otherwise` (n, 3) where they are too small."""
+    found = otherwise.copy()
+    below = calibration.place[:2] if calibration.place is not None else np.zeros(2)
+    factor = 1.0 if calibration.place is None else magnified(calibration.place, height)
+    for i, outline in enumerate(outlines):
+        rings = [calibration.to_image(below + (ring - below) * factor) for ring in outline.rings]
+        low = np.maximum(np.floor(rings[0].min(axis=0)).astype(int), 0)
+        high = np.minimum(np.ceil(rings[0].max(axis=0)).astype(int) + 1, image.shape[1::-1])
+        if np.any(high <= low):
+            continue
+        mask = np.zeros((high - low)[::-1], np.uint8)
+        for number, ring in enumerate(rings):
+            cv2.fillPoly(mask, [np.rint(16 * (ring - low)).astype(np.int32)], not number, shift=4)
+        pixels = image[low[1] : high[1], low[0] : high[0]][cv2.erode(mask, THREE) > 0]
+        if len(pixels) > 8:
+            found[i] = to_lab(np.broadcast_to(np.median(pixels, axis=0), (1, 3)))[0]
     return found
 
 
@@ -198,7 +263,7 @@ def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
 
 def _judge_one(
     row: np.void,
-    outline: Outline,
+    outlines: Sequence[Outline],
     catalogue: Catalogue,
     scale: float,
     least: np.ndarray,
@@ -206,15 +271,16 @@ def _judge_one(
     size_square: np.ndarray,
     tint: np.ndarray,
 ) -> None:
-    """Fill in a sighting () SIGHTING. Of each type (T,): its least score; variances of outline
-    and size [px2]; how far its colour is."""
+    """Fill in a sighting () SIGHTING. Of each type (T,): the outline if it is as high as that; its
+    least score; variances of outline and size [px2]; how far its colour is."""
     best, second, chosen, kept = np.inf, np.inf, 0, np.empty(0)
-    laid, points = catalogue.templates[0], outline.points
+    laid, points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(least).tolist():
         most = min(LIMIT**2, best + HOPELESS)
         if least[j] > most:
             break
-        template, seen, holes = catalogue.templates[j], outline, 0.0
+        template, seen, holes = catalogue.templates[j], outlines[j], 0.0
+        outline = seen
         if bool(template.part.holes) != (len(outline.ends) > 1):
             holes = max(outline.hole_share, template.outline.hole_share) / HOLES
             template, seen = template.filled, outline.filled
@@ -234,7 +300,7 @@ def _judge_one(
         return
     over = catalogue.templates[chosen].mirrored
     if over is not None:
-        gain = kept[4] ** 2 - lay_on(over, outline, scale)[4] ** 2
+        gain = kept[4] ** 2 - lay_on(over, outlines[chosen], scale)[4] ** 2
         if scale**2 * gain > OTHER_FACE * fit_square[chosen]:
             return
     note_type(

@@ -31,6 +31,8 @@ from .classes import (
     UNKNOWN,
     angle_sd,
     colour_distance,
+    footprints,
+    height_levels,
     is_named,
     measure_patches,
     note_type,
@@ -38,6 +40,7 @@ from .classes import (
     to_lab,
 )
 from .grouping import Work
+from .heights import seen_shift
 from .outlines import Outline, fit_pose
 from .patch import Patch
 
@@ -274,6 +277,9 @@ def _parts(
     turn = np.column_stack([right - origin, up - origin]) * scale
     to_px = np.column_stack([turn, origin - corner - turn @ place[0]])
     view = View(mask, image[here], to_px, scale, outlines[0])
+    levels, _, usual = height_levels(catalogue, calibration)
+    if levels[usual]:
+        view = _on_plate(view, calibration, levels[usual])
     most = LARGER * float(np.max(catalogue.filled_area))
     doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
     found = take_apart(_coarser(view, catalogue), catalogue, doubtful, tries)
@@ -293,6 +299,23 @@ def _parts(
         row["confidence"], row["colour"], row["whole"] = part.seen, part.tint, union.whole
     parts["x_px"], parts["y_px"] = calibration.to_image(_places(parts)).T
     return np.concatenate([parts, recognise(image, rest, catalogue, calibration)])
+
+
+def _on_plate(view: View, calibration: Calibration, height: float) -> View:
+    """Return a view of where a group of parts of a height [m] touches the plate: its top is moved
+    there."""
+    (outline,) = footprints([view.outline], calibration, height)
+    mask = np.zeros_like(view.mask)
+    for number, ring in enumerate(outline.rings):
+        points = view.seen(np.zeros(3), ring)
+        cv2.fillPoly(mask, [np.rint(16 * points).astype(np.int32)], not number, shift=4)
+    assert calibration.place is not None  # else all heights are 0
+    shift = seen_shift(calibration.place, outline.centre[None], height)[0] @ view.to_px[:, :2].T
+    pixels = cv2.warpAffine(
+        view.pixels, np.column_stack([np.eye(2), -shift]), mask.shape[::-1],
+        borderMode=cv2.BORDER_REPLICATE,
+    )  # fmt: skip
+    return replace(view, mask=mask & view.mask, pixels=pixels, outline=outline)
 
 
 def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Patch]:

@@ -1,0 +1,118 @@
+"""Parts with a height: where they touch the plate, from what a camera sees of them.
+
+A camera at c, a height H above the plate, sees a point at a height z as if it were on the plate,
+further out: at c + (p - c) H / (H - z). So a part whose footprint is F covers all t F for t from 1
+to k = H / (H - height), seen from c: its top, and the side faces that are turned to the camera.
+Where t p is covered for each such t, p belongs to the footprint. Of a convex part this is exact;
+narrow notches and holes are filled up to as much as the top is shifted.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from .. import _kernels
+from .outlines import Outline, make_outline
+
+FINE = 8
+"""Sub-pixels along each side of a pixel, in which footprints are drawn."""
+
+STEP_PX = 1.0
+"""Shift from one height that is looked at to the next [px]."""
+
+MOST_STEPS = 24
+"""Heights that are looked at."""
+
+FEWEST_POINTS = 12
+"""Of a hole's rim."""
+
+LEAST_SHIFT_PX = 0.02
+"""Shift of the top from which on it is corrected [px]."""
+
+MARGIN_PX = 3.31
+"""Pixels around a footprint in which it is drawn: no whole number of sub-pixels, as the middles of
+these on an edge would belong to one side."""
+
+
+BLUR_PX = 0.7
+"""Blur of a drawn footprint [px]: its edge is then found wherever it is between two pixels."""
+
+
+def magnified(place: np.ndarray, height: float) -> float:
+    """Return by which factor points at a height [m] are further away from below a camera at a
+    place (3,) [m]."""
+    return float(place[2] / (place[2] - height))
+
+
+def seen_shift(place: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
+    """Return by how much (n, 2) [m] points at a height [m] seem to be shifted, if those below them
+    on the plate are (n, 2) [m]."""
+    return np.asarray((point - place[:2]) * (magnified(place, height) - 1))
+
+
+def footprint(outline: Outline, place: np.ndarray, height: float, scale: float) -> Outline | None:
+    """Return the outline on the plate of a part that is seen.
+
+    Parameters
+    ----------
+    outline : Outline
+        All that is seen of it, mapped to the plate.
+    place : (3,)
+        Of the camera [m, plate_home].
+    height : float
+        Of the part [m].
+    scale : float
+        Of the image at the part [px/m].
+
+    Returns
+    -------
+    Outline or None
+        None if it is not as high.
+    """
+    factor, below = magnified(place, height), place[:2]
+    shift_px = scale * float(np.max(np.hypot(*(outline.points - below).T))) * (factor - 1)
+    if shift_px < LEAST_SHIFT_PX:
+        return outline
+    steps = int(min(np.ceil(shift_px / STEP_PX) + 1, MOST_STEPS))
+    # The footprint is nearer to the camera than what is seen of the part.
+    rings = outline.rings
+    inner = [below + (ring - below) / factor for ring in rings[:1]] + rings[:1]
+    low = np.min(np.concatenate(inner), axis=0) - MARGIN_PX / scale
+    size = np.ceil((np.max(np.concatenate(inner), axis=0) - low) * scale + MARGIN_PX).astype(int)
+    fine = np.zeros(FINE * size[::-1], np.uint8)
+    both = np.full_like(fine, 255)
+    for t in np.linspace(1, 1 / factor, steps):
+        fine[:] = 0
+        for number, ring in enumerate(rings):
+            # The middles of the first sub-pixel and pixel are 0.
+            point = (below + (ring - below) * t - low) * scale
+            point = np.rint(16 * (FINE * (point + 0.5) - 0.5)).astype(np.int32)
+            cv2.fillPoly(fine, [point], 0 if number else 255, shift=4)
+        cv2.bitwise_and(both, fine, both)
+    cover = cv2.resize(both, size.tolist(), interpolation=cv2.INTER_AREA)
+    field = cv2.GaussianBlur(np.asarray(cover, np.float32) / 255, (0, 0), BLUR_PX)
+    found = _rings(field, len(outline.points[: outline.ends[0]]))
+    if not found:
+        return None
+    return make_outline([low + ring / scale for ring in found])
+
+
+def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:
+    """Return the rings (k, 2) [px] at which a cover (h, w) float32 is a half: of the largest patch
+    `count` points, and around its holes as near to each other."""
+    mask = cv2.copyMakeBorder((cover >= 0.5).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    outer = [i for i in range(len(contours)) if tree[0, i, 3] < 0 and len(contours[i]) >= 4]
+    if not outer:
+        return []
+    largest = max(outer, key=lambda i: cv2.contourArea(contours[i]))
+    found = []
+    for i in [largest, *(i for i in range(len(contours)) if tree[0, i, 3] == largest)]:
+        ring = contours[i][:, 0]
+        share = max(round(count * len(ring) / len(contours[largest])), FEWEST_POINTS)
+        if len(ring) >= 4:
+            points = np.empty((count if i == largest else share, 2))
+            _kernels.find_edge(cover, ring, i != largest, points)
+            found.append(points)
+    return found
