@@ -57,7 +57,7 @@ from .drawing import ARROW_S, draw_detections, outlines_px
 from .errors import ImageError, TeachError, check_size
 from .live_teaching import Teaching, learn_shown
 from .overlooked import Expected, OverlookedTally
-from .plate import PlateLocation, light_problem
+from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
@@ -263,6 +263,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._image: np.ndarray | None = None
         self._came = np.empty(0)  # the last image that was used, as it came
         self._early: float | None = None
+        self._outline: OutlineCheck | None = None
         if self._location is None:
             self._place_camera()
 
@@ -363,6 +364,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
             self._markers.publish(self._scene(stamp))
+        self._check_outline(came, seconds(stamp))
         return True
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
@@ -431,6 +433,19 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if wanted.start is not None:
             place = wanted.start[:, :2]
             self._expected = Prediction(wanted.parts.ids, seconds(msg.start), place)
+
+    def _check_outline(self, image: np.ndarray, stamp: float) -> None:
+        """Compare the plate's outline in the first images with the predicted one."""
+        if self._location is not None:  # its markers say where it is
+            return
+        before = self._outline
+        if before is None:
+            before = OutlineCheck.of(self._rig, self._vision.calibration)
+        # The planner predicts parts while a task moves them.
+        self._outline = before.add(image, stamp, moving=self._expected is not None)
+        found = self._outline.finding
+        if found is not None and before.finding is None:
+            self._warn(found.message)
 
     def _note_overlooked(self) -> list[OverlookedThing]:
         """Count the things that are not taken for parts; returns them in metres."""
@@ -513,6 +528,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         response.message = f"{len(self._tracker.tracks)} parts forgotten"
         self._tracker, self._expected = Tracker(self._tracker.options), None
         self._location = self._unknown_location()
+        self._outline = None
         response.success = True
         self.get_logger().info(response.message)
         return response
@@ -529,6 +545,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             findings.append(Finding(Level.WARN, tally.problem))
         if self._vision.catalogue is not None and not self._plate.learned:
             findings.append(Finding(Level.WARN, MODELLED))
+        if self._outline is not None:
+            findings.append(self._outline.finding)
         findings.append(tally.overlooked_lately.finding(expected_parts(self._rig)))
         if self.options.source == "topic":
             findings.append(self._input.gone(now))
@@ -550,6 +568,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             **tally.overlooked_lately.values(),
             "ids_given_up": self._given_up,
             "ids_renamed": self._renamed,
+            "plate_outline": "" if self._outline is None else self._outline.text,
             "detection_ms_median": f"{np.median(took):.2f}" if took else "0",
             "detection_ms_max": f"{max(took):.2f}" if took else "0",
         }
@@ -574,6 +593,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             known = make_vision(self._rig, self._vision.options, lens)
             self._vision = replace(known, background=self._vision.background)
             self._lens = lens
+            self._outline = None
             self._location = self._unknown_location()
             if self._location is None:
                 self._place_camera()

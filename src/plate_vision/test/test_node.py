@@ -32,12 +32,14 @@ from plate_core.ros import (  # noqa: E402
     to_time,
     wanted_to_msg,
 )
+from plate_core.status import Level  # noqa: E402
 from plate_interfaces.msg import PartForces  # noqa: E402
 from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
 from plate_vision import OVERLOOKED, observe  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 from plate_vision.tracking import update  # noqa: E402
 
+CORNERS_PX = np.array([[21.01, 387.25], [617.82, 389.5], [614.33, 93.94], [26.86, 91.35]])
 CENTRE_PX = np.array([[150.0, 200.0], [400.0, 300.0]])
 LABEL = ["black", "grey"]
 MARKER_CENTRES = ((-0.27, -0.12), (0.27, -0.12), (0.27, 0.12), (-0.27, 0.12))
@@ -262,6 +264,31 @@ def test_things_that_are_no_parts_are_published_and_counted(graph, draw, rng, mo
     status = reports[-1].status[0]
     assert "no part is detected, but 2 things are seen: 2 too large (radius 9.8" in (status.message)
     assert {item.key: item.value for item in status.values}["overlooked_too_large"] == "2"
+
+
+def test_an_outline_that_is_not_where_corners_px_have_it_is_reported_until_reset(graph, draw, rng):
+    def status(play, first):
+        """Return the diagnostics after these images."""
+        for k in range(5):
+            graph.answer(image(play(), first + 0.1 * k))
+        status = graph.detector._find(0.0)
+        return status, graph.detector._values()["plate_outline"]
+
+    moved = CORNERS_PX + [5, -4]
+    found, text = status(lambda: draw(CENTRE_PX, LABEL, rng, corners=CORNERS_PX), 1.0)
+    assert (found.message, text[:12]) == ("all images used", "as predicted")
+    done = graph.resets.call_async(Trigger.Request())
+    graph.until(done.done)
+    found, text = status(lambda: draw(CENTRE_PX, LABEL, rng, corners=moved), 2.0)
+    assert found.level == Level.WARN
+    assert "the plate's outline is not where corners_px and the lens have it: it is shifted" in (
+        found.message
+    )
+    assert text.startswith("it is shifted by (5.")
+    assert any("the plate's outline" in warning for warning in graph.warnings)
+    done = graph.resets.call_async(Trigger.Request())
+    graph.until(done.done)
+    assert graph.detector._find(0.0).message == "all images used"
 
 
 def test_noise_alone_is_no_part(graph, rng):
@@ -492,7 +519,7 @@ def test_a_refused_camera_info_stays_in_diagnostics(graph, draw, rng, values, mo
     text = told(DiagnosticStatus.ERROR)
     assert text.startswith("camera_info ignored: lens: distortion")
     assert words in text
-    graph.infos.publish(camera_info([0.1, 0.0, 0.0, 0.0], "plumb_bob"))
+    graph.infos.publish(camera_info([1e-3, 0.0, 0.0, 0.0], "plumb_bob"))  # edges stay straight
     graph.until(lambda: graph.detector._lens is not None)
     assert told(DiagnosticStatus.OK) == "all images used"
 

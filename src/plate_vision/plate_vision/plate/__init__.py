@@ -1,15 +1,17 @@
-"""The plate in the image: its region, the light on it, and where it is by its markers.
+"""The plate in the image: its region and outline, the light on it, and where it is by its markers.
 
 Others use the names below; a `Region` is made once for many images.
 """
 
 from .home import PlateLocation, find_home, locate_plate
 from .light import LitPlate, fit_light, light_problem
+from .outline import OutlineCheck
 from .region import SEAM_PX, Region, make_region
 
 __all__ = [
     "SEAM_PX",
     "LitPlate",
+    "OutlineCheck",
     "PlateLocation",
     "Region",
     "find_home",

@@ -1,0 +1,594 @@
+"""The plate's outline in the image compared with the one that `corners_px` and lens predict.
+
+Each predicted edge is crossed by profiles along its normal. A curve of second degree through steps
+of brightness in these profiles is the measured edge. The deviations of all edges give the cause: a
+lens left out bends edges, a camera that was moved shifts, rotates or scales the outline. Where
+edges are not seen nothing is claimed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from plate_core import Rig
+from plate_core.status import Finding, Level
+
+from ..camera.encodings import grey_levels
+from ..camera.lens import Calibration
+
+IMAGES = 5
+"""Images from which the outline is evaluated: a plate that shakes is then seen at several places of
+its cycle."""
+
+REST_M = 5e-4
+"""Range of an edge's places in these images up to which the plate is taken to rest [m]. Of a plate
+at rest it is 0.1 mm, with noise of 15 grey levels."""
+
+RECHECK_S, UNSEEN_S = 1.0, 5.0
+"""Least time until the next evaluation after a finding, and where the plate was not seen or moved
+[s]: an image takes 20 to 60 ms."""
+
+SEARCH = 0.15
+"""Distance from the predicted edge within which the edge is searched [smaller side of the plate]:
+a published barrel lens left out shifts corners by 8 %."""
+
+STATIONS, STATION_END = 64, 0.94
+"""Profiles along an edge, and the fraction of it that they span: corners are often rounded."""
+
+NEAR_M, NEAR_STROKE, NEAR_PX = 3e-3, 0.3, 3.0
+"""Deviation that is tolerated: the smaller of the first [m] and a fraction of the stroke, but no
+less than the last [px]. At a cycle's start the plate is within 2 mm of home, and corners measured
+by hand are 1 to 2 px off."""
+
+BOW_PX, BOW_M = 1.0, 5e-4
+"""Bow in the middle of an edge that is tolerated, the larger of the two [px, m]. It is measured to
+0.2 px, and sawn plates are straight to 0.3 mm."""
+
+TURN_RAD, STRETCH = np.radians(0.6), 0.01
+"""Rotation [rad] and change of size [-] that are tolerated. Both are measured to a tenth of that
+on a plate of 300 px; a plate that shakes rotates by less at the starts of cycles."""
+
+SUPPORT = 0.6
+"""Fraction of an edge's profiles that must agree on it: parts over the edge hide some."""
+
+MIN_EDGES = 3
+"""Edges that must be seen for a claim: two leave shift and size open."""
+
+SMOOTH_PX = 1.0
+"""Standard deviation of the smoothing before profiles are taken [px]: noise of 20 grey levels
+becomes 6."""
+
+MIN_STEP, NOISE_STEPS = 4.0, 5.0
+"""Weakest step of an edge: in grey levels, and in standard deviations of the gradient beside it."""
+
+CANDIDATES = 3
+"""Strongest steps of each sign that are kept of a profile: the plate's edge, a shadow, a part."""
+
+DRAWS = 400
+"""Curves that are tried for an edge: of the triples of candidates one in 27 is the true one if each
+profile has two others, so fifteen of the curves are true."""
+
+INLIER_PX = 2.0
+"""Distance from the curve within which a step belongs to it [px]: an edge that a strong lens bends
+deviates by 1 px from a curve of second degree."""
+
+MOVED_RADII = 2.0
+"""A smaller deviation, in radii of a part, is rather a camera that was moved than an image that is
+flipped, where both fit."""
+
+SIDE_PX = 5.0, 10.0
+"""Distances from a step between which the brightness beside it is compared [px]: beyond a line of
+pen or tape, 2 to 4 px wide."""
+
+SHIFT_TEXT_M, TURN_TEXT_RAD, STRETCH_TEXT = 5e-4, np.radians(0.2), 0.003
+"""Shift [m], rotation [rad] and change of size [-] below which a message leaves them out: as large
+as they are measured with noise and corners rounded to a pixel."""
+
+FLIPS = {
+    "mirrored left to right": (1, -1),
+    "mirrored upside down": (-1, 1),
+    "rotated by 180 degrees": (-1, -1),
+}
+"""Ways in which a driver or a mount turns images: steps through rows and columns that undo it."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineGrid:
+    """The places in an image at which the plate's edges are looked for.
+
+    Attributes
+    ----------
+    half : (2,)
+        Half sides of the plate [m].
+    along : (S,)
+        Places of the profiles along an edge, -1 to 1.
+    offset : (D,)
+        Distances outwards from the predicted edge [m].
+    place_px : (4, S, D, 2) float32
+        Image points [px]; NaN outside the image.
+    scale : (4,)
+        Pixels per metre across each edge.
+    near : float
+        Deviation that is tolerated [m].
+    stroke : float
+        Of the motors [m].
+    """
+
+    half: np.ndarray
+    along: np.ndarray
+    offset: np.ndarray
+    place_px: np.ndarray
+    scale: np.ndarray
+    near: float
+    stroke: float
+
+    @classmethod
+    def of(cls, rig: Rig, calibration: Calibration) -> OutlineGrid:
+        """Prepare it for the plate of a rig at home, as this calibration sees it."""
+        half = np.asarray(rig.plate.half, float)
+        size_px = np.array([rig.camera.width_px, rig.camera.height_px])
+        along = np.linspace(-STATION_END, STATION_END, STATIONS)
+        foot = edge_points(half, along)  # (4, S, 2)
+        pixel = float(np.median(calibration.scale(foot.reshape(-1, 2))))
+        reach = SEARCH * 2 * float(half.min())
+        count = max(int(np.ceil(reach * pixel)), 8)
+        offset = np.linspace(-reach, reach, 2 * count + 1)
+        point = foot[:, :, None] + offset[:, None] * OUTWARD[:, None, None]
+        place = calibration.to_image(point.reshape(-1, 2)).reshape(*point.shape)
+        # Where a strong lens folds, a point that is far outside comes back into the image.
+        step = np.diff(place, axis=2)
+        middle = step[:, :, count : count + 1]
+        folded = np.sum(step * middle, axis=3) <= 0
+        inside = np.all((place >= 0) & (place <= size_px - 1), axis=3)
+        inside[:, :, 1:] &= ~folded
+        inside[:, :, :-1] &= ~folded
+        place[~inside] = np.nan
+        across = np.linalg.norm(middle[:, :, 0], axis=2) / (offset[1] - offset[0])
+        near = min(NEAR_M, NEAR_STROKE * rig.limits.stroke_m)
+        scale = np.median(across, axis=1)
+        near = max(near, NEAR_PX / float(scale.min()))
+        return cls(half, along, offset, place.astype(np.float32), scale, near, rig.limits.stroke_m)
+
+    @cached_property
+    def visible(self) -> np.ndarray:
+        """Which profiles (4, S) are in the image around the predicted edge: bool."""
+        around = np.abs(self.offset) <= self.near
+        return np.asarray(np.all(np.isfinite(self.place_px[:, :, around, 0]), axis=2))
+
+
+OUTWARD = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+"""Outward normals of the plate's edges, in the order of `Plate.corners`."""
+
+EDGE_WAY = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+"""Directions of the edges, counter-clockwise."""
+
+
+def edge_points(half: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Return points (4, S, 2) [m, plate_home] of the edges of a plate with these half sides (2,)
+    [m], at places `along` (S,), -1 to 1."""
+    return half * (OUTWARD[:, None] + along[:, None] * EDGE_WAY[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The plate's edges as one image shows them.
+
+    Attributes
+    ----------
+    edges : (4, 3)
+        Of each edge: distance outwards [m] from the predicted one, as the mean of both ends; slope,
+        half the difference of the ends [m]; and bow, how far the middle is further out [m]. NaN
+        where it is not seen.
+    """
+
+    edges: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which edges (4,) are seen: bool."""
+        return np.isfinite(self.edges[:, 0])
+
+    def within(self, near: float) -> np.ndarray:
+        """Which edges (4,) are nowhere further than this from the predicted ones [m]: bool."""
+        middle, slope, _ = np.abs(self.edges).T
+        return np.asarray(np.nan_to_num(middle + slope, nan=np.inf) <= near)
+
+
+def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = None) -> Outline:
+    """Measure the plate's edges in an image (H, W) or (H, W, 3) uint8.
+
+    `limit` is the greatest distance from the predicted edges [m]; None: that of the grid.
+    """
+    smooth = cv2.GaussianBlur(contrasted(image, grid), (0, 0), SMOOTH_PX)
+    edges = np.full((4, 3), np.nan)
+    rng = np.random.default_rng(0)  # the same image has the same answer
+    for edge in range(4):
+        place = grid.place_px[edge]
+        used = grid.visible[edge]
+        if np.mean(used) < SUPPORT:
+            continue
+        x, y = np.nan_to_num(place[used], nan=-1e4).transpose(2, 0, 1)
+        profile = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, borderValue=0.0)
+        profile[~np.isfinite(place[used][..., 0])] = np.nan
+        tolerance = INLIER_PX / float(grid.scale[edge])
+        found = _fit_edge(profile, grid, grid.along[used], tolerance, limit, rng)
+        if found is not None:
+            edges[edge] = found
+    return Outline(edges)
+
+
+def contrasted(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
+    """Return an image (H, W) float32 whose values rise from the surround's colour to the plate's:
+    grey levels of a grey image (H, W), a projection of a colour image (H, W, 3)."""
+    if image.ndim == 2:
+        return image.astype(np.float32)
+    colours = []
+    for part in (slice(0, len(grid.offset) // 3), slice(-(len(grid.offset) // 3), None)):
+        place = grid.place_px[:, :, part].reshape(-1, 2)
+        column, row = np.rint(place[np.isfinite(place[:, 0])]).astype(int).T
+        if not len(row):
+            return grey_levels(image).astype(np.float32)
+        colours.append(np.median(image[row, column], axis=0))
+    way = np.subtract(*colours)
+    size = float(np.linalg.norm(way))
+    if size < MIN_STEP:
+        return grey_levels(image).astype(np.float32)
+    return np.asarray(image.astype(np.float32) @ (way / size).astype(np.float32))
+
+
+def _fit_edge(
+    profile: np.ndarray,
+    grid: OutlineGrid,
+    along: np.ndarray,
+    tolerance: float,
+    limit: float | None,
+    rng: np.random.Generator,
+) -> np.ndarray | None:
+    """Return middle, slope and bow (3,) [m] of the edge in profiles (S, D); None if there is none.
+
+    An edge near the predicted one is preferred to a clearer one further off: that may be of a
+    frame, a shadow or a table.
+    """
+    candidate = _steps(profile, grid.offset)
+    best, most = None, SUPPORT
+    for reach in (grid.near, np.inf if limit is None else limit):
+        for signed in candidate:
+            offset = np.where(np.abs(signed) <= reach, signed, np.nan)
+            found, support = _fit_curve(offset, signed, along, tolerance, rng)
+            far = np.abs(found[0]) > grid.near
+            if support >= most and not (far and _is_line(profile, grid.offset, found, along)):
+                best, most = found, support
+        if best is not None:
+            return best
+    return None
+
+
+def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: np.ndarray) -> bool:
+    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]: a line drawn on
+    the plate or the table is no edge."""
+    at = curve[0] + curve[1] * along + curve[2] * (1 - along**2)
+    away = (offset - at[:, None]) / (offset[1] - offset[0])
+    sides = []
+    for sign in (-1, 1):
+        beside = (sign * away >= SIDE_PX[0]) & (sign * away <= SIDE_PX[1]) & np.isfinite(profile)
+        if not np.any(beside):
+            return True
+        sides.append(float(np.median(profile[beside])))
+    return abs(sides[1] - sides[0]) < MIN_STEP
+
+
+def _steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
+    """Return the offsets (S, CANDIDATES) [m] of the strongest falling steps of profiles (S, D), and
+    of the strongest rising ones; NaN where there are fewer."""
+    reach = np.arange(-4, 5)
+    kernel = -reach * np.exp(-(reach**2) / 4.5)
+    kernel = 2 * kernel / np.sum(np.abs(kernel))  # of a step: its height
+    slope = np.stack([np.convolve(row, kernel[::-1], mode="valid") for row in profile])
+    at = offset[4:-4]
+    noise = 1.4826 * float(np.nanmedian(np.abs(slope - np.nanmedian(slope))))
+    least = max(MIN_STEP, NOISE_STEPS * noise)
+    result = []
+    for sign in (1.0, -1.0):
+        height = np.nan_to_num(sign * slope, nan=0.0)
+        left, middle, right = height[:, :-2], height[:, 1:-1], height[:, 2:]
+        peak = np.where((middle > left) & (middle >= right) & (middle >= least), middle, 0.0)
+        order = np.argsort(-peak, axis=1)[:, :CANDIDATES]
+        rows = np.arange(len(peak))[:, None]
+        bend = left + right - 2 * middle
+        shift = np.divide(left - right, 2 * bend, out=np.zeros_like(bend), where=bend < 0)
+        place = at[1:-1][order] + shift[rows, order] * (at[1] - at[0])
+        result.append(np.where(peak[rows, order] > 0, place, np.nan))
+    return result
+
+
+def _fit_curve(
+    drawn: np.ndarray, every: np.ndarray, along: np.ndarray, tolerance: float,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    """Return the curve (3,) through most candidates, and the fraction of profiles that it explains.
+
+    It is drawn through candidates `drawn` (S, C) [m] and refined with `every` (S, C) [m].
+    """
+    rows = np.flatnonzero(np.any(np.isfinite(drawn), axis=1))
+    if len(rows) < SUPPORT * len(along):
+        return np.full(3, np.nan), 0.0
+    terms = np.column_stack([np.ones_like(along), along, 1 - along**2])
+    # One profile from each third, so that the three are apart.
+    thirds = np.array_split(rows, 3)
+    pick = np.stack([rng.choice(third, DRAWS) for third in thirds], axis=1)  # (DRAWS, 3)
+    count = np.sum(np.isfinite(drawn), axis=1)
+    which = np.argsort(~np.isfinite(drawn), axis=1, kind="stable")
+    take = (rng.random((DRAWS, 3)) * count[pick]).astype(int)
+    value = drawn[pick, which[pick, take]]
+    curve = np.linalg.solve(terms[pick], value[..., None])[..., 0]
+    away = np.abs(drawn[None] - (curve @ terms.T)[:, :, None])
+    hits = np.sum(np.nanmin(np.where(np.isfinite(away), away, np.inf), axis=2) <= tolerance, axis=1)
+    best = curve[np.argmax(hits)]
+    for _ in range(4):
+        away = np.where(np.isfinite(every), np.abs(every - (terms @ best)[:, None]), np.inf)
+        nearest = np.argmin(away, axis=1)
+        inlier = away[np.arange(len(along)), nearest] <= tolerance
+        if np.count_nonzero(inlier) < SUPPORT * len(along):
+            return best, 0.0
+        value = every[np.arange(len(along)), nearest]
+        best = np.linalg.lstsq(terms[inlier], value[inlier], rcond=None)[0]
+    return best, float(np.mean(inlier))
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How the measured outline differs from the predicted one.
+
+    Attributes
+    ----------
+    shift : (float, float)
+        Of the plate's centre [m, plate_home].
+    turn : float
+        Rotation [rad], counter-clockwise.
+    stretch : (float, float)
+        Relative change of length and width [-].
+    bow, bow_px : float
+        Mean distance by which the middles of the edges are further out than their ends [m, px].
+    bowed : bool
+        Whether the edges are bent, all to the same side.
+    rest : float
+        Greatest deviation of an edge's end from a shifted, rotated and stretched outline [m].
+    worst : float
+        Greatest error of a part's place [m].
+    """
+
+    shift: tuple[float, float]
+    turn: float
+    stretch: tuple[float, float]
+    bow: float
+    bow_px: float
+    bowed: bool
+    rest: float
+    worst: float
+
+
+def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
+    """Return how an outline of which at least `MIN_EDGES` edges are seen differs."""
+    seen = np.flatnonzero(outline.seen)
+    ends = np.array([-1.0, 1.0])
+    point = edge_points(grid.half, ends)[seen]  # (n, 2, 2)
+    normal = np.repeat(OUTWARD[seen][:, None], 2, axis=1)
+    turned = np.stack([-point[..., 1], point[..., 0]], axis=-1)
+    terms = np.concatenate(
+        [normal, np.sum(normal * turned, axis=-1, keepdims=True), normal * point], axis=-1
+    ).reshape(-1, 5)
+    middle, slope, bow = outline.edges[seen].T
+    away = (middle[:, None] + slope[:, None] * ends).ravel()
+    motion = np.linalg.lstsq(terms, away, rcond=None)[0]
+    if len(seen) < 4:  # shift and stretch across the missing edge are one: a plate keeps its shape
+        same = np.column_stack([terms[:, :3], terms[:, 3] + terms[:, 4]])
+        found = np.linalg.lstsq(same, away, rcond=None)[0]
+        motion = np.array([*found, found[3]])
+        terms = np.column_stack([same[:, :3], terms[:, 3:]])
+    x, y, turn, along, across = motion.tolist()
+    corners = edge_points(grid.half, ends).reshape(-1, 2)
+    moved = motion[:2] + turn * np.column_stack([-corners[:, 1], corners[:, 0]])
+    moved = moved + corners * motion[3:]
+    bow_px = bow * grid.scale[seen]
+    bent = np.abs(bow) > np.maximum(BOW_M, BOW_PX / grid.scale[seen])
+    mean, least = float(np.mean(bow)), np.min(np.sign(np.mean(bow)) * bow_px)
+    bowed = np.count_nonzero(bent) >= 2 and float(least) > -0.2 * float(np.max(np.abs(bow_px)))
+    rest = float(np.max(np.abs(away - terms @ motion)))
+    worst = max(float(np.max(np.hypot(*moved.T))), float(np.max(np.abs(bow))), rest)
+    return Deviation(
+        (x, y), turn, (along, across), mean, float(np.mean(bow_px)), bool(bowed), rest, worst
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineCheck:
+    """The evaluation of the outline from image to image.
+
+    Attributes
+    ----------
+    grid : OutlineGrid
+    radius : float
+        Of a part [m]: an outline that is further off is an error.
+    bends : bool
+        Whether the calibration has a lens.
+    measured : tuple of Outline
+        Of the images of this evaluation so far.
+    moving : bool
+        Whether the plate may have moved meanwhile.
+    stamp : float
+        Of the last of them [s].
+    finding : Finding or None
+        What is wrong; None if nothing is, or nothing is known yet.
+    text : str
+        The result in a few words.
+    done : bool
+        Whether the outline has been evaluated.
+    agrees : bool
+        Whether it was where it is predicted.
+    """
+
+    grid: OutlineGrid
+    radius: float
+    bends: bool
+    measured: tuple[Outline, ...] = ()
+    moving: bool = False
+    stamp: float = -np.inf
+    finding: Finding | None = None
+    text: str = "not measured yet"
+    done: bool = False
+    agrees: bool = False
+
+    @classmethod
+    def of(cls, rig: Rig, calibration: Calibration) -> OutlineCheck:
+        """Begin for a rig's plate as this calibration sees it."""
+        grid = OutlineGrid.of(rig, calibration)
+        return cls(grid, rig.parts.radius_m, calibration.lens is not None)
+
+    def add(self, image: np.ndarray, stamp: float, moving: bool = False) -> OutlineCheck:
+        """Take in an image (H, W) or (H, W, 3) uint8, its stamp [s], and whether the plate may be
+        away from home in it.
+
+        After `IMAGES` images the outline is evaluated. That is repeated from time to time until the
+        outline of a plate at rest agrees.
+        """
+        waits = self.done and not self.measured and 0 <= stamp - self.stamp < self._wait
+        if self.agrees or waits:
+            return self
+        measured = (*self.measured, measure_outline(image, self.grid))
+        check = replace(self, measured=measured, stamp=stamp, moving=self.moving or moving)
+        return check._evaluated(image) if len(measured) >= IMAGES else check
+
+    @property
+    def _wait(self) -> float:
+        return UNSEEN_S if self.finding is None else RECHECK_S
+
+    def _evaluated(self, image: np.ndarray) -> OutlineCheck:
+        """Return it with the result of all images; `image` is the last of them."""
+        grid = self.grid
+        every = np.stack([one.edges for one in self.measured])
+        often = np.sum(np.isfinite(every[:, :, 0]), axis=0) > IMAGES / 2
+        edges, moving = np.full((4, 3), np.nan), self.moving
+        for edge in np.flatnonzero(often):
+            rows = every[np.isfinite(every[:, edge, 0]), edge]
+            edges[edge] = np.median(rows, axis=0)
+            moving |= float(np.max(np.ptp(rows[:, :2], axis=0))) > REST_M
+        outline = Outline(edges)
+        facts = outline, grid, self.radius, self.bends, moving
+        finding, text = judge_outline(*facts)
+        seen = int(np.count_nonzero(outline.seen)) >= MIN_EDGES
+        if finding is not None or not seen:
+            finding, text = judge_outline(*facts, fitting_flips(image, grid))
+        if moving and finding is None and self.finding is not None:
+            finding, text = self.finding, self.text  # a plate at rest has the last word
+        agrees = finding is None and seen and not moving
+        return replace(
+            self, measured=(), moving=False, finding=finding, text=text, done=True, agrees=agrees
+        )
+
+
+def judge_outline(
+    outline: Outline,
+    grid: OutlineGrid,
+    radius: float,
+    bends: bool,
+    moving: bool = False,
+    flips: tuple[str, ...] = (),
+) -> tuple[Finding | None, str]:
+    """Return what is wrong, None if nothing is, and the result in a few words.
+
+    `radius` [m] is a part's, `bends` whether a lens is known, `moving` whether the plate may be
+    away from home by the motors' stroke, and `flips` the ways to turn the image so that it agrees.
+    """
+    count = int(np.count_nonzero(outline.seen))
+    if count < MIN_EDGES:
+        if flips:
+            return _flipped(flips)
+        return None, "not seen" if count == 0 else f"not seen, only {count} of 4 edges"
+    found = deviation_of(outline, grid)
+    stroke = grid.stroke if moving else 0.0
+    shifted = np.hypot(*found.shift) > grid.near + np.sqrt(2) * stroke
+    turned = abs(found.turn) > TURN_RAD + 2 * stroke / float(grid.half.min())
+    pixel = 1 / float(np.median(grid.scale))
+    stretched = max(map(abs, found.stretch)) > max(STRETCH, pixel / float(grid.half.min()))
+    reshaped = found.rest > grid.near
+    if not (shifted or turned or stretched or reshaped or found.bowed):
+        if moving:
+            return None, "its shape is as predicted, while the plate moves"
+        return None, f"as predicted, within {1e3 * found.worst:.2g} mm"
+    if flips and (found.bowed or reshaped or found.worst > MOVED_RADII * radius):
+        return _flipped(flips)
+    cause = _lens_text(found, bends) if found.bowed else _moved_text(found)
+    if flips:
+        cause += f"; or the image is {' or '.join(flips)}"
+    level = Level.ERROR if flips or found.worst > radius + stroke else Level.WARN
+    message = (
+        f"the plate's outline is not where corners_px and the lens have it: {cause}; places of "
+        f"parts are wrong by up to {1e3 * found.worst:.2g} mm"
+    )
+    return Finding(level, message), cause
+
+
+def _flipped(flips: tuple[str, ...]) -> tuple[Finding, str]:
+    cause = f"the image is {' or '.join(flips)}"
+    message = (
+        f"{cause}: only so the plate's outline is where corners_px have it (change it in the "
+        "camera's driver, or measure corners_px in the image as it comes)"
+    )
+    return Finding(Level.ERROR, message), cause
+
+
+def _lens_text(found: Deviation, bends: bool) -> str:
+    side = "outwards" if found.bow > 0 else "inwards"
+    kind = "barrel" if found.bow > 0 else "pincushion"
+    bent = f"its edges bend {side} by {abs(found.bow_px):.1f} px in the middle"
+    if bends:
+        return (
+            f"{bent}: the lens in use does not fit this camera (are the images straightened "
+            "already; is focus or zoom another? calibrate lens, then set camera_file)"
+        )
+    return f"{bent}: a {kind} lens is left out (calibrate lens, then set camera_file)"
+
+
+def _moved_text(found: Deviation) -> str:
+    (x, y), (along, across) = found.shift, found.stretch
+    is_ = ["it"]
+    if np.hypot(x, y) >= SHIFT_TEXT_M:
+        x_mm, y_mm = (round(1e3 * way, 1) + 0.0 for way in (x, y))  # no -0.0
+        is_.append(f"is shifted by ({x_mm:.1f}, {y_mm:.1f}) mm")
+    if abs(found.turn) >= TURN_TEXT_RAD:
+        is_.append(f"is rotated by {np.degrees(found.turn):.1f} degrees")
+    differ = abs(along - across) > STRETCH
+    if differ:
+        is_.append(f"is {_percent(along)} in length and {_percent(across)} in width")
+    elif abs(along + across) / 2 >= STRETCH_TEXT:
+        is_.append(f"is {_percent((along + across) / 2)}")
+    if len(is_) == 1:
+        is_.append(f"has another shape, by {1e3 * found.rest:.1f} mm")
+    moved = " and ".join([" ".join(is_[:2]), *is_[2:]])
+    if differ:
+        return (
+            f"{moved}: corners_px, or length_m and width_m of the plate, are wrong, or the camera "
+            "was tilted (measure them again)"
+        )
+    return f"{moved}: the camera was moved or zoomed, or corners_px are wrong (measure them again)"
+
+
+def _percent(change: float) -> str:
+    return f"{100 * abs(change):.1f} % {'larger' if change >= 0 else 'smaller'}"
+
+
+def fitting_flips(image: np.ndarray, grid: OutlineGrid) -> tuple[str, ...]:
+    """Return which of `FLIPS` the outline in an image (H, W) or (H, W, 3) agrees with on all four
+    edges; none if the image agrees as it is."""
+    if np.all(measure_outline(image, grid, grid.near).within(grid.near)):
+        return ()
+    names = []
+    for name, (down, across) in FLIPS.items():
+        turned = np.ascontiguousarray(image[::down, ::across])
+        if np.all(measure_outline(turned, grid, grid.near).within(grid.near)):
+            names.append(name)
+    return tuple(names)
