@@ -24,7 +24,7 @@ CHAPTERS = {
     "maps": ("stability",),
     "tasks": (
         "tasks", "tracking", "bound", "rigs", "sizing", "sameness", "free_running", "drives",
-        "control", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
+        "control", "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
     ),
 }  # fmt: skip
 """Chapter of this folder -> its modules with `measure(quick)`; the first line of each says what it
@@ -33,7 +33,7 @@ is about."""
 MEASUREMENTS = {name: f"{chapter}.{name}" for chapter, names in CHAPTERS.items() for name in names}
 """Name -> module."""
 
-LONG = {"feeding_hour", "sameness", "tasks"}
+LONG = {"feeding_hour", "sameness", "tasks", "views"}
 """Hours: measured only by name."""
 
 PUBLISHED = ROOT / "docs/results/measured.json"

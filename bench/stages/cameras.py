@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from harness import Result, Table, paired
+from plate_bringup.views import view_from, with_height
 from plate_core import PlateError, Rig, load_rig
 from plate_core.rig import Lens, PartType
 from plate_sim.camera import Camera, Lighting, part_colours, part_greys
@@ -43,9 +44,6 @@ counts: a detector may learn from the others. Of typed parts all count, as their
 
 INTERVAL_S = 0.15
 """Between two images [s]: a cycle of the plate."""
-
-MARGIN_PX = 12.0
-"""Distance of the plate's corners from the image's edges [px]."""
 
 BEFORE = Path(__file__).with_suffix(".csv")
 """Figures of the detector before: columns `scene` and `BEFORE_KEYS`."""
@@ -128,68 +126,10 @@ class Scene:
         return self.images[-1]
 
 
-def seen_from(
-    name: str = "",
-    *,
-    tilt_deg: float = 0.0,
-    towards_deg: float = 0.0,
-    focal_px: float = 900.0,
-    distance_m: float = 0.0,
-    radius_m: float = 0.0,
-    distortion: Sequence[float] = (0.0,) * 5,
-) -> Rig:
-    """Return a rig whose camera looks at the middle of the plate.
-
-    Parameters
-    ----------
-    name : str
-        Of the rig in config/rigs.
-    tilt_deg, towards_deg : float
-        From straight above, and in which direction the camera is, from x; 0: sideways.
-    focal_px : float
-        Of the lens, whose centre is the image's.
-    distance_m : float
-        From the plate's middle; 0: as near as shows the whole plate.
-    radius_m : float
-        Of the parts; 0: the rig's.
-    distortion : five floats
-        Of the lens: k1, k2, p1, p2, k3.
-    """
-    rig = load_rig(name)
-    size = np.array([rig.camera.width_px, rig.camera.height_px])
-    middle = (size - 1) / 2
-    lens = Lens((focal_px, focal_px), (float(middle[0]), float(middle[1])), tuple(distortion))  # type: ignore[arg-type]
-    if not distance_m:
-        near, far = 0.1, 10.0
-        for _ in range(60):
-            distance_m = (near + far) / 2
-            corners = corners_seen(rig, lens, tilt_deg, towards_deg, distance_m)
-            inside = np.all((corners > MARGIN_PX) & (corners < size - 1 - MARGIN_PX))
-            near, far = (near, distance_m) if inside else (distance_m, far)
-    corners = corners_seen(rig, lens, tilt_deg, towards_deg, distance_m)
-    corners_px = tuple((float(u), float(v)) for u, v in corners)
-    parts = replace(rig.parts, radius_m=radius_m or rig.parts.radius_m)
-    camera = replace(rig.camera, corners_px=corners_px, lens=lens)
-    return replace(rig, camera=camera, parts=parts)
-
-
-def corners_seen(
-    rig: Rig, lens: Lens, tilt_deg: float, towards_deg: float, distance_m: float
-) -> np.ndarray:
-    """Return the images (4, 2) [px] of the plate's corners, by OpenCV's projection."""
-    tilt, towards = np.radians([tilt_deg, towards_deg])
-    side = np.array([np.cos(towards), np.sin(towards), 0.0])
-    ahead = -np.sin(tilt) * side - np.cos(tilt) * np.array([0.0, 0.0, 1.0])
-    right = np.array([1.0, 0.0, 0.0])
-    right -= ahead * (right @ ahead)
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(ahead, right), ahead])
-    corners = np.column_stack([rig.plate.corners, np.zeros(4)])
-    translation = -rotation @ (-distance_m * ahead)
-    seen = cv2.projectPoints(
-        corners, cv2.Rodrigues(rotation)[0], translation, lens.matrix, np.array(lens.distortion)
-    )
-    return np.asarray(seen[0][:, 0])
+def seen_from(name: str = "", radius_m: float = 0.0, **view: float) -> Rig:
+    """Return a rig of config/rigs from another place (`view_from`); 0: with parts of its radius."""
+    rig = view_from(load_rig(name), **view)  # type: ignore[arg-type]
+    return replace(rig, parts=replace(rig.parts, radius_m=radius_m or rig.parts.radius_m))
 
 
 def near() -> Rig:
@@ -322,17 +262,16 @@ def scene(name: str, seed: int) -> Scene:
 def drawn(kind: Kind, seed: int) -> Scene:
     """Draw one scene of a kind: `scene`."""
     rng = np.random.default_rng(seed)
-    real = kind.rig()
+    real = with_height(kind.rig(), kind.height)
     count = TYPED if kind.typed else DISCS
     types: list[PartType] = []
     if kind.typed:
-        every = [replace(part, height_m=kind.height) for part in real.types.values()]
-        real = replace(real, types={part.name: part for part in every})
+        every = list(real.types.values())
         types = [every[k % len(every)] for k in range(count)]
         place = spread(real, types, rng)
         colours = part_colours(types, real.camera.colour)
     else:
-        real = replace(real, parts=replace(real.parts, height_m=kind.height), types={})
+        real = replace(real, types={})
         place = layout(real, count, False, rng)
         colours = np.array([kind.greys[k % len(kind.greys)] for k in range(count)])
     light = {"plate": kind.plate, "room": kind.room}
@@ -365,7 +304,7 @@ def drawn(kind: Kind, seed: int) -> Scene:
         bare = [sharp.render(none, colours[:0], rng) for _ in range(BARE_IMAGES)]
     known = real
     if kind.unknown:
-        known = replace(real, parts=replace(real.parts, height_m=0.0))
+        known = with_height(real, 0.0)
     return Scene(known, bare, images, place, angle, types)
 
 

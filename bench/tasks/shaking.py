@@ -32,13 +32,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from plate_bringup.loop import BARE_IMAGES, Setup
+from plate_bringup.loop import Setup
 from plate_bringup.production import Act, Production, Robot, Tally
 from plate_core import Parts, PlateCycle, Rig, load_rig, part_class
 from plate_core.motion import usage
 from plate_core.tasks import FeedTask, free_gap, pick_window, ready_parts
 from plate_sim import Move, Simulation, simulate
 from plate_vision import Tracker, make_vision, observe
+from plate_vision.bare_plate import BARE_IMAGES
 from plate_vision.shapes import learn_plate
 
 TICK_S = 0.1

@@ -29,6 +29,7 @@ from plate_core import (
     load_rig,
 )
 from plate_core.files import check_file
+from plate_core.rig import MAX_HEIGHT_M
 from plate_core.tasks import (
     AssembleTask,
     FeedOrder,
@@ -64,10 +65,12 @@ from plate_sim.plate import PlateMotion, Playback, next_playback
 from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Simulation, WorldState
 from plate_solver import METHODS, Answer, Controller
 from plate_vision import Prediction, Tracker, make_vision, observe
-from plate_vision.shapes import learn_plate
+from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
+
+from .views import view_from, with_height
 
 __all__ = [
-    "ALIKE", "BARE_IMAGES", "HOLD_CYCLES", "IDLE_PERIOD", "Cell", "Direct", "Moment", "Setup",
+    "ALIKE", "HOLD_CYCLES", "IDLE_PERIOD", "Cell", "Direct", "Moment", "Setup",
     "Transport", "as_asked", "load_planner", "predicted", "run", "seen_by", "summary",
     "with_settings",
 ]  # fmt: skip
@@ -87,16 +90,19 @@ MOMENT_S = 1e-6
 CAMERA = ("exposure_s", "readout_s")
 """Facts of the rig's camera that a setting replaces."""
 
+VIEW = ("tilt_deg", "towards_deg", "focal_px", "distance_m")
+"""Arguments of `view_from` that are settings, with `camera_` before."""
+
 PLANNER_BYTES = 1_000_000
 """Most in a Python file of a planner."""
 
 NUMBERS = {
     **WORLD_RANGES, "image_age_s": (0.0, 1.0), "exposure_s": (0.0, 0.1), "readout_s": (0.0, 0.1),
+    "camera_tilt_deg": (0.0, 60.0), "camera_towards_deg": (-360.0, 360.0),
+    "camera_focal_px": (50.0, 20000.0), "camera_distance_m": (0.0, 100.0),
+    "rig_height_m": (0.0, MAX_HEIGHT_M),
 }  # fmt: skip
 """Settings of `Setup` itself that are numbers, and what is allowed."""
-
-BARE_IMAGES = 5
-"""From which the bare plate is learned, for rigs with types of parts."""
 
 HOLD_CYCLES, IDLE_PERIOD = 2, 0.1
 """Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
@@ -124,6 +130,11 @@ class Setup:
     planner : PlannerOptions
     exposure_s, readout_s : float or None
         Of the rig's camera [s], where they are to be others.
+    camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
+        If one of them is given, the camera looks from elsewhere: `view_from`, with its defaults
+        for the others.
+    rig_height_m : float or None
+        Height of all parts in the rig, of which all stages know [m]; None: the rig file's.
     image_age_s : float or None
         What the planner takes the images' latency to be [s]; None: it finds out.
     effort : mapping of str to int
@@ -143,6 +154,11 @@ class Setup:
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     exposure_s: float | None = None
     readout_s: float | None = None
+    camera_tilt_deg: float | None = None
+    camera_towards_deg: float | None = None
+    camera_focal_px: float | None = None
+    camera_distance_m: float | None = None
+    rig_height_m: float | None = None
     image_age_s: float | None = None
     effort: Mapping[str, Any] = field(default_factory=dict)
     own_planner: str = ""
@@ -405,9 +421,10 @@ def run(
         rig, scenario, setup.seed, setup.disturbances, noise=setup.noise, mu_scale=setup.mu_scale
     )
     vision, tracker = make_vision(rig), Tracker()
+    bare = BarePlate(wanted=BARE_IMAGES)
     if vision.catalogue is not None:
-        bare = np.stack([simulation.capture_bare() for _ in range(BARE_IMAGES)])
-        vision = replace(vision, background=learn_plate(bare))
+        for _ in range(BARE_IMAGES):
+            bare, vision, _ = know_plate(bare, vision, simulation.capture_bare())
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
     own = load_planner(setup.own_planner, rig) if setup.own_planner else None
@@ -432,6 +449,8 @@ def run(
             shot = next(shots)
         if new is not None:
             image, at_work = new, cpu_time()
+            if vision.catalogue is not None:
+                bare, vision, _ = know_plate(bare, vision, image)
             tracker = observe(vision, tracker, image, stamp, expected)
             state = planner.see(state, tracker.parts, stamp)
         due = new is not None if shot is None else state.due <= now
@@ -477,7 +496,12 @@ def predicted(wanted: Wanted, state: PlannerState) -> Prediction | None:
 
 
 def seen_by(setup: Setup, rig: Rig) -> Rig:
-    """Return the rig with the setup's camera."""
+    """Return the rig with the setup's camera, and its height of parts."""
+    view = {key: getattr(setup, f"camera_{key}") for key in VIEW}
+    if any(value is not None for value in view.values()):
+        rig = view_from(rig, **{key: value for key, value in view.items() if value is not None})
+    if setup.rig_height_m is not None:
+        rig = with_height(rig, setup.rig_height_m)
     settings = {key: getattr(setup, key) for key in CAMERA if getattr(setup, key) is not None}
     return replace(rig, camera=replace(rig.camera, **settings)) if settings else rig
 

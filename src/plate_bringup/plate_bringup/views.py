@@ -1,0 +1,99 @@
+"""Rigs whose camera is elsewhere: tilted, nearer, or with another lens."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from plate_core import PlateError, Rig
+from plate_core.rig import Lens
+
+__all__ = ["MARGIN_PX", "view_from", "with_height"]
+
+MARGIN_PX = 12.0
+"""Least distance of the plate's corners from the image's edges [px], where the camera is as near as
+that allows."""
+
+NEAREST_M, FARTHEST_M = 0.05, 100.0
+"""Distances that are tried [m]."""
+
+HALVINGS = 60
+"""Of that range: to rounding."""
+
+
+def view_from(
+    rig: Rig,
+    *,
+    tilt_deg: float = 0.0,
+    towards_deg: float = 0.0,
+    focal_px: float = 900.0,
+    distance_m: float = 0.0,
+    distortion: Sequence[float] = (),
+) -> Rig:
+    """Return a rig whose camera looks at the middle of the plate, with its upper side towards +y.
+
+    Parameters
+    ----------
+    rig : Rig
+        Gives everything else, such as the size of the image.
+    tilt_deg, towards_deg : float
+        Angle of the view from straight above [degrees], and the direction in which the camera is
+        then, from x: 0 is sideways.
+    focal_px : float
+        Focal length of the lens [px], whose centre is the middle of the image.
+    distance_m : float
+        From the camera to the middle of the plate [m]; 0: the least at which all of the plate is
+        `MARGIN_PX` within the image.
+    distortion : sequence of float
+        Of the lens: k1, k2, p1, p2, k3; empty: none.
+
+    Raises
+    ------
+    PlateError
+        If the whole plate is in front of the camera at no distance that is tried.
+    """
+    size = np.array([rig.camera.width_px, rig.camera.height_px])
+    middle = (float(size[0] - 1) / 2, float(size[1] - 1) / 2)
+    k1, k2, p1, p2, k3 = distortion or (0.0,) * 5
+    lens = Lens((focal_px, focal_px), middle, (k1, k2, p1, p2, k3))
+    rotation = _rotation(tilt_deg, towards_deg)
+
+    def corners(distance: float) -> np.ndarray | None:
+        ray = rig.plate.corners @ rotation[:, :2].T + [0.0, 0.0, distance]
+        if np.any(ray[:, 2] <= 0):
+            return None
+        return lens.bend(ray[:, :2] / ray[:, 2:] * focal_px + middle)
+
+    near, far = NEAREST_M, FARTHEST_M
+    for _ in range(HALVINGS if distance_m == 0 else 0):
+        half = (near + far) / 2
+        there = corners(half)
+        low, high = MARGIN_PX, size - 1 - MARGIN_PX
+        inside = there is not None and np.all((there >= low) & (there <= high))
+        near, far = (near, half) if inside else (half, far)
+    seen = corners(distance_m or far)
+    if seen is None:
+        raise PlateError(
+            f"camera: at {distance_m:g} m, tilted by {tilt_deg:g} degrees, it is beside the plate, "
+            "allowed: farther away, or less tilted"
+        )
+    corners_px = tuple((float(u), float(v)) for u, v in seen)
+    return replace(rig, camera=replace(rig.camera, corners_px=corners_px, lens=lens))
+
+
+def with_height(rig: Rig, height_m: float) -> Rig:
+    """Return a rig all of whose parts have a height [m], those of types, too."""
+    types = {name: replace(part, height_m=height_m) for name, part in rig.types.items()}
+    return replace(rig, parts=replace(rig.parts, height_m=height_m), types=types)
+
+
+def _rotation(tilt_deg: float, towards_deg: float) -> np.ndarray:
+    """Return the axes of plate_home in the camera's frame (3, 3), as columns."""
+    tilt, towards = np.radians([tilt_deg, towards_deg])
+    beside = np.array([np.cos(towards), np.sin(towards), 0.0])
+    ahead = -np.sin(tilt) * beside - np.array([0.0, 0.0, np.cos(tilt)])
+    right = np.array([1.0, 0.0, 0.0]) - ahead[0] * ahead
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(ahead, right), ahead])
