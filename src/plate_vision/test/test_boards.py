@@ -60,6 +60,13 @@ def test_lens_is_found(board, make_scene, rng):
     assert fit.error_px < 0.15
     assert len(fit.errors) == len(found)
     assert fit.warning is None
+    space = np.column_stack([board.corners, np.zeros(len(board.corners))]).astype(np.float32)
+    theirs = cv2.calibrateCameraExtended(
+        [space[which] for which, _ in found],
+        [place.astype(np.float32)[:, None] for _, place in found],
+        (640, 480), np.eye(3), np.zeros(5),
+    )[5]  # fmt: skip
+    assert np.allclose(fit.deviation, np.ravel(theirs)[:9], rtol=0.05)
     truth = Lens(MATRIX, np.array(BENT))
     grid = np.stack(np.meshgrid(np.linspace(60, 580, 9), np.linspace(50, 430, 7)), axis=2)
     # Both lenses straighten; a plane homography may take up what K cannot tell from a pose.

@@ -70,7 +70,8 @@ def test_a_long_film_is_done_by_forty_frames(make_scene, rng, tmp_path, capsys, 
     files = ["--out", str(out), "--errors", str(tmp_path / "errors.png")]
     main(["lens", str(path), "--board", "8x6", "--square", "0.03", "--marker", "0.022", *files])
     told = capsys.readouterr().out
-    assert re.search(r"^100 of 100 frames read, 6[2-5] searched, board found in [56]\d$", told, re.M)
+    frames = r"^100 of 100 frames read, 6[2-5] searched, board found in [56]\d$"
+    assert re.search(frames, told, re.M)
     assert "first square is white" in told
     assert "fitted to the 40 pictures that differ most" in told
     assert "px rms over 40 pictures" in told

@@ -54,6 +54,10 @@ MOST_PICTURES = 40
 START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
 """Angles across the longer side of the image from which the fit of an equidistant lens begins."""
 
+WEAKEST = 1e-9
+"""Least singular value of a fit's derivative over the largest: what tells nothing of some values,
+as of k1 to k6 together, leaves them a large deviation, not an infinite one."""
+
 FIT_STEPS = 200
 """Steps of that fit at most; 10 to 20 are enough."""
 
@@ -384,7 +388,7 @@ def _fit_brown(
     rational = model == "rational_polynomial"
     flags, count = (cv2.CALIB_RATIONAL_MODEL, 8) if rational else (0, 5)
     try:
-        answer = cv2.calibrateCameraExtended(
+        _, matrix, bend, turns, moves = cv2.calibrateCamera(
             [point.astype(np.float32) for point in points],
             [place.astype(np.float32).reshape(-1, 1, 2) for place in places],
             size_px, np.eye(3), np.zeros(count), flags=flags,
@@ -393,13 +397,27 @@ def _fit_brown(
         raise CalibrationError(
             f"no lens fits what was seen ({error.err}), allowed: boards seen from different sides"
         ) from None
-    _, matrix, bend, turns, moves, deviation = answer[:6]
     bend = np.ravel(bend)[:count]
-    errors = [
-        place - cv2.projectPoints(point, turn, move, matrix, bend)[0].reshape(-1, 2)
-        for point, place, turn, move in zip(points, places, turns, moves, strict=True)
-    ]
-    return matrix, bend, errors, np.ravel(deviation)[: 4 + count]
+    errors = []
+    slopes = np.zeros((2 * sum(map(len, points)), 4 + count + 6 * len(points)))
+    row = 0
+    for k, (point, place) in enumerate(zip(points, places, strict=True)):
+        seen, slope = cv2.projectPoints(point, turns[k], moves[k], matrix, bend)
+        errors.append(place - seen.reshape(-1, 2))
+        rows = slice(row, row := row + 2 * len(point))
+        slopes[rows, : 4 + count] = slope[:, 6 : 10 + count]
+        slopes[rows, 4 + count + 6 * k : 10 + count + 6 * k] = slope[:, :6]
+    return matrix, bend, errors, _deviation(slopes, np.concatenate(errors))[: 4 + count]
+
+
+def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Return the standard deviations (m,) of values fitted by least squares, from the derivative
+    (n, m) and what is left (n,)."""
+    size = np.linalg.norm(slopes, axis=0)
+    _, strength, turn = np.linalg.svd(slopes / size, full_matrices=False)
+    strength = np.maximum(strength, WEAKEST * strength[0])
+    scatter = float(np.sum(errors**2)) / max(1, slopes.shape[0] - slopes.shape[1])
+    return np.asarray(np.sqrt(scatter * np.sum((turn / strength[:, None]) ** 2, axis=0)) / size)
 
 
 def _fit_equidistant(
@@ -434,11 +452,9 @@ def _fit_equidistant(
     )  # fmt: skip
     fx, fy, cx, cy, *bend = found.x[:8]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    freedom = max(1, len(found.fun) - len(found.x))
-    spread = np.linalg.pinv(found.jac.T @ found.jac) * (found.fun @ found.fun) / freedom
     ends = np.cumsum([len(point) for point in points])[:-1]
     errors = np.split(-found.fun.reshape(-1, 2), ends)
-    return matrix, np.array(bend), errors, np.sqrt(np.maximum(np.diag(spread)[:8], 0))
+    return matrix, np.array(bend), errors, _deviation(found.jac, found.fun)[:8]
 
 
 def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
