@@ -19,8 +19,10 @@ import sys
 from pathlib import Path
 
 from harness import ROOT, commit, folder_made, is_done, optional, read, run_all, told
+from plate_core import piped
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
     args = arguments()
@@ -66,7 +68,7 @@ def main() -> int:
 
 def arguments() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="measure little where it is missing")
     parser.add_argument("--draw", action="store_true", help="only draw what is there")
     parser.add_argument(

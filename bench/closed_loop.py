@@ -15,7 +15,7 @@ import numpy as np
 
 from harness import of_median, parallel, processes, share
 from plate_bringup.loop import Setup, load_planner, summary, with_settings
-from plate_core import PlateError, Rig, load_rig
+from plate_core import PlateError, Rig, load_rig, piped
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
 from tasks.runs import summed
@@ -24,6 +24,7 @@ MOST_RUNS = 100_000
 """At one call: weeks."""
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
     args = _arguments()
@@ -46,6 +47,8 @@ def main() -> int:
             with_settings(Setup(args.scenario, seed, own_planner=args.planner), settings)
             for seed in args.seeds
         ]
+    except BrokenPipeError:
+        raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -59,6 +62,8 @@ def main() -> int:
             print(_line(row), flush=True)
             if args.json:
                 args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    except BrokenPipeError:
+        raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -134,7 +139,7 @@ def _seeds(text: str) -> range:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--scenario", default="sort_10", help="name or path (sort_10)")
     parser.add_argument("--seeds", type=_seeds, default=range(3), help="A:B, without B (0:3)")
     parser.add_argument(

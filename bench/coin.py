@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from harness import ROOT
-from plate_core import PlateCycle, Rig, load_rig
+from plate_core import PlateCycle, Rig, load_rig, piped
 from plate_core.motion import usage
 from plate_sim import WorldState, run_cycle
 from stages.scenes import wave_cycle
@@ -41,9 +41,10 @@ SHOWN, MEAN = 2.0, 10
 INK, COIN = "#3b3b3b", "#0b6e99"
 
 
+@piped()
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "out/coin")
     folder = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)

@@ -11,9 +11,10 @@ import sys
 from pathlib import Path
 
 from harness import LONG, MEASUREMENTS, ROOT, folder_made, run_all, text_table, told
-from plate_core import did_you_mean
+from plate_core import did_you_mean, piped
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
     args = arguments()
@@ -39,7 +40,7 @@ def main() -> int:
 
 def arguments() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
     parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in all")
     parser.add_argument("--out", type=Path, default=ROOT / "out/bench", help="(out/bench)")

@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig, load_rig
+from plate_core import PlateCycle, Rig, load_rig, piped
 from plate_core.motion import usage
 from plate_sim import simulate_bodies
 from plate_sim.friction import disc
@@ -37,9 +37,10 @@ CURL = -1.0
 SECONDS = 6
 
 
+@piped()
 def main() -> None:
     """Run the command line."""
-    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     rig = load_rig()
     print("cycle [ms]  disc [mm]  of limits  turns [rad/s], each second       centre [mm/s]")
     for period in (0.002, 0.005, 0.02):

@@ -11,7 +11,7 @@ import numpy as np
 from plate_core import PlateCycle, load_rig
 from plate_sim import simulate
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
 parser.add_argument("picture", nargs="?", default="simulate.png", help="(simulate.png)")
 picture = parser.parse_args().picture
 rig = load_rig()

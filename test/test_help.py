@@ -1,6 +1,8 @@
 """Every program says what it does when it is asked by `--help`, and does nothing else."""
 
+import re
 import runpy
+import subprocess
 import sys
 from importlib.metadata import distributions
 from pathlib import Path
@@ -65,6 +67,28 @@ def test_a_script(capsys, monkeypatch, script):
     path = str(ROOT / script)
     monkeypatch.setattr(sys, "path", [str(Path(path).parent), *sys.path])
     asked(capsys, monkeypatch, path, lambda: runpy.run_path(path, run_name="__main__") and None)
+
+
+@pytest.mark.parametrize("program", ["calibrate", "teach", "check_rig"])
+def test_a_program_without_docstrings(program):
+    """PYTHONOPTIMIZE=2 takes them away."""
+    package = dict(map(reversed, INSTALLED))[program]
+    (point,) = next(distributions(name=package)).entry_points.select(name=program)
+    command = f"from {point.module} import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-OO", "-c", command, "--help"], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("usage: ")
+
+
+def test_no_program_needs_its_docstring():
+    """Each splits it only if it is there."""
+    folders = ("src/*/plate_*", "bench", "tools", "examples")
+    sources = [path for folder in folders for path in ROOT.glob(f"{folder}/**/*.py")]
+    split = [path for path in sources if re.search(r"__doc__[.\[]", path.read_text("utf-8"))]
+    assert len(sources) > 300
+    assert split == []
 
 
 def test_these_are_all():

@@ -20,6 +20,7 @@ from PIL import Image, ImageSequence
 from record.judge import summary
 from record.webp import save_film
 
+from plate_core import piped
 from plate_core.tasks import FeedTask, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,9 +39,10 @@ QUALITY, COLOURS = 25, 64
 """Of a film, which WebP keeps with losses, and of a strip."""
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns the number of demos that failed."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     known = sorted(path.stem for path in (ROOT / "config/scenarios").glob("*.yaml"))
     parser.add_argument("scenarios", nargs="*", default=known, metavar="SCENARIO", help="(all)")
     names = parser.parse_args().scenarios

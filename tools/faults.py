@@ -35,7 +35,7 @@ from record.judge import LimitCheck, check_limits
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
-from plate_core import load_rig
+from plate_core import load_rig, piped
 from plate_core.ros import nanoseconds
 from plate_core.status import Level
 from plate_interfaces.msg import Parts, TaskStatus
@@ -327,9 +327,10 @@ def cells(result: dict[str, Any]) -> list[dict[str, str]]:
     return rows
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     known = [node.name for node in load_graph()]
     parser.add_argument("nodes", nargs="*", choices=[*known, []], help="all if left out")
     parser.add_argument("--transport", choices=("sim", "serial"), default="sim")

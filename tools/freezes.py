@@ -33,6 +33,7 @@ from graph.session import START_S, session
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions
+from plate_core import piped
 from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import age_limit
 from plate_interfaces.msg import Parts, TaskStatus
@@ -167,9 +168,10 @@ def run(
         }  # fmt: skip
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--minutes", type=float, default=math.inf, help="at most so long")
     parser.add_argument("--kills", type=float, default=0.0, help="share of faults that kill")

@@ -35,7 +35,7 @@ from record.limits import limit_shares
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import RunOptions, load_graph
-from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
+from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig, piped
 from plate_core.ros import (
     SafeLifecycleNode,
     array_to_image,
@@ -286,9 +286,10 @@ def failed(verdict: Verdict) -> bool:
     )
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("nodes", nargs="*", choices=[*NODES, []], help="all if left out")
     parser.add_argument("--messages", type=int, default=100_000, help="to each node")
     parser.add_argument("--seed", type=int, default=0)

@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import RunOptions
 from plate_client import Task
-from plate_core import load_rig
+from plate_core import load_rig, piped
 from plate_core.ros import msg_to_motors, scenario_to_goal
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import TaskStatus
@@ -111,9 +111,10 @@ def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str,
     }
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--goals", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)

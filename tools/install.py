@@ -66,5 +66,5 @@ def main(arguments: list[str]) -> int:
 
 if __name__ == "__main__":
     usage = "%(prog)s [what `pip install` takes]"
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], usage=usage)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0], usage=usage)
     sys.exit(main(parser.parse_known_args()[1]))

@@ -98,7 +98,7 @@ def row(
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     try:
         PAGE.write_text(page(), encoding="utf-8")
     except PlateError as problem:

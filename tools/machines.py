@@ -29,7 +29,7 @@ from graph.processes import Processes, ros_environment, signals_raise
 from graph.series import rows
 
 from plate_bringup import RunOptions, load_graph
-from plate_core import PlateError, choose_network
+from plate_core import PlateError, choose_network, piped
 from plate_core.tasks import load_scenario
 
 EYES, HANDS = "10.77.0.1", "10.77.0.2"
@@ -212,9 +212,10 @@ def inside(args: argparse.Namespace) -> int:
     return 0 if well else 1
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--reach", default="named", choices=REACHES)
     parser.add_argument("--scenario", default="sort_4")
     parser.add_argument("--json", type=Path)

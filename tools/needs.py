@@ -95,7 +95,7 @@ def say(text: str) -> None:
 
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--install", action="store_true", help="install what is missing")
     if parser.parse_args().install:
         return install()

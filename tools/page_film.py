@@ -22,7 +22,7 @@ from PIL import Image
 from record.webp import save_film
 
 from plate_bringup import RunOptions
-from plate_core import PlateError
+from plate_core import PlateError, piped
 
 SIZE: Any = {"width": 1366, "height": 768}
 FRAME_S = 0.25
@@ -114,9 +114,10 @@ def write(frames: list[tuple[float, bytes]], out: Path) -> None:
     save_film(pictures, lengths, out / "page.webp", FILM_WIDTH_PX, QUALITY)
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("docs/results"), help="(docs/results)")
     out = parser.parse_args().out
     try:

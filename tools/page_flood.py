@@ -32,7 +32,7 @@ from graph.processes import signals_raise
 from graph.session import Session, session
 
 from plate_bringup import RunOptions
-from plate_core import PlateError
+from plate_core import PlateError, piped
 from plate_view import COMMANDS, URGENT
 
 STOP_S, LATE_S = 0.25, 0.1
@@ -190,9 +190,10 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
     verdict.ends = [end for name in graph.processes.names if (end := graph.processes.end_of(name))]
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code: 1 if a node ended or a stop was late."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=3.0)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()

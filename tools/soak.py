@@ -25,7 +25,7 @@ from graph.series import Series, Task, work_again
 from scipy import stats
 
 from plate_bringup import RunOptions
-from plate_core import PlateError
+from plate_core import PlateError, piped
 
 SETTLED_S = 600.0
 """Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""
@@ -109,9 +109,10 @@ def text(result: dict[str, Any]) -> str:
     )
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--scenario", default=RunOptions.scenario)
     parser.add_argument(
         "--uneven", type=float, default=0.0,

@@ -64,7 +64,7 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
         code = code_of(MEASUREMENTS[name])
         try:
             module = importlib.import_module(MEASUREMENTS[name])
-            about = f"{module.__doc__}".partition("\n")[0].removesuffix(".")
+            about = (module.__doc__ or "").partition("\n")[0].removesuffix(".")
             print(f"{about} ... ", end="", flush=True)
             if quiet:
                 await_quiet()

@@ -19,6 +19,7 @@ from photographs.fetch import is_there
 from photographs.finders import make_finders
 from photographs.pictures import HALVES, Photograph, load_photographs
 from photographs.taught import teach_examples
+from plate_core import piped
 
 REACH = 0.5
 """A part is found by what is nearer to its centre than so many of its radii, one to one."""
@@ -29,7 +30,6 @@ ALIKE = 2.5
 TAUGHT = "ours, taught"
 
 MISSING = "cd bench && python -m photographs.fetch"
-
 
 Score = dict[str, list[Any]]
 """What one detector found in some pictures.
@@ -152,9 +152,10 @@ def of_half(half: str) -> tuple[list[Photograph], int]:
     return there, len(wanted) - len(there)
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
         "--held-out",
         action="store_true",

@@ -15,6 +15,7 @@ from urllib.parse import quote
 from urllib.request import urlopen
 
 from photographs.pictures import Photograph, load_photographs
+from plate_core import piped
 
 RAW = "https://raw.githubusercontent.com"
 """Where files of public GitHub repositories are, by commit."""
@@ -23,9 +24,10 @@ TIMEOUT_S = 30.0
 """For one answer."""
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code: 0 also where pictures are missing."""
-    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     photographs = load_photographs()
     there = 0
     for photograph in photographs:

@@ -276,7 +276,7 @@ def layers_of(network: Any) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--task", default="Sort4-v1", help="Sort4-v1 (default), Sort10-v1, ...")
     parser.add_argument("--updates", type=int, default=8000, help="of the weights (8000)")
     args = parser.parse_args()

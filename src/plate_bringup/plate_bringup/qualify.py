@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import MOST_PARTS, PlateError, Rig, load_rig
+from plate_core import MOST_PARTS, PlateError, Rig, load_rig, piped
 from plate_core.rig import rig_names, rig_path
 from plate_core.tasks import Scenario, load_scenario
 
@@ -211,6 +211,7 @@ def chart(rows: Sequence[Row]) -> str:
     return file.getvalue()[file.getvalue().index("<svg") :]
 
 
+@piped()
 def main() -> None:
     """Run the command line; exit code 0: parts were picked, 1: none, 2: wrong arguments."""
     args = arguments()

@@ -4,7 +4,7 @@ Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, 
 `serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` have the rest.
 """
 
-from .ending import ends
+from .ending import ends, piped
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
 from .network import choose_network, ros_domain
@@ -32,5 +32,6 @@ __all__ = [
     "ends",
     "load_rig",
     "part_class",
+    "piped",
     "ros_domain",
 ]

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
+import signal
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,6 +39,41 @@ class _Times(ctypes.Structure):
     """`struct itimerspec`: period and first time, each in seconds and nanoseconds."""
 
     _fields_ = (("period", ctypes.c_long * 2), ("first", ctypes.c_long * 2))
+
+
+@contextmanager
+def piped() -> Iterator[None]:
+    """End a program quietly once nobody reads its output any more, as in `check_rig | head -1`.
+
+    As a decorator of `main`, or around it: all that is to be tidied up inside is. The exit code is
+    then 141, by which shells tell that a pipe was closed.
+    """
+    try:
+        try:
+            yield
+        except SystemExit:
+            _flush()
+            raise
+        _flush()
+    except BrokenPipeError:
+        if not _unread():
+            raise  # another pipe, or a socket: a defect
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python still has
+        sys.exit(128 + signal.SIGPIPE)
+
+
+def _flush() -> None:
+    if sys.stdout is not None:
+        sys.stdout.flush()
+
+
+def _unread() -> bool:
+    """Whether stdout or stderr is a pipe that nobody reads."""
+    poll = select.poll()
+    for file in (sys.stdout, sys.stderr):
+        if file is not None:
+            poll.register(file.fileno(), 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 @contextmanager

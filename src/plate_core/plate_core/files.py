@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 from .errors import PlateError
 
-__all__ = ["YAML_BYTES", "check_file", "draft", "read_file"]
+__all__ = ["YAML_BYTES", "check_file", "draft", "kind_of", "read_file"]
 
 YAML_BYTES = 250_000
 """Most in a YAML file: sixty taught types take 100 kB, and more takes seconds to parse."""
@@ -53,6 +53,16 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
     if len(data) > most_bytes:
         raise error(f"{path}: has no end, allowed: {_allowed(most_bytes)}")
     return data
+
+
+def kind_of(path: str | Path) -> str:
+    """Say what is at a path, or what a link there leads to: `a file`, `a folder`, `a FIFO`,
+    `a socket` or `a device`; empty if nothing is, or it cannot be told."""
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return ""
+    return KINDS.get(stat.S_IFMT(found.st_mode), "a file")
 
 
 def check_file(path: str | Path, most_bytes: int, error: type[PlateError] = PlateError) -> None:

@@ -1,11 +1,12 @@
 """A process ends with its own exit code also where the middleware does not let go of it."""
 
+import os
 import subprocess
 import sys
 
 import pytest
 
-from plate_core import ends
+from plate_core import ends, piped
 
 NODE = """
 import ctypes
@@ -67,3 +68,49 @@ time.sleep(0.2)
 def test_what_goes_wrong_inside_comes_out():
     with pytest.raises(ValueError, match="wrong"), ends(3):
         raise ValueError("wrong")
+
+
+PRINTS = """
+import sys, time
+from plate_core import piped
+
+@piped()
+def main():
+    try:
+        print("first", flush=True)
+        sys.stdin.readline()  # until nobody reads any more
+        {rest}
+    finally:
+        print("tidied up", file=sys.stderr)
+
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("rest", "code"),
+    [
+        ("print('second', flush=True)", 141),
+        ("print('second')", 141),
+        ("print('second'); sys.exit(3)", 141),
+        ("pass", 0),
+        ("sys.exit(3)", 3),
+    ],
+)
+def test_a_program_whose_output_nobody_reads_ends_quietly(rest, code):
+    read, write = os.pipe()
+    with subprocess.Popen(
+        [sys.executable, "-c", PRINTS.format(rest=rest)],
+        stdin=subprocess.PIPE, stdout=write, stderr=subprocess.PIPE, text=True,
+    ) as program:  # fmt: skip
+        os.close(write)
+        with os.fdopen(read) as output:
+            assert output.readline() == "first\n"
+        _, errors = program.communicate("go on\n", timeout=60)
+    assert program.returncode == code
+    assert errors == "tidied up\n"
+
+
+def test_another_broken_pipe_is_a_defect():
+    with pytest.raises(BrokenPipeError), piped():
+        raise BrokenPipeError

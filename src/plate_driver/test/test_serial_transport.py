@@ -1,7 +1,9 @@
 """The real port: pyserial on a pseudo-terminal. The protocol over it: test/test_serial_path.py."""
 
 import os
+import socket
 import tty
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,8 +43,27 @@ def test_bytes_go_both_ways_and_nothing_waits(terminal):
 def test_missing_port_is_told():
     with pytest.raises(PlateError, match=r"serial port /dev/nowhere is not there$"):
         open_port("/dev/nowhere")
-    with pytest.raises(PlateError, match=r"serial port /dev/null does not open at 921600 baud \("):
+    with pytest.raises(PlateError, match=r"/dev/null is a device, but no serial port, allowed: "):
         open_port("/dev/null")
+
+
+@pytest.mark.parametrize("kind", ["a file", "a folder", "a FIFO", "a socket"])
+def test_something_else_than_a_port_is_named(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)  # a socket's path must be short
+    path = Path("port")
+    if kind == "a file":
+        path.touch()
+    elif kind == "a folder":
+        path.mkdir()
+    elif kind == "a FIFO":
+        os.mkfifo(path)
+    else:
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(str(path))
+    Path("link").symlink_to(path)
+    for name in ("port", "link"):
+        with pytest.raises(PlateError, match=f"^serial port {name} is {kind}, allowed: the device"):
+            open_port(name)
 
 
 def test_a_port_is_for_one_program(terminal):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from plate_core import PlateError, Rig, load_rig
+from plate_core import PlateError, Rig, load_rig, piped
 from plate_core.rig import Drive, Limits, rig_path
 
 from .axis import CYCLE_MS, Axis, switch_off, uninterrupted
@@ -256,6 +256,7 @@ def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
     return off
 
 
+@piped()
 def main() -> None:
     """Run the command line; exit code 0: all well, 1: not, 2: wrong arguments, files or bus."""
     parser = argparse.ArgumentParser(

@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError, load_rig, piped
 
 from .socketcan import HostPort, HostTransport, program_of
 
@@ -37,6 +37,7 @@ def measured(transport: HostTransport, seconds: float) -> np.ndarray:
     return np.array(late or [np.inf])
 
 
+@piped()
 def main() -> None:
     """Run the command line; exit code 0: good enough, 1: not, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from plate_bringup.loop import ALIKE
-from plate_core import PlateError, did_you_mean
+from plate_core import PlateError, did_you_mean, piped
 from plate_core.intervals import of_median, of_share
 
 from .agents import AGENTS, KNOWN, Agent, Brief
@@ -480,6 +480,7 @@ def sources() -> str:
     return mark.hexdigest()[:16]
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.bench", description=__doc__)
@@ -526,6 +527,8 @@ def main() -> int:
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
             args.world or "nominal", args.workers, tell, keep,
         )  # fmt: skip
+    except BrokenPipeError:
+        raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

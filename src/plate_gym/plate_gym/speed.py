@@ -10,6 +10,8 @@ import time
 
 import numpy as np
 
+from plate_core import piped
+
 from .env import PlateVectorEnv
 from .plates import OBSERVATIONS
 
@@ -42,6 +44,7 @@ def memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.speed", description=__doc__)

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from plate_core import PlateError, Rig, load_rig
+from plate_core import PlateError, Rig, load_rig, piped
 from plate_core.rig import LEAST_GAMMA, rig_names, rig_path
 from plate_core.tasks import (
     FeedTask,
@@ -48,6 +48,7 @@ KEYS = {
 """What is used of a rig -> what limits it, in the rig file."""
 
 
+@piped()
 def main() -> None:
     """Run the command line; exit code 0: likely, 1: not, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..ending import piped
 from ..errors import PlateError
 from .consistency import Doubt, doubts
 from .frames import camera_place
@@ -37,6 +38,7 @@ class Shake(NamedTuple):
     limit: str
 
 
+@piped()
 def main() -> None:
     """Run the command line; exit code 0: consistent, 1: not, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(

@@ -16,7 +16,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from ..ending import ends
+from ..ending import ends, piped
 from ..errors import PlateError
 from ..network import choose_network, ros_domain
 from .console import never_held
@@ -46,8 +46,9 @@ def run_node(
     parameters or files; 1, with a traceback, after a defect.
     """
     try:
-        if answered(make, options, args):
-            return
+        with piped():
+            if answered(make, options, args):
+                return
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         sys.exit(2)

@@ -13,6 +13,7 @@ import serial
 
 from plate_core import CycleError, FrameError, PlateError
 from plate_core.driver_status import DriverReason
+from plate_core.files import kind_of
 from plate_core.rig import CameraTrigger, Limits
 from plate_core.serial_protocol import (
     TICK_S,
@@ -101,11 +102,14 @@ REFUSED = {
 """Why a device does not enable, or find home."""
 
 
+A_PORT = "allowed: the device of a serial port, such as /dev/ttyACM0"
+
 PORT_ERRORS = {
     errno.ENOENT: "is not there",
     errno.EACCES: "is not allowed to this user: is it in the group dialout?",
     errno.EWOULDBLOCK: "is used by another program",
     errno.EBUSY: "is used by another program",
+    errno.ENOTTY: f"is a device, but no serial port, {A_PORT}",
 }
 """Why a port does not open, where that is known."""
 
@@ -139,11 +143,14 @@ def open_port(name: str, baud: int = BAUD) -> Port:
     PlateError
         If it is not there or cannot be used: why.
     """
+    kind = kind_of(name)
+    if kind not in ("a device", ""):
+        raise PlateError(f"serial port {name} is {kind}, {A_PORT}")
     try:
         port: Port = _Serial(name, baud, timeout=0, exclusive=True)
     except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError
-        known = PORT_ERRORS.get(getattr(error, "errno", None) or 0)
-        why = known or f"does not open at {baud} baud ({error})"
+        number = getattr(error, "errno", None) or getattr(error.__context__, "args", (0,))[0]
+        why = PORT_ERRORS.get(number) or f"does not open at {baud} baud ({error})"
         raise PlateError(f"serial port {name} {why}") from None
     return port
 

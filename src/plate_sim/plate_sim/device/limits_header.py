@@ -6,14 +6,15 @@ python -m plate_sim.device.limits_header RIG.yaml > limits_rig.h
 import argparse
 import sys
 
-from plate_core import PlateError
+from plate_core import PlateError, piped
 
 from .limits import rig_header
 
 
+@piped()
 def main() -> int:
     """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("rig", metavar="RIG.yaml", help="rig file")
     path = parser.parse_args().rig
     try:

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError, load_rig, piped
 from plate_core.rig import LENS_MODELS
 
 from ..drawing import draw_errors
@@ -47,18 +47,23 @@ FISHEYE = ("k1", "k2", "k3", "k4")
 """Names of distortion's values."""
 
 
+@piped()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; exit code 2, with one line, if something is wrong."""
     args = _parser().parse_args(arguments)
     try:
         args.run(args)
+    except BrokenPipeError:
+        raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="calibrate", description=(__doc__ or "").partition("\n")[0]
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     lens = commands.add_parser("lens", help="find the lens from pictures of a board")
     lens.add_argument("pictures", type=Path, help="folder of pictures, or a video file")

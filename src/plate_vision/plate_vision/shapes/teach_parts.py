@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError, load_rig, piped
 from plate_core.rig import PartType, load_part_types
 
 from ..camera import read_pictures, rig_of_picture
@@ -40,6 +40,7 @@ AROUND = 1.0
 """What is seen around a box, in its sides: enough of the plate."""
 
 
+@piped()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; exit code 2, with one line, if something is wrong."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -47,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     args = (_managing_parser() if managing else _parser()).parse_args(words)
     try:
         args.run(args)
+    except BrokenPipeError:
+        raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
@@ -55,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="teach",
-        description=__doc__.splitlines()[0],
+        description=(__doc__ or "").partition("\n")[0],
         epilog=f"`teach {'|'.join(COMMANDS)}` work on a file of types: see `teach list --help`.",
     )
     add = parser.add_argument
@@ -71,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _managing_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="teach", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="teach", description=(__doc__ or "").partition("\n")[0])
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     abouts: tuple[tuple[Callable[..., None], str, dict[str, str]], ...] = (
         (_list, "say what types there are", {}),
