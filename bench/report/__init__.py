@@ -26,6 +26,7 @@ from report.panels import Row
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows, steering
 from report.stability import chart_of, rows_of, words_of
+from report.views import scenes, tasks
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
 __all__ = [
@@ -61,10 +62,12 @@ CHARTS: tuple[Entry, ...] = (
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
     of_table(model, "model"),
     of_table(vision, "vision"),
+    of_table(scenes, "scenes", "cameras", "views"),
     of_table(control, "control"),
     of_table(tracking, "tracking"),
     of_table(cameras, "cameras", "free_running"),
     of_table(drives, "drives"),
+    of_table(tasks, "task_views", "views"),
     of_table(bound, "bound"),
     of_table(rigs, "rigs"),
     of_table(crowds, "crowds", "sizing", "parts"),
