@@ -23,6 +23,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from plate_core import Parts as CoreParts
 from plate_core import PlateCycle, PlateError, Wanted, load_rig
 from plate_core.ros import (
     ACTIONS,
@@ -38,6 +39,7 @@ from plate_core.ros import (
     msg_to_cycle,
     msg_to_driver_status,
     msg_to_order,
+    msg_to_overlooked,
     msg_to_parts,
     msg_to_reports,
     msg_to_targets,
@@ -67,7 +69,7 @@ from plate_interfaces.msg import (
 
 from .estimation import SNAP, Estimator, check_start, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
-from .supervision import STOP, Failure, Inputs, Phase, Progress, Reason
+from .supervision import STOP, Failure, Inputs, Overlooked, Phase, Progress, Reason
 from .tasks import FollowOptions
 
 WATCH_PERIOD_S = 0.1
@@ -263,6 +265,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._due = False  # whether an answer is due at the alarm
         self._in_force: tuple[PartTarget, ...] | None = None  # targets as published
         self._shown: dict[str, Part] = {}  # parts of the last image, by id
+        self._overlooked = Overlooked(self._rig)
+        self._others_told = False  # whether the running task has reported what else is there
         self._publish_status()
         self._publish_targets()
 
@@ -322,7 +326,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         except PlateError as error:
             self._warn(str(error))
             return
-        self._shown = {part.id: part for part in msg.parts}
+        self._note(msg, parts)
         if run is None:
             self._idle = self._idle.update(parts, stamp)
             if self._inputs.starts_problem(time.monotonic()):  # the loop goes on without the motors
@@ -389,7 +393,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._warn(str(error))
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
-        self._shown = {part.id: part for part in msg.parts}
+        self._note(msg, parts)
         # In lockstep an image may come again, also after a goal: the task begins with the next one.
         again = self.options.lockstep and seconds(stamp) == self._idle.stamp
         if run is None or again:
@@ -398,6 +402,26 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
         self._answer(run, stamp, lambda run: run.planner.plan(run.state, parts, seconds(stamp)))
+
+    def _note(self, msg: Parts, parts: CoreParts) -> None:
+        """Note the parts and the other things of an image; a task that begins reports these."""
+        self._shown = {part.id: part for part in msg.parts}
+        self._overlooked.add(msg_to_overlooked(msg), parts)
+        text = self._others()
+        if text and not self._others_told:
+            self._others_told = True
+            self.get_logger().warning(text)
+
+    def _others(self) -> str:
+        """Say what else is on the plate while a task runs; empty if nothing is."""
+        run = self._run
+        if run is None or not run.state.task.active:
+            return ""
+        count, parts = run.planner.scenario.count, run.state.estimator.seen
+        texts = [run.planner.others(parts), self._overlooked.text]
+        text = "; ".join(filter(None, texts))
+        moves = f"{run.name} moves {count} parts" if count else run.name
+        return f"{moves}: {text}" if text else ""
 
     def _answer(
         self, run: Run, stamp: Time, plan: Callable[[Run], tuple[PlannerState, Wanted, Progress]]
@@ -590,6 +614,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         state = planner.start(planner.initial(self._estimator))
         self._run = Run(planner, state, now, goal)
         self._asked = True
+        self._others_told = False
         self._follow_up()
         self._go_on()
         return None
@@ -744,6 +769,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             findings.append(Finding(Level.WARN, problem + way))
         if late := self._estimator.answer_problem:
             findings.append(Finding(Level.WARN, late))
+        if others := self._others():
+            findings.append(Finding(Level.WARN, others))
         found = worst(findings, "")
         if self._run is None:
             return Finding(found.level, "; ".join(filter(None, ("idle", found.message))))
@@ -764,6 +791,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             "task_state": "idle" if run is None else run.state.task.text,
             "driver_status": "" if driver is None else driver.text,
             "parts_silent_s": f"{self._inputs.parts.silence(time.monotonic()):.2f}",
+            "overlooked": str(self._overlooked.count),
             "image_rate_hz": f"{self._estimator.image_rate:.1f}",
         }
 

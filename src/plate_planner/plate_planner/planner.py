@@ -36,6 +36,8 @@ from .supervision import (
     TaskLimits,
     TaskState,
     begin,
+    bystanders_text,
+    is_bystander,
     judge,
     loss_of,
     missing_parts,
@@ -43,6 +45,7 @@ from .supervision import (
     shortfall_text,
     started,
     stopped,
+    without_surplus,
 )
 from .tasks import CROWD, Assessment, DriftRequest, Situation, TaskOptions, TaskRules, rules_for
 
@@ -316,15 +319,24 @@ class Planner:
             there = self._without_doubles(there, estimator.seen)
         else:
             last = self._last_seen(last, there, estimator.stamp)
-        present = self._on_plate(there)
+        present = without_surplus(self._on_plate(there), self._labels)
         state = replace(state, last=last, due=np.inf)
         state, found = self._advance(state, present)
         wanted = NOTHING
         going_on = state.task.active and not state.task.held(estimator.stamp, self.limits)
         if going_on and found.request is not None and len(present):
             state, wanted = self._ask(state, present, found.request)
-        progress = self._progress(state, len(present), found)
+        progress = self._progress(state, present, found)
         return replace(state, answer=(wanted, progress)), wanted, progress
+
+    @property
+    def _labels(self) -> tuple[str, ...]:
+        """Classes of the task's parts."""
+        return tuple(group.label for group in self.scenario.parts)
+
+    def _mine(self, ids: Sequence[str]) -> set[str]:
+        """Ids without those of unknown things."""
+        return {name for name in ids if not is_bystander(name, self._labels)}
 
     def _on_plate(self, parts: Parts) -> Parts:
         """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
@@ -357,7 +369,8 @@ class Planner:
         comes_and_goes = self.rules.open_ended
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
         seen = set(state.estimator.seen.ids)
-        again = comes_and_goes or set(state.known) == set(parts.ids) <= seen
+        mine = self._mine(parts.ids)  # things that come and go do not keep a task from beginning
+        again = comes_and_goes or self._mine(state.known) == mine <= seen
         task = begin(state.task, t, missing, again, self.limits)
         estimator = self._observe(state, parts, task.active and not state.task.active)
         now = self._situation(estimator, state, parts, task.active)
@@ -369,7 +382,7 @@ class Planner:
             found.to_go_m,
             found.problem,
             lambda: shortfall_text(estimator.request, self.rig, parts, found.distance, count),
-            found.outcome,
+            "; ".join(filter(None, (found.outcome, self.others(parts)))),
             lambda name: loss_of(name, state.last.get(name), began, self.rig, count),
             not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
             estimator.at_rest,
@@ -378,6 +391,11 @@ class Planner:
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
         return replace(state, task=task, estimator=estimator, memory=memory, known=known), found
+
+    def others(self, parts: Parts) -> str:
+        """Say which unknown things are on the plate; a task in which parts come and go counts them
+        itself."""
+        return "" if self.rules.open_ended else bystanders_text(parts, self._labels)
 
     def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
         """Learn what parts do otherwise than predicted; a task begins without knowing."""
@@ -434,15 +452,17 @@ class Planner:
             parts, force, tolerance, None, period, start, request.targets, plate
         )
 
-    def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
+    def _progress(self, state: PlannerState, present: Parts, found: Assessment) -> Progress:
         estimator, task = state.estimator, state.task
-        doing = found.doing if task.active else ""
+        doing = ""
+        if task.active:
+            doing = "; ".join(filter(None, (found.doing, self.others(present))))
         return Progress(
             phase=task.phase,
             text=f"{task.text}: {doing}" if doing else task.text,
             time_s=task.elapsed(estimator.stamp),
             parts_total=max(self.scenario.count, found.total),
-            parts_seen=seen,
+            parts_seen=len(present),
             parts_sorted=found.count,
             to_go_m=found.to_go_m,
             rms_error_m=found.rms_error_m,

@@ -16,7 +16,7 @@ from stepped_clock import STEP_S  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from plate_core import Parts, PlateCycle, PlateError, load_rig  # noqa: E402
+from plate_core import OverlookedThing, Parts, PlateCycle, PlateError, load_rig  # noqa: E402
 from plate_core.ros import (  # noqa: E402
     DATA,
     LATCHED,
@@ -675,3 +675,24 @@ def test_gains_change_while_it_runs_and_wrong_ones_are_refused(graph):
 def test_wrong_parameters_are_refused_at_start(clock, parameters, message):
     with pytest.raises(PlateError, match=message):
         Graph(clock, **parameters)
+
+
+def test_a_task_reports_what_else_the_image_shows(graph):
+    graph, seen = graph(), Parts.make(IDS, APART)
+
+    def show(stamp_s, things):
+        count = len(graph.forces)
+        graph.parts.publish(parts_to_msg(seen, to_time(round(1e9 * stamp_s)), overlooked=things))
+        graph.until(lambda: len(graph.forces) > count)
+
+    graph.begin()
+    for k in range(3, 9):
+        show(0.1 * k, (OverlookedThing(0.0, 0.02, 0.009, "misfit"),))
+    graph.report()
+    level, message = graph.report()
+    assert level == DiagnosticStatus.WARN
+    assert "sort moves 4 parts: the image shows 1 thing more that may be a part (misfit" in message
+    for k in range(9, 15):
+        show(0.1 * k, ())
+    graph.report()
+    assert "the image shows" not in graph.report()[1]

@@ -3,6 +3,7 @@
 `begin`, `judge` and `stopped` lead from phase to phase; `Inputs` watches the other nodes.
 """
 
+from .bystanders import Overlooked, bystanders_text, is_bystander, without_surplus
 from .failure import LastSeen, loss_of, outlook, shortfall_text
 from .inputs import Inputs
 from .phase import (
@@ -27,12 +28,15 @@ __all__ = [
     "Findings",
     "Inputs",
     "LastSeen",
+    "Overlooked",
     "Phase",
     "Progress",
     "Reason",
     "TaskLimits",
     "TaskState",
     "begin",
+    "bystanders_text",
+    "is_bystander",
     "judge",
     "loss_of",
     "missing_parts",
@@ -40,4 +44,5 @@ __all__ = [
     "shortfall_text",
     "started",
     "stopped",
+    "without_surplus",
 ]

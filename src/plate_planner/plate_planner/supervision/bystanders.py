@@ -1,0 +1,117 @@
+"""Things on the plate that belong to no part of the task: what vision sees and does not take for a
+part of any class.
+
+Vision publishes some of them as parts of the classes `unknown` and `group`. The planner keeps these
+on the plate and clear of the parts, as all parts without a goal. Others are only listed as
+overlooked: parts may run into them, so the planner reports them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from plate_core import MOST_PARTS, OverlookedThing, Parts, Rig, part_class
+
+BYSTANDERS = ("unknown", "group")
+"""Classes of what vision sees and cannot name."""
+
+PLAUSIBLE_AREA = 0.3, 3.0
+"""Area of a thing that may be a part, relative to the smallest and the largest part [-]: smaller
+ones are dust or shine, larger ones tools or hands."""
+
+SEVERAL = 5
+"""Images of which most must show a thing before it counts: a reflection comes and goes."""
+
+LISTED = 3
+"""Things that a message lists with their places; of more it gives the number."""
+
+
+def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
+    """Whether a part belongs to no class of the task, whose classes are `labels`, nor to any other
+    class that vision knows."""
+    label = part_class(part_id)
+    return label in BYSTANDERS and label not in labels
+
+
+def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
+    """Say which parts are such things; empty if none are."""
+    rows = [row for row, name in enumerate(parts.ids) if is_bystander(name, labels)]
+    if not rows:
+        return ""
+    places = [f"{parts.ids[row]} {_place(*parts.position[row])}" for row in rows]
+    is_ = "1 unknown thing is" if len(rows) == 1 else f"{len(rows)} unknown things are"
+    return f"{is_} on the plate ({_listed(places)})"
+
+
+def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
+    """Return at most `MOST_PARTS` parts, which is what the solver takes: unknown things are left
+    out first."""
+    if len(parts) <= MOST_PARTS:
+        return parts
+    last = [is_bystander(name, labels) for name in parts.ids]
+    return parts.take(np.sort(np.argsort(last, kind="stable")[:MOST_PARTS]))
+
+
+@dataclass
+class Overlooked:
+    """Things of the last images that may be parts, and that vision does not publish as parts.
+
+    Attributes
+    ----------
+    rig : Rig
+    images : deque of tuple of OverlookedThing
+        Those of each image.
+    """
+
+    rig: Rig
+    images: deque[tuple[OverlookedThing, ...]] = field(
+        default_factory=lambda: deque(maxlen=SEVERAL)
+    )
+
+    def add(self, things: tuple[OverlookedThing, ...], parts: Parts) -> None:
+        """Take in the things of an image, and the parts in it."""
+        areas = [part.area_m2 for part in self.rig.types.values()]
+        areas = areas or [np.pi * self.rig.parts.radius_m**2]
+        low = np.sqrt(PLAUSIBLE_AREA[0] * min(areas) / np.pi)
+        high = np.sqrt(PLAUSIBLE_AREA[1] * max(areas) / np.pi)
+        found = []
+        for thing in things:
+            place = np.array([thing.x, thing.y])
+            whole = bool(np.all(np.abs(place) + thing.radius <= self.rig.plate.half))
+            away = np.hypot(*(parts.position - place).T)  # of a part that is published anyway
+            if low <= thing.radius <= high and whole and not np.any(away < thing.radius):
+                found.append(thing)
+        self.images.append(tuple(found))
+
+    @property
+    def count(self) -> int:
+        """Number of such things in most of the last images."""
+        return int(np.median([len(one) for one in self.images])) if self.images else 0
+
+    @property
+    def text(self) -> str:
+        """Say how many there are, and where; empty if there are none."""
+        count = self.count
+        if not count:
+            return ""
+        shown = next(one for one in reversed(self.images) if len(one) >= count)
+        places = [f"{thing.reason} {_place(thing.x, thing.y)}" for thing in shown[:count]]
+        more = "1 thing more that may be a part"
+        if count > 1:
+            more = f"{count} things more that may be parts"
+        return (
+            f"the image shows {more} ({_listed(places)}): parts may be driven into what is not "
+            "detected (the detector's diagnostics say what to do)"
+        )
+
+
+def _place(x: float, y: float) -> str:
+    return f"at ({x:.3f}, {y:.3f}) m"
+
+
+def _listed(texts: list[str]) -> str:
+    more = len(texts) - LISTED
+    return ", ".join(texts[:LISTED]) + (f" and {more} more" if more > 0 else "")

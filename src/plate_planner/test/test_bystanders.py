@@ -1,0 +1,121 @@
+"""Things that belong to no class of the task: they are kept on the plate, and reported."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plant import RIG, Plant, T, ready
+
+from plate_core import OverlookedThing, Parts
+from plate_core.tasks import load_scenario
+from plate_planner import Planner
+from plate_planner.supervision import Overlooked
+
+HALF, RADIUS = RIG.plate.half, RIG.parts.radius_m
+PLACE = np.array([[0.05, 0.02], [-0.1, 0.1]])
+THINGS = ("unknown_1", "group_2")
+
+
+def with_things(parts, ids=THINGS, place=PLACE):
+    """Return parts and things that belong to no class of the task."""
+    return Parts.make(
+        parts.ids + tuple(ids),
+        np.vstack([parts.position, place[: len(ids)]]),
+        np.vstack([parts.velocity, np.zeros((len(ids), 2))]),
+    )
+
+
+def test_a_task_ends_well_beside_unknown_things_and_names_them():
+    planner = Planner(RIG, load_scenario("sort_4"))
+    plant = Plant(planner.scenario, seed=2)
+    state = ready(planner, with_things(plant.seen()))
+    texts = set()
+    for k in range(600):
+        state, asked, progress = planner.plan(state, with_things(plant.seen()), k * T)
+        if progress.phase != "running":
+            break
+        texts.add(progress.text)
+        if asked.parts.ids:
+            assert set(THINGS) <= set(asked.parts.ids)  # the solver keeps parts clear of them
+            rows = [asked.parts.ids.index(name) for name in THINGS]
+            assert not np.any(asked.targets.weight[rows])  # but they need not move
+        rows = np.flatnonzero([name not in THINGS for name in asked.parts.ids])
+        plant.step(replace(asked, parts=asked.parts.take(rows), force=asked.force[rows]))
+    things = "2 unknown things are on the plate (unknown_1 at (0.050, 0.020) m, group_2 at "
+    assert progress.phase == "done"
+    assert f"4 of 4 parts in their regions; {things}" in progress.text
+    assert any(text.startswith(f"running: {things}") for text in texts)
+
+
+def test_things_that_come_and_go_do_not_keep_a_task_from_beginning():
+    planner = Planner(RIG, load_scenario("sort_4"))
+    parts = Plant(planner.scenario, seed=2).seen()
+    state, _, _ = planner.plan(planner.initial(), with_things(parts), 0.0)
+    state = planner.start(state)
+    for k, ids in enumerate((("unknown_3",), ())):
+        state, _, _ = planner.plan(state, with_things(parts, ids), (k + 1) * T)
+    assert state.task.began == T
+    missing = parts.take([0, 1, 2])  # while a part that comes and goes does
+    state, _, _ = planner.plan(planner.initial(), parts, 0.0)
+    state = planner.start(state)
+    for k, image in enumerate((missing, parts)):
+        state, _, _ = planner.plan(state, image, (k + 1) * T)
+    assert state.task.began == 2 * T
+
+
+def test_the_solver_gets_the_parts_of_the_task_before_unknown_things():
+    planner = Planner(RIG, load_scenario("sort_50"))
+    parts = Plant(planner.scenario, seed=2).seen()
+    ids = tuple(f"unknown_{k}" for k in range(1, 71))
+    place = np.random.default_rng(1).uniform(-0.9, 0.9, (70, 2)) * HALF
+    state = ready(planner, with_things(parts, ids, place))
+    _, asked, _ = planner.plan(state, with_things(parts, ids, place), 0.0)
+    assert len(asked.parts) == 100
+    assert set(parts.ids) <= set(asked.parts.ids)
+
+
+def thing(x, y, radius=RADIUS, reason="misfit"):
+    return OverlookedThing(x, y, radius, reason)
+
+
+NOBODY = Parts.make((), np.zeros((0, 2)))
+
+
+@pytest.mark.parametrize(
+    ("seen", "counts"),
+    [
+        (thing(0, 0), True),
+        (thing(0, 0, 0.6 * RADIUS), True),  # 0.36 of a part's area
+        (thing(0, 0, 0.5 * RADIUS), False),  # 0.25
+        (thing(0, 0, 1.7 * RADIUS), True),  # 2.9
+        (thing(0, 0, 1.8 * RADIUS), False),  # 3.2
+        (thing(HALF[0] - 0.5 * RADIUS, 0), False),  # not wholly on the plate
+        (thing(0, -HALF[1] - 0.05), False),
+        (thing(PLACE[0, 0] + 0.002, PLACE[0, 1]), False),  # published as a part
+    ],
+)
+def test_only_a_thing_that_may_be_a_part_counts(seen, counts):
+    overlooked = Overlooked(RIG)
+    overlooked.add((seen,), Parts.make(("unknown_1",), PLACE[:1]))
+    assert overlooked.count == int(counts)
+    assert bool(overlooked.text) == counts
+
+
+def test_a_thing_counts_if_most_images_show_it():
+    overlooked = Overlooked(RIG)
+    for k in range(5):
+        overlooked.add((thing(0, 0),) if k % 2 == 0 else (), NOBODY)
+    assert overlooked.count == 1
+    overlooked.add((), NOBODY)  # now two of the last five
+    overlooked.add((), NOBODY)
+    assert (overlooked.count, overlooked.text) == (0, "")
+
+
+def test_the_text_has_places_and_reasons():
+    overlooked = Overlooked(RIG)
+    things = [thing(0.1 * k - 0.2, 0.05, reason="too large") for k in range(5)]
+    overlooked.add(tuple(things), NOBODY)
+    assert overlooked.text.startswith(
+        "the image shows 5 things more that may be parts (too large at (-0.200, 0.050) m, too "
+        "large at (-0.100, 0.050) m, too large at (0.000, 0.050) m and 2 more): parts may be"
+    )

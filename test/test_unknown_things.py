@@ -1,0 +1,49 @@
+"""The closed loop with things on the plate that are of no class of the task: the truth of the
+simulator tells what becomes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plate_bringup import loop
+from plate_core import load_rig
+from plate_core.tasks import load_scenario
+from plate_vision import tracking
+
+MORE = 3
+
+
+@pytest.mark.parametrize("scenario", ["sort_10", "assemble_8"])
+def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkeypatch):
+    wanted, rig = load_scenario(scenario), load_rig()
+    first = wanted.parts[0]
+    there = replace(wanted, parts=(replace(first, count=first.count + MORE), *wanted.parts[1:]))
+    world = {}
+
+    def simulation(rig, _, *args, **kwargs):
+        world["it"] = loop_simulation(rig, there, *args, **kwargs)
+        ids = [name for name in world["it"].state.ids if name.startswith(first.label)]
+        world["unknown"] = ids[:MORE]
+        return world["it"]
+
+    def update(tracker, stamp, centre, label, *args, **kwargs):
+        """Take in what an image shows, without the class of some parts."""
+        state, label = world["it"].state, np.array(label, dtype="U32")
+        for name, place in zip(state.ids, state.position, strict=True):
+            if name in world["unknown"]:
+                label[np.argmin(np.hypot(*(centre - place).T))] = "unknown"
+        return tracking.update(tracker, stamp, centre, label, *args, **kwargs)
+
+    loop_simulation = loop.Simulation
+    monkeypatch.setattr(loop, "Simulation", simulation)
+    monkeypatch.setattr("plate_vision.vision.update", update)
+    least = np.inf
+    for moment in loop.run(loop.Setup(wanted, seed=4), rig):
+        rows = [moment.world.ids.index(name) for name in world["unknown"]]
+        away = rig.plate.half - np.abs(moment.world.position[rows])
+        least = min(least, float(away.min()))
+    assert moment.progress.phase == "done"
+    assert f"{MORE} unknown things are on the plate (unknown_1 at (" in moment.progress.text
+    assert moment.world.dropped == 0
+    assert least > rig.edge_margin("unknown").least_m
