@@ -45,8 +45,11 @@ from plate_interfaces.msg import PartForces, Parts
 from .bare_plate import MODELLED, BarePlate, know_plate, learn_next
 from .camera import (
     Lens,
+    bits_hint,
     decode,
     decode_file,
+    is_wide,
+    is_wide_file,
     load_lens,
     read_pictures,
     rig_lens,
@@ -273,6 +276,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "image_raw",
             msg.header.stamp,
             lambda: decode(msg.data, size_px, msg.encoding, msg.step, big, self.options.bits),
+            is_wide(msg.encoding),
         )
 
     def _on_file(self, msg: CompressedImage) -> None:
@@ -281,6 +285,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "image_raw/compressed",
             msg.header.stamp,
             lambda: decode_file(msg.data, msg.format, self.options.bits, size_px),
+            is_wide_file(msg.data),
         )
 
     def _open(self, values: DetectorParameters) -> None:
@@ -322,8 +327,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             if problem:
                 self._warn(f"{name}: {problem}")
 
-    def _answer(self, source: str, stamp: Time, unpack: Callable[[], np.ndarray]) -> bool:
-        """Find the parts of one image, and publish them; False if it cannot be used."""
+    def _answer(
+        self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
+    ) -> bool:
+        """Find the parts of one image, and publish them; False if it cannot be used. Wide: the
+        parameter bits says which of its 16 bits are used."""
         self._input = self._input.heard(time.monotonic())
         self._tally.images += 1
         self._images += 1
@@ -350,6 +358,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._note_ids()
         problem = light_problem(image, self._vision.options.min_plate_grey)
         if problem:
+            problem += bits_hint(image, self.options.bits) if wide else ""
             self._warn(f"{source}: {problem}")
             self._tally.problem = problem
         self._parts.publish(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from plate_vision import ImageError
-from plate_vision.camera import decode, decode_file
+from plate_vision.camera import bits_hint, decode, decode_file, is_wide, is_wide_file
 from plate_vision.camera.encodings import ENCODINGS, MOST_PIXELS
 
 WIDTH, HEIGHT = 12, 8
@@ -50,6 +50,20 @@ def test_sixteen_bits(bgr, bits, order, big):
     assert np.array_equal(seen, bgr[:, :, 0])
     seen = unpack(wide[:, :, ::-1].astype(order), "rgb16", big_endian=big, bits=bits)
     assert np.array_equal(seen, bgr)
+
+
+def test_a_hint_at_wrong_bits():
+    for used in (9, 10, 12, 14):
+        image = unpack(np.full((HEIGHT, WIDTH), 0.9 * 2**used, "<u2"), "mono16")
+        assert f"only {used} of the 16 bits used: " in bits_hint(image, 16)
+    assert bits_hint(np.zeros((HEIGHT, WIDTH), np.uint8), 16) == ""  # black anyway
+    white = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    assert bits_hint(white, 16) == ""
+    assert "bits, 12, too small" in bits_hint(white, 12)
+    assert is_wide("mono16")
+    assert not is_wide("mono8")
+    assert not is_wide("no encoding")
+    assert not is_wide_file(b"")
 
 
 def test_values_beyond_the_bits_are_white(bgr):

@@ -291,6 +291,33 @@ def test_an_outline_that_is_not_where_corners_px_have_it_is_reported_until_reset
     assert graph.detector._find(0.0).message == "all images used"
 
 
+@pytest.mark.parametrize("kind", ["raw", "compressed"])
+@pytest.mark.parametrize("bits", [10, 12])
+def test_images_of_fewer_bits_than_are_said_name_the_parameter(draw, rng, kind, bits):
+    """A camera with 12 bits in numbers of 16: not only more light is asked for."""
+    frame = draw(CENTRE_PX, LABEL, rng, radius=7.9).astype("<u2") << (bits - 8)
+    graph = Graph(image_transport=kind)
+    try:
+        if kind == "raw":
+            msg = image(np.zeros((480, 640), np.uint8), 1.0)
+            msg.encoding, msg.step, msg.data = "mono16", 1280, frame.tobytes()
+        else:
+            msg = compressed(frame, 1.0, ".png", "mono16; png compressed")
+        graph.answer(msg)
+        text = graph.warnings[0]
+        assert "is the light on" in text
+        assert text.endswith(
+            f"only {bits} of the 16 bits used: then set the parameter bits to {bits}"
+        )
+        graph.detector.set_parameters([Parameter("bits", value=bits)])
+        for second in (2, 3, 4):  # a new part must be seen more than once
+            msg.header.stamp.sec = second
+            seen = graph.answer(msg)
+        assert names(seen) == ["black_1", "grey_1"]
+    finally:
+        graph.close()
+
+
 def test_noise_alone_is_no_part(graph, rng):
     for k, low in enumerate((0, 100, 200)):
         frame = rng.integers(low, 256, (480, 640), dtype=np.uint8)

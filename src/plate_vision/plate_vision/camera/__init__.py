@@ -4,7 +4,7 @@ Others use the names below; `calibrate_camera` is the program `calibrate`.
 """
 
 from .boards import Board, LensFit, draw_board, find_corners, fit_lens
-from .encodings import decode, decode_file, grey_levels
+from .encodings import bits_hint, decode, decode_file, grey_levels, is_wide, is_wide_file
 from .files import load_lens, read_pictures, rig_of_picture, save_lens, write_picture
 from .lens import (
     Calibration,
@@ -21,6 +21,7 @@ __all__ = [
     "Calibration",
     "Lens",
     "LensFit",
+    "bits_hint",
     "calibrate",
     "calibrate_by_matrix",
     "calibrate_by_rig",
@@ -32,6 +33,8 @@ __all__ = [
     "find_markers",
     "fit_lens",
     "grey_levels",
+    "is_wide",
+    "is_wide_file",
     "load_lens",
     "read_pictures",
     "rig_lens",

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ..errors import ImageError, check_image, check_size
-from .headers import Header, not_turned, read_header
+from .headers import PNG, Header, not_turned, read_header
 
 BAYER = {
     "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV's names are those of the second row and column
@@ -46,6 +46,12 @@ ENCODINGS = {
 
 MOST_PIXELS = 50_000_000
 """Largest image that is unpacked: 0.15 GB in colour. A few bytes can claim to be far more."""
+
+PNG_DEPTH = 24
+"""Where the bits of a colour stand in a PNG file."""
+
+BRIGHT = 127
+"""Brightest grey level below which the highest bit is not used."""
 
 TAIL = 64
 """Bytes at the end of a file among which its end mark must be: some cameras pad."""
@@ -159,6 +165,32 @@ def decode_file(
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
     return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
+
+
+def is_wide(encoding: str) -> bool:
+    """Whether an encoding has 16 bits, so that `bits` counts."""
+    return ENCODINGS.get(encoding, ("", 1))[1] == 2
+
+
+def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
+    """Whether a picture's file has 16 bits: PNG may."""
+    return bytes(content[: len(PNG)]) == PNG and len(content) > PNG_DEPTH and content[PNG_DEPTH] > 8
+
+
+def bits_hint(image: np.ndarray, bits: int) -> str:
+    """Say how `bits` may be the reason why an image (H, W) or (H, W, 3) uint8, which came with 16
+    bits, is too dark or too bright.
+
+    Too dark: `bits` of numbers are taken where the camera uses fewer. An image that is black is
+    too dark anyway, and tells nothing.
+    """
+    brightest = int(image.max(initial=0))
+    used = bits - 8 + brightest.bit_length()
+    if brightest > BRIGHT:
+        return f"; or is bits, {bits}, too small for this camera?" if bits < 16 else ""
+    if brightest == 0:
+        return ""
+    return f"; or are only {used} of the {bits} bits used: then set the parameter bits to {used}"
 
 
 def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
