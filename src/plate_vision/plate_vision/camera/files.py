@@ -29,6 +29,8 @@ FAR = 1e6
 PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 """Endings of pictures."""
 
+KINDS = "BMP, JPEG, PNG, PGM, PPM, TIFF or WebP"
+
 PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
 """Most in a file: 20 megapixels without compression; half an hour of full HD."""
 
@@ -199,7 +201,7 @@ class Pictures:
                 self._tell(f"{file.name}: {text}")
         pixels = unpack(content, cv2.IMREAD_COLOR, header)
         if pixels is None:
-            raise ImageError(f"{file}: cannot be read, allowed: a whole picture")
+            raise ImageError(f"{file}: cannot be read, allowed: a whole picture ({KINDS})")
         return pixels
 
     def _tell(self, text: str) -> None:
