@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,29 @@ from .discs import (
     mark_angles,
     measure_alone,
     paint_over,
-    to_image,
+    seeds_of,
+    tops,
 )
 from .errors import OptionError, check_ranges, check_size
-from .plate import SEAM_PX, Region, fit_light, make_region
+from .overlooked import NONE_OVERLOOKED
+from .plate import (
+    SEAM_PX,
+    LitPlate,
+    Region,
+    brightness,
+    channels_of,
+    contrast_image,
+    fit_light,
+    make_region,
+)
+from .plate.contrast import Channels
+from .remains import (
+    Remains,
+    find_remains,
+    overlooked_things,
+    solid,
+    without,
+)
 from .shapes import find_outlines
 
 CLASSES = ("black", "grey")
@@ -61,11 +80,37 @@ seen: of its longest side with x, 0 to pi; of a disc that of its mark, 0 without
 confidence, 0 to 1; how it was measured; standard deviation of the centre along each axis [px], as
 far as noise and misfit cause it."""
 
-MAX_MISFIT = 0.2
-"""Largest deviation of a part from an evenly dark disc."""
+MAX_MISFIT, NOISE_MISFIT = 0.2, 0.5
+"""Largest deviation of a part from its silhouette, at the contour: drawn ones have 0.02 to 0.05,
+those with a height that the rig file does not know up to 0.2. To it this multiple of the image's
+noise over the part's contrast is added: it remains when the mean noise of 50 pixels is
+subtracted."""
+
+GOOD_MISFIT = 0.06
+"""Misfit that light, noise and the edges of pixels explain. What is beyond, times the radius, is
+about the error of the place: parts 10 mm high that are taken for flat have a misfit of 0.18, and
+are off by 0.15 to 0.2 radii."""
 
 EVEN_MISFIT = 0.06
 """Largest misfit of a part that is measured by moments: with more it is not evenly dark."""
+
+LEAST_SEEN = 0.3
+"""Least fraction of a part's contour that is seen: of less the place is not sure."""
+
+EQUAL = 0.02
+"""Brightness relative to the plate within which a part is neither darker nor brighter: its colour
+is another."""
+
+CLEARLY_DARK = 0.8
+"""Fraction of the plate's brightness below which pixels belong to parts for the quick first
+search."""
+
+SIGMAS = 2.2
+"""Least contrast of a part, over the standard deviation of a pixel's noise: the mean of four
+pixels, of which the contrast is taken, has half of that."""
+
+FAINT = 2.0
+"""Things with less than so many times the least contrast are too faint."""
 
 ROUND = 1.2
 """Largest reach of a silhouette, relative to its radius, that counts as round: seen at 34 degrees
@@ -92,7 +137,9 @@ class DetectorOptions:
     radius_tolerance : float
         Greatest relative deviation from it, 0.05 to 0.6.
     threshold : float
-        Fraction of the bare plate's brightness below which a pixel belongs to a part, 0.1 to 0.95.
+        Parts are darker than this fraction of the bare plate's brightness, or differ from it as
+        much by being brighter or of another colour, 0.1 to 0.97. In noisy images they must differ
+        by more.
     class_threshold : float
         Fraction of the bare plate's brightness below which a part is black, above which grey, 0.05
         to 0.95.
@@ -107,14 +154,14 @@ class DetectorOptions:
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
         "radius_px": PART_PX,
         "radius_tolerance": (0.05, 0.6),
-        "threshold": (0.1, 0.95),
+        "threshold": (0.1, 0.97),
         "class_threshold": (0.05, 0.95),
         "min_plate_grey": (1.0, 255.0),
         "margin_px": (0.0, 10.0),
     }
     radius_px: float = 8.0
     radius_tolerance: float = 0.2
-    threshold: float = 0.8
+    threshold: float = 0.97
     class_threshold: float = 0.4
     min_plate_grey: float = 60.0
     margin_px: float = 1.0
@@ -186,7 +233,7 @@ def detect(
     check_size("image: size is", size_px, region.size_px, why=why)
     if options is None:
         return _detect_any(image, region)
-    return find_discs(grey, region, options, view or PartView.even(options.radius_px))[0]
+    return find_discs(image, region, options, view or PartView.even(options.radius_px)).found
 
 
 def round_patches(image: np.ndarray, region: Region) -> np.ndarray:
@@ -195,49 +242,144 @@ def round_patches(image: np.ndarray, region: Region) -> np.ndarray:
     return found[found["round"] & ~found["group"]]
 
 
+class Discs(NamedTuple):
+    """What `find_discs` finds.
+
+    Attributes
+    ----------
+    found : (n,) DETECTION
+    parts : (n,) SILHOUETTE
+        Their silhouettes.
+    overlooked : (m,) OVERLOOKED
+        Things on the plate that are not taken for parts; their places in plate_home are not set.
+    """
+
+    found: np.ndarray
+    parts: np.ndarray
+    overlooked: np.ndarray
+
+    @property
+    def places(self) -> np.ndarray:
+        """Where they are (n, 2) [px]."""
+        return np.stack([self.found["x_px"], self.found["y_px"]], axis=1)
+
+
+NO_DISCS = Discs(np.empty(0, DETECTION), np.empty(0, SILHOUETTE), NONE_OVERLOOKED)
+"""Nothing is seen."""
+
+
 def find_discs(
-    grey: np.ndarray, region: Region, options: DetectorOptions, view: PartView
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return parts of a known radius, as `detect` does, and their silhouettes (n,) SILHOUETTE. Each
-    is measured in the cheapest way.
+    image: np.ndarray, region: Region, options: DetectorOptions, view: PartView
+) -> Discs:
+    """Find parts of a known radius, as `detect` does, in an image (H, W) or (H, W, 3).
+
+    First those that are clearly darker than the plate, in grey levels. If there is anything else on
+    the plate, then also those that differ from it otherwise, by `plate.contrast`: fainter or
+    brighter ones, those of another colour, or with highlights or holes.
+    """
+    plate = fit_light(grey_levels(image), region, options.min_plate_grey)
+    if plate is None:
+        return NO_DISCS
+    discs = _dark_discs(plate, region, options, view)
+    channels = channels_of(image, plate, region)
+    limit = max(1 - options.threshold, SIGMAS * channels.noise)
+    remains = find_remains(channels, region, limit, view.least_px, discs.places, discs.parts)
+    contrast = None if remains is None else contrast_image(channels, region)
+    if remains is None or contrast is None:
+        return discs
+    remains = solid(remains, options.radius_px)
+    others = _other_discs(plate, channels, contrast, remains, limit, region, options, view, discs)
+    remains = without(remains, others.places, others.parts)
+    things = overlooked_things(remains, region, options.radius_px, FAINT * limit, contrast)
+    found = np.concatenate([discs.found, others.found])
+    return Discs(found, np.concatenate([discs.parts, others.parts]), things)
+
+
+def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view: PartView) -> Discs:
+    """Find parts that are clearly darker than the plate, each measured in the cheapest way.
 
     One that stands alone is measured by moments, the others by a fit of their contours that knows
     of their neighbours.
     """
-    plate = fit_light(grey, region, options.min_plate_grey)
-    seeds = np.empty((0, 2))
-    if plate is not None:
-        seeds, parts = find_seeds(
-            plate, region.box, options.threshold, view.least_px, view.silhouettes
-        )
-    if plate is None or not len(seeds):
-        return np.empty(0, DETECTION), np.empty(0, SILHOUETTE)
-    tops = seeds + to_image(parts, parts["lean_px"])
-    plate, marks = paint_over(plate, tops, parts["growth"] * parts["radius_px"])
+    threshold = min(options.threshold, CLEARLY_DARK)
+    seeds, parts = find_seeds(plate, region.box, threshold, view.least_px, view.silhouettes)
+    if not len(seeds):
+        return NO_DISCS
+    plate, marks = paint_over(plate, tops(seeds, parts), parts["growth"] * parts["radius_px"])
     reach = longest(parts)
     alone = ~crowded(seeds, 2 * float(np.max(reach)) + RIM_PX + BLUR_PX)
     alone &= region.depth(*seeds.T) - SEAM_PX >= reach + RIM_PX + 1
     alone &= (parts["growth"] == 1) & (reach < ROUND * parts["radius_px"])
-    discs, clear = measure_alone(plate, seeds, parts["radius_px"], alone)
+    discs, clear = measure_alone(plate, seeds, parts, alone)
     alone &= clear & (discs["misfit"] < EVEN_MISFIT)
     if not np.all(alone):
         discs[~alone] = fit_discs(plate, seeds[~alone], parts[~alone])
+    method = np.where(alone, METHODS[0], METHODS[1])
+    return _accepted(
+        discs, parts, marks, 1 - discs["darkness"], method, plate.noise, region, options
+    )
+
+
+def _other_discs(
+    plate: LitPlate,
+    channels: Channels,
+    contrast: LitPlate,
+    remains: Remains,
+    limit: float,
+    region: Region,
+    options: DetectorOptions,
+    view: PartView,
+    known: Discs,
+) -> Discs:
+    """Find parts by their contrast to the plate, above a limit, beside the `known` ones."""
+    dark = remains.odd | remains.outside.astype(np.uint8)
+    seeds, parts = seeds_of(
+        contrast, dark, remains.outside, remains.grid, view.least_px, view.silhouettes
+    )
+    if not len(seeds):
+        return NO_DISCS
+    top_px, radii_px = tops(seeds, parts), parts["growth"] * parts["radius_px"]
+    _, marks = paint_over(plate, top_px, radii_px)
+    discs = fit_discs(
+        contrast, np.concatenate([seeds, known.places]), np.concatenate([parts, known.parts])
+    )[: len(seeds)]
+    discs["misfit"][discs["darkness"] < limit] = np.inf
     centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
+    light = brightness(channels, centre + top_px - seeds, radii_px)
+    return _accepted(discs, parts, marks, light, METHODS[1], contrast.noise, region, options)
+
+
+def _accepted(
+    discs: np.ndarray,
+    parts: np.ndarray,
+    marks: np.ndarray,
+    light: np.ndarray,
+    method: np.ndarray | str,
+    noise: float,
+    region: Region,
+    options: DetectorOptions,
+) -> Discs:
+    """Return those of the measured discs (n,) DISC that are parts: by their silhouettes (n,), marks
+    (n, 2) [px], and brightness (n,) relative to the plate."""
+    found = np.zeros(len(discs), DETECTION)
+    for name in ("x_px", "y_px", "radius_px"):
+        found[name] = discs[name]
+    odd_px = np.maximum(discs["misfit"] - GOOD_MISFIT, 0) * discs["radius_px"]
+    found["scatter_px"] = np.hypot(discs["scatter_px"], odd_px)
+    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
+    found["angle_rad"] = mark_angles(marks, tops(centre, parts))
+    found["label"] = np.where(light < options.class_threshold, *CLASSES)
+    found["label"][light > 1 + EQUAL] = BRIGHT
+    most = MAX_MISFIT + NOISE_MISFIT * noise / np.maximum(discs["darkness"], noise)
+    found["confidence"] = np.clip(1 - discs["misfit"] / most, 0, 1)
+    found["method"] = method
     is_part = (
         (np.abs(discs["radius_px"] / parts["radius_px"] - 1) <= options.radius_tolerance)
-        & (discs["darkness"] > 1 - options.threshold)
-        & (discs["misfit"] < MAX_MISFIT)
+        & (discs["misfit"] < most)
+        & (discs["seen"] > LEAST_SEEN)
         & (region.depth(*centre.T) >= -options.margin_px)
     )
-    tops = centre + to_image(parts, parts["lean_px"])
-    found = np.zeros(len(discs), DETECTION)
-    for name in ("x_px", "y_px", "radius_px", "scatter_px"):
-        found[name] = discs[name]
-    found["angle_rad"] = mark_angles(marks, tops)
-    found["label"] = np.where(1 - discs["darkness"] < options.class_threshold, *CLASSES)
-    found["confidence"] = 1 - discs["misfit"] / MAX_MISFIT
-    found["method"] = np.where(alone, METHODS[0], METHODS[1])
-    return found[is_part], parts[is_part]
+    return Discs(found[is_part], parts[is_part], NONE_OVERLOOKED)
 
 
 def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
@@ -248,7 +390,8 @@ def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
         bright = bool(np.any(found["contrast"] > 0))  # all are brighter, or all darker
         grey = grey_levels(image)
         view = PartView.even(options.radius_px)
-        again, _ = find_discs(255 - grey if bright else grey, region, options, view)
+        plate = fit_light(255 - grey if bright else grey, region, options.min_plate_grey)
+        again = (NO_DISCS if plate is None else _dark_discs(plate, region, options, view)).found
         if len(again) >= len(found):
             if bright:
                 again["label"] = BRIGHT

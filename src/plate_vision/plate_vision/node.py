@@ -64,7 +64,7 @@ from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
-from .vision import HOME, follow_plate, make_vision, observe, size_problem
+from .vision import HOME, follow_plate, make_vision, observe
 
 WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
@@ -107,7 +107,7 @@ class DetectorParameters(NodeOptions):
     threshold: float = _option(
         DetectorOptions,
         "threshold",
-        "Fraction of the bare plate's brightness below which a pixel belongs to a part [-]",
+        "Parts are darker than this fraction of the plate's brightness, or differ as much [-]",
     )
     class_threshold: float = _option(
         DetectorOptions,
@@ -304,7 +304,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if Path(self.options.path).is_dir():  # photographs, each by itself
             self._tracker, self._expected = Tracker(self._tracker.options), None
         if self._answer(name, self.get_clock().now().to_msg(), lambda: image):
-            self._tell(name, image)
+            self._tell(name)
         try:
             self._picture = next(self._pictures, None)
         except PlateError as error:
@@ -314,18 +314,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             refused = f", {self._refused} ignored" if self._refused else ""
             self.get_logger().info(f"that was the last picture of {self._images}{refused}")
 
-    def _tell(self, name: str, image: np.ndarray) -> None:
-        """Say what a picture held; of the first, and where nothing is found, also why."""
+    def _tell(self, name: str) -> None:
+        """Say what a picture held, and what in it is not taken for parts."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
         overlooked.add(*self._counts())
         if (found := overlooked.finding(expected_parts(self._rig))) is not None:
             self._warn(f"{name}: {found.message}")
-        alike = self._vision.catalogue is None
-        if alike and (self._images == 1 or not self._tracker.found):
-            problem = size_problem(self._vision, image)
-            if problem:
-                self._warn(f"{name}: {problem}")
 
     def _answer(
         self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
@@ -421,10 +416,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             if self._image is None:
                 raise TeachError("no image came yet, allowed: a part before the camera")
             teaching = self._teaching.shown(self.options.teach_name, self._image)
+            untyped = self._vision.catalogue is None
             part, self._vision, response.message = learn_shown(
                 teaching, self._vision, Path(self.options.teach_file)
             )
             self._teaching = teaching
+            if untyped:  # the parts so far were named as discs
+                self._tracker = Tracker(self._tracker.options)
             self._rig = replace(self._rig, types={**self._rig.types, part.name: part})
             response.success = True
         except (PlateError, OSError) as error:

@@ -10,11 +10,10 @@ import numpy as np
 from plate_core import Rig
 from plate_core.rig import to_home
 
-from .camera import grey_levels
 from .camera.lens import Calibration, Lens, calibrate_by_rig
-from .detection import DetectorOptions, PartView, find_discs, round_patches
+from .detection import DetectorOptions, PartView, find_discs
 from .discs import outlines, seen_by
-from .errors import check_image, check_size
+from .errors import check_size
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
 from .recognition import find_types, model_plate
@@ -176,13 +175,20 @@ def observe(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    check_image(image)
-    found, parts = find_discs(grey_levels(image), vision.region, vision.options, vision.view)
-    centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
-    ring_px = centre_px[:, None] + outlines(parts, found["radius_px"])
+    discs = find_discs(image, vision.region, vision.options, vision.view)
+    found = discs.found
+    ring_px = discs.places[:, None] + outlines(discs.parts, found["radius_px"])
     centre = vision.calibration.disc_centres(ring_px)
-    angle, quality = _angles(vision, found, centre_px), _quality(vision, found, centre_px, centre)
-    return update(tracker, stamp, centre, found["label"], angle, quality, expected=expected)
+    angle = _angles(vision, found, discs.places)
+    quality = _quality(vision, found, discs.places, centre)
+    things = discs.overlooked.copy()
+    things["x"], things["y"] = vision.calibration.to_home(
+        np.stack([things["x_px"], things["y_px"]], axis=1)
+    ).T
+    return update(
+        tracker, stamp, centre, found["label"], angle, quality, expected=expected,
+        overlooked=things,
+    )  # fmt: skip
 
 
 def _observe_types(
@@ -212,35 +218,6 @@ def _observe_types(
     angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)
     quality = np.column_stack([place, angle, seen["confidence"]])
     return update(tracker, stamp, centre, seen["label"], seen["angle"], quality, symmetry, expected)
-
-
-def size_problem(vision: Vision, image: np.ndarray) -> str | None:
-    """Return how the round patches of an image (H, W) or (H, W, 3) differ from parts, or None.
-
-    For photographs: most of them have another size than the rig's parts, or are brighter than the
-    plate. What is found takes too long to be asked for every image of a camera.
-    """
-    discs = round_patches(image, vision.region)
-    if not len(discs):
-        return None
-    bright = discs["contrast"] > 0
-    most_bright = 2 * np.count_nonzero(bright) > len(discs)
-    discs = discs[bright == most_bright]
-    seen = f"{len(discs)} round patch{'es' if len(discs) > 1 else ''}"
-    if most_bright:
-        return f"{seen} brighter than what is behind, allowed: parts darker than the plate"
-    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
-    scale = float(np.median(vision.radius_px(centre))) / vision.radius
-    radius_px = float(np.median(discs["radius_px"]))
-    radius, tolerance = radius_px / scale, vision.options.radius_tolerance
-    if abs(radius / vision.radius - 1) <= tolerance:
-        return None
-    return (
-        f"{seen} of {radius_px:.1f} px radius, which are {1e3 * radius:.3g} mm on the plate; the "
-        f"rig's parts have {1e3 * vision.radius:.3g} mm, {scale * vision.radius:.1f} px, allowed: "
-        f"{100 * tolerance:.0f} % more or less: write parts: radius_m: {radius:.2g} into the rig "
-        "file, or what is wrong of plate and camera there, if the parts are as it says"
-    )
 
 
 def follow_plate(
@@ -286,6 +263,7 @@ def _quality(
     border_px = np.minimum(centre_px, corner_px - centre_px).min(axis=1) + 0.5
     depth_px = np.minimum(vision.region.depth(*centre_px.T), border_px)
     whole = depth_px >= found["radius_px"]
-    place = np.where(whole, CENTRE_PX / vision.calibration.scale(centre), np.nan)
+    place_px = np.hypot(CENTRE_PX, found["scatter_px"])
+    place = np.where(whole, place_px / vision.calibration.scale(centre), np.nan)
     angle = np.where(found["angle_rad"] != 0, MARK_PX / found["radius_px"], ANY_ANGLE)
     return np.column_stack([place, angle, found["confidence"]])

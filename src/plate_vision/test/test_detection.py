@@ -273,7 +273,7 @@ def test_part_with_something_attached(draw, corners_px, rng):
 def test_shadow_is_no_part(draw, corners_px, rng):
     def shade(image):
         y, x = np.mgrid[: image.shape[0], : image.shape[1]]
-        image[np.hypot(x - 300, y - 200) < 8] *= 0.85
+        image *= 1 - 0.15 * np.exp(-((x - 300) ** 2 + (y - 200) ** 2) / (2 * 8.0**2))
 
     assert len(detect(draw([], [], rng, extra=shade), OPTIONS, corners_px)) == 0
 

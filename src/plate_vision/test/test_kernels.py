@@ -27,6 +27,22 @@ WRONG = {
         GREY, np.array([20]), np.array([0]), np.zeros((6, 1), np.float32), 60
     ),
     "edges of two numbers": lambda: _kernels.region_depth(PAIRS, np.zeros((0, 8)), THREE, THREE),
+    "a light for two channels": lambda: _kernels.write_contrast(
+        GREY[..., None], np.stack([LIGHT, LIGHT]), (0, 0, 30, 20), GREY
+    ),
+    "contrast beyond the image": lambda: _kernels.write_contrast(
+        GREY[..., None], LIGHT[None], (0, 0, 31, 20), GREY
+    ),
+    "a grid beyond the colours": lambda: _kernels.find_odd(
+        GREY[..., None], LIGHT[None], 0.1, (0, 0, 2), np.zeros((20, 30), np.uint8)
+    ),
+    "lines without a width": lambda: _kernels.clear_lines(GREY, (0, 0, 1), PAIRS, PAIRS, THREE),
+    "odd pixels of another size": lambda: _kernels.any_odd(
+        GREY, USABLE[1:], (0, 0, 1), PAIRS, PAIRS, EIGHTS
+    ),
+    "brightness without radii": lambda: _kernels.find_brightness(
+        GREY[..., None], LIGHT[None], PAIRS, THREE, 0.6
+    ),
     "another size of plate": lambda: _kernels.vote(GREY, LIGHT, USABLE[1:], 0, 0, DISCS[:1], FIELD),
     "a light of six numbers": lambda: _kernels.vote(
         GREY, LIGHT[:6], USABLE, 0, 0, DISCS[:1], FIELD
@@ -48,8 +64,8 @@ WRONG = {
     "too few silhouettes": lambda: _kernels.fit_discs(
         *PLATE, PAIRS, DISCS[1:], 0.01, np.zeros((4, 7))
     ),
-    "no radius for a seed": lambda: _kernels.find_marks(*PLATE, PAIRS, EIGHTS[1:]),
-    "a radius of nothing": lambda: _kernels.find_marks(*PLATE, PAIRS, 0 * EIGHTS),
+    "no radius for a seed": lambda: _kernels.find_marks(*PLATE, PAIRS, EIGHTS[1:], 0.01),
+    "a radius of nothing": lambda: _kernels.find_marks(*PLATE, PAIRS, 0 * EIGHTS, 0.01),
     "marks without levels": lambda: _kernels.paint_marks(GREY, PAIRS, PAIRS[:3], EIGHTS),
     "a box beyond the image": lambda: _kernels.relight(
         GREY[..., None], np.zeros((6, 1), np.float32), LIGHT[6:], (0, 0, 31, 20), GREY[..., None]

@@ -86,7 +86,7 @@ def test_parts_that_cover_most_of_the_plate_are_not_taken_for_it(ink, light, mon
 
 
 def test_every_image_of_a_light_that_flickers_shows_all_parts():
-    vision = Vision(None, region(), None, None, 0.01, background=learned())
+    vision = Vision(None, region(), None, None, None, 0.01, background=learned())
     plate = BarePlate(True, vision.background)
     for number in range(6):
         image = picture(SPOTS, 20 + number, 1 + 0.1 * (-1) ** number)
@@ -96,7 +96,7 @@ def test_every_image_of_a_light_that_flickers_shows_all_parts():
 
 
 def test_an_image_without_light_is_refused_and_the_next_one_is_not():
-    vision = Vision(None, region(), None, None, 0.01, background=learned())
+    vision = Vision(None, region(), None, None, None, 0.01, background=learned())
     plate = BarePlate(True, vision.background)
     with pytest.raises(ImageError, match=r"light: 0 % of the plate .*20 to 500 %.*learn_plate"):
         know_plate(plate, vision, picture(SPOTS, 3, 0.03))

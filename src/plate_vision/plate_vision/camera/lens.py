@@ -142,8 +142,14 @@ class Calibration:
         return straight if self.lens is None else self.lens.bend(straight)
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
-        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px], by differences."""
+        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]: with a lens by
+        differences."""
         point_px = _points(point_px)
+        if self.lens is None:
+            rows = point_px @ self.home_from_image[:, :2].T + self.home_from_image[:, 2]
+            point, third = rows[:, :2] / rows[:, 2:], rows[:, 2, None, None]
+            first, last = self.home_from_image[:2, :2], self.home_from_image[2, :2]
+            return np.asarray((first - point[:, :, None] * last) / third)
         steps = 0.5 * np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
         seen = self.to_home((steps[:, None] + point_px).reshape(-1, 2)).reshape(4, -1, 2)
         return np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2)

@@ -6,10 +6,11 @@
 from .fit import fit_discs
 from .marks import mark_angles, paint_over
 from .measure import RIM_PX, crowded, measure_alone
-from .seeds import find_seeds
-from .silhouette import SILHOUETTE, Silhouettes, even_discs, longest, outlines, seen_by, to_image
+from .seeds import COARSE_RADIUS_PX, find_seeds, seeds_of
+from .silhouette import SILHOUETTE, Silhouettes, even_discs, longest, outlines, seen_by, tops
 
 __all__ = [
+    "COARSE_RADIUS_PX",
     "RIM_PX",
     "SILHOUETTE",
     "Silhouettes",
@@ -22,6 +23,7 @@ __all__ = [
     "measure_alone",
     "outlines",
     "paint_over",
+    "seeds_of",
     "seen_by",
-    "to_image",
+    "tops",
 ]

@@ -14,6 +14,14 @@ namespace plate {
 // a cubic: 0.5 are sharp pixels, 1.1 a lens with a blur of 0.6 px (standard deviation).
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
+// The maximum is this fraction of the radius, if that is more; and reach of a window beyond the
+// contour, as a fraction of the radius, if that is more than RIM_PX.
+constexpr double EDGE_SHARE = 0.6, RIM_SHARE = 0.3;
+
+inline double rim_of(const Silhouette& part) {
+    return std::max(RIM_PX, RIM_SHARE * part.radius_px);
+}
+
 // Maximum change of a place or radius [px] in one iteration: edges are seen only when near.
 constexpr double MAX_STEP_PX = 1.0;
 
@@ -39,6 +47,10 @@ constexpr double CONTOUR_PX = 1.0;
 // could be any number.
 constexpr double SIDE_RANGE[] = {0.3, 3.0};
 
+// Errors at the contour count up to this fraction of the darkness for the misfit: a bite out of the
+// edge is no reason to drop a disc.
+constexpr double WORST_FRACTION = 0.4;
+
 // Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the side faces, and
 // that of the top; both are one unless the part has a height.
 enum Unknown { X, Y, RADIUS, EDGE, SIDE, TOP, UNKNOWNS };
@@ -53,7 +65,8 @@ struct DiscWindow {
 
     DiscWindow(const LitPlate& plate, double x_px, double y_px, const Silhouette& part) {
         const int x0 = std::rint(x_px), y0 = std::rint(y_px);
-        const int reach = std::ceil(part.reach() + RIM_PX);
+        const double rim = rim_of(part);
+        const int reach = std::ceil(part.reach() + rim);
         const double square = part.lean_px[0] * part.lean_px[0] + part.lean_px[1] * part.lean_px[1];
         const int most = (2 * reach + 1) * (2 * reach + 1);
         for (auto* list : {&x, &y, &dark, &rest, &seen}) list->resize(most);
@@ -68,7 +81,7 @@ struct DiscWindow {
                     way = std::clamp(way, 0.0, 1.0);
                 }
                 wx -= way * part.lean_px[0], wy -= way * part.lean_px[1];
-                const double far = (1 + (part.growth - 1) * way) * part.radius_px + RIM_PX;
+                const double far = (1 + (part.growth - 1) * way) * part.radius_px + rim;
                 if (wx * wx + wy * wy > far * far) continue;
                 all++;
                 if (row < 0 || column < 0 || row >= plate.height() || column >= plate.width() ||
@@ -114,27 +127,24 @@ struct Contour {
         : ax(part.across[0][0]), bx(part.across[0][1]), ay(part.across[1][0]),
           by(part.across[1][1]), cx(disc[X]), cy(disc[Y]), lx(part.lean_px[0]), ly(part.lean_px[1]),
           over(1 / std::max(lx * lx + ly * ly, 1e-9f)), radius(disc[RADIUS]),
-          more(part.growth - 1), scale(0.5 / (disc[RADIUS] * disc[EDGE])), growth(part.growth) {}
+          more(part.growth - 1), scale(1 / disc[EDGE]), growth(part.growth) {}
 
     // Place of a pixel in the disc's frame, from the nearest point of the way of the lean; the
-    // depth inside the contour, over the edge's half width, from -1 to 1.
-    //
-    // The depth is taken from the square of the distance, (r2 - d2) / 2r, which is r - d at the
-    // edge: no root.
+    // depth inside the contour, over the edge's half width.
     [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy) const {
         const float dx = x - cx, dy = y - cy;
         wx = ax * dx + bx * dy, wy = ay * dx + by * dy;
         const float way = std::min(std::max((wx * lx + wy * ly) * over, 0.f), 1.f);
         wx -= way * lx, wy -= way * ly;
         const float r = radius * (1 + more * way);
-        return (r * r - wx * wx - wy * wy) * scale;
+        return (r - std::sqrt(wx * wx + wy * wy)) * scale;
     }
     // The depth inside the top's contour.
     [[gnu::always_inline]] float top_depth(float x, float y) const {
         const float dx = x - cx, dy = y - cy;
         const float wx = ax * dx + bx * dy - lx, wy = ay * dx + by * dy - ly;
         const float r = radius * growth;
-        return (r * r - wx * wx - wy * wy) * scale;
+        return (r - std::sqrt(wx * wx + wy * wy)) * scale;
     }
 };
 
@@ -173,10 +183,11 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
                               Disc& out) {
     const Contour contour(disc, part);
     const float side = disc[SIDE], more = disc[TOP] - disc[SIDE];
-    const float steep = 0.75 / disc[EDGE], inverse = 1 / disc[RADIUS];
+    const float steep = 0.75 / disc[EDGE];
     const float near = 1 + CONTOUR_PX / disc[EDGE];
     const float dark = std::max(std::max(disc[SIDE], disc[TOP]), MIN_DARKNESS);
     const float odd = std::max<float>(ODD_FRACTION * dark, ODD_SIGMAS * noise);
+    const float worst = WORST_FRACTION * dark;
     const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
     const float *__restrict rest = window.rest.data(), *__restrict seen = window.seen.data();
     slopes.resize(window.size);
@@ -193,6 +204,7 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
         const float kept = depth > 1 && std::abs(gap) > odd ? 0.f : 1.f, weight = seen[i] * kept;
         const float error = gap * weight, gr = level * steep * (1 - u * u) * weight;
         const float rim = std::abs(depth) < near ? seen[i] : 0.f;
+        const float inverse = 1 / std::sqrt(wx * wx + wy * wy + 1e-6f);
         weights += rim;
         pixels += std::abs(depth) < near ? 1.f : 0.f;
         slope[i].of[X] = gr * (contour.ax * wx + contour.ay * wy) * inverse;
@@ -202,7 +214,8 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
         slope[i].of[SIDE] = (cover - top) * weight;
         slope[i].of[TOP] = top * weight;
         slope[i].of[ERROR] = error;
-        slope[i].of[SQUARE] = rim * gap * gap;
+        const float known = std::min(std::abs(gap), worst);
+        slope[i].of[SQUARE] = rim * known * known;
     }
     Eight sum[UNKNOWNS] = {};
     double square = 0;
@@ -238,7 +251,7 @@ inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
     const double step = std::min(1.0, MAX_STEP_PX / std::max(change, 1e-9));
     for (int i = 0; i < UNKNOWNS; i++) disc[i] += step * right[i];
     disc[RADIUS] = std::clamp(disc[RADIUS], 0.5 * first_radius, 1.5 * first_radius);
-    disc[EDGE] = std::clamp(disc[EDGE], EDGE_PX[0], EDGE_PX[2]);
+    disc[EDGE] = std::clamp(disc[EDGE], EDGE_PX[0], std::max(EDGE_PX[2], EDGE_SHARE * first_radius));
     const double top = std::max(disc[TOP], MIN_DARKNESS);
     disc[SIDE] = std::clamp(disc[SIDE], SIDE_RANGE[0] * top, SIDE_RANGE[1] * top);
     return change;
@@ -259,7 +272,7 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
         windows.emplace_back(plate, x, y, parts[k]);
         const double dark = first_darkness(windows[k], x + 0.5 * to_x, y + 0.5 * to_y, radius);
         fits.push_back({x, y, radius, EDGE_PX[1], dark, dark});
-        reach.push_back(parts[k].reach() + RIM_PX);
+        reach.push_back(parts[k].reach() + rim_of(parts[k]));
         discs[k].misfit = 1;
     }
     std::vector<char> moved(count, true), moves(count);

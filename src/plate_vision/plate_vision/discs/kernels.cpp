@@ -57,16 +57,16 @@ void bind_discs(nb::module_& m) {
     m.attr("RIM_PX") = RIM_PX;
 
     m.def("measure_alone", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                              In<int64_t, 2> seeds, In<double, 1> radii, In<bool, 1> alone,
+                              In<int64_t, 2> seeds, In<double, 2> parts, In<bool, 1> alone,
                               Array<double, 2> discs, Array<double, 1> dirt) {
         const LitPlate plate = lit_plate(grey, light, usable);
         const size_t count = seeds.shape(0);
         require(seeds.shape(1) == 2 && alone.shape(0) == count && dirt.shape(0) == count,
                 "shapes: seeds (n, 2), alone and dirt (n,)");
         Disc* out = as_discs(discs, count);
-        require_radii(radii, count);
+        const Silhouette* shapes = as_silhouettes(parts, count);
         nb::gil_scoped_release others_may_run;
-        measure_alone(plate, view(seeds), radii.data(), alone.data(), out, dirt.data());
+        measure_alone(plate, view(seeds), shapes, alone.data(), out, dirt.data());
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert(), arg().noconvert());
     m.def("crowded", [](In<double, 2> centre, double distance_px, Array<bool, 1> near) {
         require(are_pairs(centre) && near.shape(0) == centre.shape(0),
@@ -85,7 +85,7 @@ void bind_discs(nb::module_& m) {
         fit_discs(plate, view(seeds), shapes, noise, out);
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_marks", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                           In<double, 2> seeds, In<double, 1> radii) {
+                           In<double, 2> seeds, In<double, 1> radii, double noise) {
         const LitPlate plate = lit_plate(grey, light, usable);
         require(are_pairs(seeds), "shape: seeds (n, 2)");
         require_radii(radii, seeds.shape(0));
@@ -94,7 +94,7 @@ void bind_discs(nb::module_& m) {
         std::vector<double> found(2 * count), level(2 * count);
         {
             nb::gil_scoped_release others_may_run;
-            find_marks(plate, view(seeds), radii.data(), {found.data(), shape}, {level.data(), shape});
+            find_marks(plate, view(seeds), radii.data(), noise, {found.data(), shape}, {level.data(), shape});
         }
         return nb::make_tuple(to_numpy<2>(std::move(found), {count, 2}),
                               to_numpy<2>(std::move(level), {count, 2}));

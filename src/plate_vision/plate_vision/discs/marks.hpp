@@ -27,6 +27,9 @@ constexpr double MARK_REACH = 1.5;
 // part's black mark 1.
 constexpr double CONTRAST = 0.3;
 
+// Least contrast of a mark, over the standard deviation of the image's noise.
+constexpr double MARK_SIGMAS = 6;
+
 // Fraction of the contrast that may be noise: five deviations of a noise of 2 levels.
 constexpr double MARK_NOISE = 0.25;
 
@@ -53,9 +56,9 @@ inline double median(std::vector<double>& numbers) {
 }
 
 // Find the places of marks (n, 2) [px], NaN for a part without one, and the grey of their parts
-// and their contrasts (n, 2).
+// and their contrasts (n, 2). `noise` is that of the image, relative to the bare plate.
 inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const double* radii,
-                       View<double, 2> found, View<double, 2> level) {
+                       double noise, View<double, 2> found, View<double, 2> level) {
     std::vector<double> inner;
     for (int i = 0; i < seeds.size(0); i++) {
         const double radius = radii[i], mark = MARK_RADIUS * radius, core = CORE * radius;
@@ -74,10 +77,12 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         const double empty = bare(plate.light.data, u, v);
         const auto [darkest, lightest] = std::minmax_element(inner.begin(), inner.end());
         const double below = *darkest, above = *lightest;
-        if (above - below < CONTRAST * (empty - above)) continue;  // whatever the median is
+        const double clear = MARK_SIGMAS * noise * empty;
+        // Whatever the median is.
+        if (above - below < std::max(CONTRAST * (empty - above), clear)) continue;
         const double part = median(inner);
         const double contrast = above - part > part - below ? above - part : below - part;
-        if (std::abs(contrast) < CONTRAST * (empty - part)) continue;
+        if (std::abs(contrast) < std::max(CONTRAST * std::abs(empty - part), clear)) continue;
         double x = u, y = v, mass = 0;
         for (int turn = 0; turn < ROUNDS; turn++) {
             // First what stands out in the inner part; then round the last centre.

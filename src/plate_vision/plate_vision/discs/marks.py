@@ -32,7 +32,7 @@ def paint_over(
     (n,) [px]. Returns the image as if the parts had no marks, the same one if they have none; and
     the centres (n, 2) [px] of the marks, NaN for a part without one.
     """
-    found, level = _kernels.find_marks(*plate.pixels, tops, radii_px)
+    found, level = _kernels.find_marks(*plate.pixels, tops, radii_px, plate.noise)
     spot = np.isfinite(found[:, 0])
     if np.any(spot):
         plate = plate._replace(grey=plate.grey.copy())

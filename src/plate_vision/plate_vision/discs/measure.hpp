@@ -6,6 +6,7 @@
 #include <numbers>
 #include <vector>
 
+#include "discs/silhouette.hpp"
 #include "plate/light.hpp"
 
 namespace plate {
@@ -36,7 +37,7 @@ struct Disc {
 // The round window around a seed: its pixels' places from the middle [px].
 struct RoundWindow {
     // What is added up of the pixels, by which each one's darkness is multiplied.
-    enum Sum { MASS, RIGHT, DOWN, WIDE, RIM, SUMS = 8 };
+    enum Sum { MASS, RIGHT, DOWN, WIDE, RIM, FLAT, ASKEW, SUMS = 8 };
 
     struct Pixel {
         float factors[SUMS];
@@ -58,7 +59,8 @@ struct RoundWindow {
                 x.push_back(right), y.push_back(down);
                 offsets.push_back(row * width + column);
                 const float rim = square > clear;
-                pixels.push_back({{1, right, down, square, rim}, square <= core});
+                pixels.push_back({{1, right, down, square, rim, right * right - down * down,
+                                   2 * right * down}, square <= core});
                 inner += square <= core;
             }
     }
@@ -79,15 +81,16 @@ PLATE_WIDE inline void darkness_at(const LitPlate& plate, const RoundWindow& win
 // Radii [px] are rounded to this for the windows of discs that stand alone: a window is made once.
 constexpr double WINDOW_STEP_PX = 0.5;
 
-// Measure discs (n,) that are `alone` from round windows at seeds (n, 2) of radii (n,) [px], and the
-// dark area (n,) [px2] in the rims of the windows; those at the image's border stay as they are.
-inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds, const double* radius,
-                          const bool* alone, Disc* discs, double* dirt) {
+// Measure discs (n,) that are `alone` from round windows at seeds (n, 2) where silhouettes are (n,),
+// and the dark area (n,) [px2] in the rims of the windows; those at the image's border stay as they
+// are.
+inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds,
+                          const Silhouette* parts, const bool* alone, Disc* discs, double* dirt) {
     std::map<int, RoundWindow> windows;
     std::vector<float> level, darkness;
     for (int k = 0; k < seeds.size(0); k++) {
         if (!alone[k]) continue;
-        const int size = std::rint(radius[k] / WINDOW_STEP_PX);
+        const int size = std::rint(parts[k].radius_px / WINDOW_STEP_PX);
         const RoundWindow& window =
             windows.try_emplace(size, size * WINDOW_STEP_PX, plate.width()).first->second;
         const int64_t x0 = seeds(k, 0), y0 = seeds(k, 1), reach = window.reach;
@@ -105,11 +108,17 @@ inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds, c
         const float mass = std::max(sum[RoundWindow::MASS], 1e-6f);
         const float right = sum[RoundWindow::RIGHT] / mass, down = sum[RoundWindow::DOWN] / mass;
         const float wide = sum[RoundWindow::WIDE] / mass - right * right - down * down;
+        // Over `wide`, the double moments of an ellipse with half axes a, b: (a2 - b2) / (a2 + b2)
+        // in its direction. What is beyond those of the silhouette is a shadow or another thing.
+        const float flat = sum[RoundWindow::FLAT] / mass - right * right + down * down;
+        const float askew = sum[RoundWindow::ASKEW] / mass - 2 * right * down;
+        const auto [expected_flat, expected_askew] = parts[k].flatness();
+        const double oblong = std::hypot(flat / wide - expected_flat, askew / wide - expected_askew);
         // The mean over the inner part; the seed is near enough for that to be all inside.
         const float dark = std::max(inner / window.inner, static_cast<float>(MIN_DARKNESS));
         const double area = mass / (std::numbers::pi * dark);
         discs[k] = {x0 + static_cast<double>(right), y0 + static_cast<double>(down),
-                    std::sqrt(area), dark, std::abs(2.0 * wide / area - 1), 0, 1};
+                    std::sqrt(area), dark, std::max(std::abs(2.0 * wide / area - 1), oblong), 0, 1};
         dirt[k] = sum[RoundWindow::RIM];
     }
 }

@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import _kernels
 from ..plate.light import LitPlate
+from . import silhouette
 
 RIM_PX: float = _kernels.RIM_PX
 """Reach [px] beyond a part's radius that is looked at: 0.7 px from rounding the window, 1 px of
@@ -29,18 +30,19 @@ the image's noise and the misfit cause it; fraction of the contour that is seen.
 
 
 def measure_alone(
-    plate: LitPlate, seeds: np.ndarray, radii_px: np.ndarray, alone: np.ndarray
+    plate: LitPlate, seeds: np.ndarray, parts: np.ndarray, alone: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Measure discs that have their surroundings to themselves, by moments of darkness.
 
     With m the darkness and d the distance from the centre, a disc of radius r has
-    sum(m d2) / sum(m) = r2 / 2; the misfit is how far that is from the radius by area.
+    sum(m d2) / sum(m) = r2 / 2; the misfit is the relative difference from the radius by area, or
+    from the silhouette's second moments, whichever is larger.
 
     Parameters
     ----------
     plate : LitPlate
-    seeds, radii_px : (n, 2), (n,)
-        First guesses of the centres and the radii [px].
+    seeds, parts : (n, 2), (n,) SILHOUETTE
+        First guesses of the centres [px], and the silhouettes of parts there.
     alone : (n,) bool
         Which to measure: those with no other near.
 
@@ -52,7 +54,8 @@ def measure_alone(
     """
     discs, dirt = np.zeros(len(seeds), DISC), np.full(len(seeds), np.inf)
     places = np.rint(seeds).astype(np.int64)
-    _kernels.measure_alone(*plate.pixels, places, radii_px, alone, numbers(discs), dirt)
+    shapes = silhouette.numbers(parts)
+    _kernels.measure_alone(*plate.pixels, places, shapes, alone, numbers(discs), dirt)
     return discs, dirt <= RIM_DIRT_PX2 * discs["darkness"]
 
 

@@ -1,6 +1,7 @@
 // The silhouette of a part at one place of the image: see silhouette.py.
 #pragma once
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 namespace plate {
@@ -20,6 +21,14 @@ struct Silhouette {
     bool is_finite() const {
         const double area = across[0][0] * across[1][1] - across[0][1] * across[1][0];
         return std::abs(area) > 1e-6 && std::isfinite(reach());
+    }
+    // Of the ellipse that a flat part is in the image, with half axes a, b: (a2 - b2) / (a2 + b2)
+    // times the cosine and the sine of twice the direction of a.
+    std::array<double, 2> flatness() const {
+        // Its second moments are those of the inverse of `across`, times its transpose.
+        const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
+        const double xx = d * d + b * b, yy = a * a + c * c, xy = -(c * d + a * b);
+        return {(xx - yy) / (xx + yy), 2 * xy / (xx + yy)};
     }
     double lean_length() const { return std::hypot(lean_px[0], lean_px[1]); }
 

@@ -97,6 +97,12 @@ def outlines(parts: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
     return to_image(parts, radius_px[:, None, None] * ring)
 
 
+def tops(places_px: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Return the centres (n, 2) [px] of the tops of parts at places (n, 2) [px]."""
+    lean = parts["lean_px"]
+    return places_px + to_image(parts, lean) if np.any(lean) else places_px
+
+
 def longest(parts: np.ndarray) -> np.ndarray:
     """Return the distances (n,) [px of the image] from the places of parts within which their
     silhouettes are."""

@@ -3,6 +3,7 @@
 Others use the names below; a `Region` is made once for many images.
 """
 
+from .contrast import brightness, channels_of, contrast_image
 from .home import PlateLocation, find_home, locate_plate
 from .light import LitPlate, fit_light, light_problem
 from .outline import OutlineCheck
@@ -14,6 +15,9 @@ __all__ = [
     "OutlineCheck",
     "PlateLocation",
     "Region",
+    "brightness",
+    "channels_of",
+    "contrast_image",
     "find_home",
     "fit_light",
     "light_problem",

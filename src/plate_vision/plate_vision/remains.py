@@ -1,0 +1,163 @@
+"""What an image shows on the plate beside the parts that were found, on a coarse grid of pixels.
+
+It serves twice: to look for parts that are not simply darker than the plate, and to count what is
+seen and not taken for a part.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from . import _kernels
+from .discs import COARSE_RADIUS_PX, longest, tops
+from .overlooked import NONE_OVERLOOKED, OVERLOOKED
+from .plate import LitPlate, Region
+from .plate.contrast import Channels, find_odd
+
+LOOK = 2
+"""The first look is at every second row and column of the grid: four neighbours that differ there
+are less than the smallest thing that counts."""
+
+CLEAR_PX = 2.5
+"""Width of the border around a part that counts as seen with it: its blurred edge."""
+
+LEAST_AREA = 0.1
+"""Smallest thing that is looked at, relative to a part's area: less is dust."""
+
+HOLE = 0.5
+"""What a thing encloses, up to this fraction of a part's area, belongs to it: a highlight."""
+
+SMALL, LARGE = 0.6, 1.6
+"""Area of a thing relative to a part's, below and above which it is too small or too large."""
+
+
+class Remains(NamedTuple):
+    """Pixels that differ from the bare plate and belong to no part.
+
+    Attributes
+    ----------
+    odd : (h, w) uint8
+        1 where there is something, on the grid.
+    outside : (h, w) bool
+        Where there is no plate.
+    grid : (int, int, int)
+        First x, first y, step [px].
+    """
+
+    odd: np.ndarray
+    outside: np.ndarray
+    grid: tuple[int, int, int]
+
+
+def find_remains(
+    channels: Channels,
+    region: Region,
+    limit: float,
+    least_px: float,
+    centre: np.ndarray,
+    parts: np.ndarray,
+) -> Remains | None:
+    """Return what is on the plate beside parts at places (n, 2) [px] with silhouettes (n,)
+    SILHOUETTE; None if there is nothing. Pixels count whose contrast is above a limit; `least_px`
+    is the smallest radius of a part."""
+    x0, y0, x1, y1 = region.box
+    stride = max(1, int(least_px / COARSE_RADIUS_PX))
+    lines = _lines(centre, parts)
+    coarse, counts = (x0, y0, LOOK * stride), _deep(region, LOOK * stride, least_px)
+    if counts.size == 0:
+        return None
+    odd = find_odd(channels, limit, coarse, counts.shape)
+    if not _kernels.any_odd(odd, counts, coarse, *lines):
+        return None
+    outside = ~region.usable[y0:y1:stride, x0:x1:stride]
+    grid = (x0, y0, stride)
+    odd = find_odd(channels, limit, grid, outside.shape)
+    odd[outside] = 0
+    _kernels.clear_lines(odd, grid, *lines)
+    return Remains(odd, outside, grid)
+
+
+def without(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
+    """Return the remains beside parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE."""
+    odd = remains.odd.copy()
+    _kernels.clear_lines(odd, remains.grid, *_lines(centre, parts))
+    return remains._replace(odd=odd)
+
+
+def _lines(centre: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return lines that cover parts: begin and end (n, 2) [px], and half their width (n,) [px]."""
+    end, width = tops(centre, parts), longest(parts) + CLEAR_PX
+    return centre, end, width if end is centre else width - np.hypot(*(end - centre).T)
+
+
+def solid(remains: Remains, radius_px: float) -> Remains:
+    """Return the remains without specks, and with what they enclose: highlights and holes of parts
+    of about a radius [px]."""
+    stride = remains.grid[2]
+    odd = np.asarray(cv2.morphologyEx(remains.odd, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+    most = HOLE * np.pi * (radius_px / stride) ** 2
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - odd, connectivity=4)
+    height, width = odd.shape
+    left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
+    right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
+    hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
+    hole &= (right < width) & (bottom < height)
+    hole[0] = False  # the things themselves
+    if count > 1 and np.any(hole):
+        odd[hole[labels]] = 1
+    return remains._replace(odd=odd)
+
+
+def overlooked_things(
+    remains: Remains, region: Region, radius_px: float, faint: float, contrast: LitPlate
+) -> np.ndarray:
+    """Return the things (n,) OVERLOOKED of the remains; their places on the plate are not set.
+
+    `radius_px` is that of a part; things whose contrast is below `faint` are too faint; `contrast`
+    is the `contrast_image`.
+    """
+    x0, y0, stride = remains.grid
+    levels = 1 - contrast.grey[y0::stride, x0::stride] / np.float32(contrast.light[0])
+    count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
+    whole = np.pi * (radius_px / stride) ** 2
+    rows = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= LEAST_AREA * whole]
+    if not rows:
+        return NONE_OVERLOOKED
+    beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
+    things = np.zeros(len(rows), OVERLOOKED)
+    for thing, k in zip(things, rows, strict=True):
+        left, top, wide, high, area = stats[k].tolist()
+        place = np.s_[top : top + high, left : left + wide]
+        here = labels[place] == k
+        # Pixels of the blurred edge count by their contrast.
+        contrasts = levels[place][here]
+        usual = float(np.median(contrasts))
+        area = min(area, float(np.sum(contrasts)) / max(usual, 1e-3))
+        thing["x_px"], thing["y_px"] = middle[k] * stride + (x0, y0)
+        thing["radius_px"] = np.sqrt(area / np.pi) * stride
+        if np.any(beside[place][here]):
+            thing["reason"] = "at the edge"
+        elif area < SMALL * whole:
+            thing["reason"] = "too small"
+        elif area > LARGE * whole:
+            thing["reason"] = "too large"
+        elif usual < faint:
+            thing["reason"] = "too faint"
+        else:
+            thing["reason"] = "misfit"
+    inside = region.depth(things["x_px"], things["y_px"]) > 0
+    things["reason"][~inside] = "beyond the plate"
+    return things
+
+
+@lru_cache(maxsize=4)
+def _deep(region: Region, stride: int, radius_px: float) -> np.ndarray:
+    """Return which pixels (h, w) bool of the grid are further from the plate's edge than a radius
+    [px]: nearer, the edge of a plate that is not at home is seen."""
+    x0, y0, x1, y1 = region.box
+    columns, rows = np.arange(x0, x1, stride)[None, :], np.arange(y0, y1, stride)[:, None]
+    return np.asarray(region.depth(columns, rows) >= radius_px)
