@@ -62,6 +62,7 @@ from .live_teaching import Teaching, learn_shown
 from .overlooked import Expected, OverlookedTally
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
+from .shapes import GROUP, UNKNOWN
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
@@ -467,7 +468,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         are not taken for parts, with their radii (n,) [m]."""
         things = self._tracker.overlooked
         scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
-        return len(self._tracker.found), things, things["radius_px"] / scale
+        taken = sum(track.label not in (UNKNOWN, GROUP) for track in self._tracker.found)
+        return taken, things, things["radius_px"] / scale
 
     def _note_ids(self) -> None:
         """Say which ids are gone since the last image."""
