@@ -325,6 +325,17 @@ def test_camera_info_tells_where_points_are_seen():
     assert np.allclose(straight[:, :2] / straight[:, 2:], lens.straighten(seen), atol=1e-6)
 
 
+def test_camera_info_has_the_lens_model():
+    for model, values in (
+        ("equidistant", (0.1, 0.0, 0.0, 0.0)),
+        ("rational_polynomial", (0.1,) * 8),
+        ("plumb_bob", (0.1,) * 4),
+    ):
+        lens = Lens((900.0, 910.0), (315.0, 244.0), values, model)
+        info = convert.camera_to_info(replace(RIG.camera, lens=lens), Header())
+        assert (info.distortion_model, tuple(info.d)) == (model, values)
+
+
 def test_camera_info_of_a_camera_without_calibration():
     """K[0] = 0, as sensor_msgs/CameraInfo wants it."""
     info = convert.camera_to_info(replace(RIG.camera, lens=None), Header())

@@ -79,7 +79,12 @@ SPOILT = [
     (("camera", "distortion"), "k1", "distortion is 'k1', allowed: n numbers from -1e.06 to"),
     (("camera", "distortion"), [0.1] * 3, "lens: distortion has 3 values, allowed: 4 or 5 for plu"),
     (("camera", "distortion"), [-2, 0, 0, 0, 0], "lens: distortion is .* folds the image of the p"),
-    (("camera", "distortion_model"), "fisheye", "distortion_model is 'fisheye', allowed: one of p"),
+    (
+        ("camera", "distortion_model"),
+        "fisheye",
+        "camera: lens: distortion_model is 'fisheye', allow",
+    ),
+    (("camera", "distortion_model"), 5, "camera: distortion_model is 5, allowed: a text"),
     (("extra",), 1, r"rig\.yaml: unknown key extra"),
 ]
 

@@ -78,6 +78,18 @@ def test_a_long_film_is_done_by_forty_frames(make_scene, rng, tmp_path, capsys, 
     assert np.allclose(np.diag(load_lens(out).matrix)[:2], [620, 610], rtol=0.02)
 
 
+def test_a_large_folder_is_searched_in_part(rng, tmp_path, capsys, monkeypatch):
+    for k in range(12):
+        cv2.imwrite(str(tmp_path / f"{k:02}.png"), rng.integers(0, 255, (48, 64), np.uint8))
+    monkeypatch.setattr(calibrate_camera, "PICTURES_SEARCHED", 4)
+    with pytest.raises(SystemExit):
+        main(["lens", str(tmp_path), *BOARD])
+    told = capsys.readouterr().out.splitlines()
+    names = [line.split(".")[0] for line in told[:-1]]
+    assert names == ["00", "01", "02", "03", "05", "07", "09", "11"]
+    assert told[-1] == "12 of 12 pictures read, 8 searched, board found in 0"
+
+
 def test_progress_on_a_terminal(monkeypatch, capsys):
     """One line that changes, on stderr; nothing of it in a file."""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)

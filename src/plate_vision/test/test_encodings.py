@@ -1,5 +1,8 @@
 """Encodings against pixels packed by hand, and files against OpenCV's own writer."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -132,6 +135,24 @@ def test_files(bgr):
     seen = decode_file(filtered, "bayer_rggb8; png compressed bayer_rggb8")
     assert seen.shape == (HEIGHT, WIDTH, 3)
     assert np.all(seen == 7)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("form", ["jpeg", "png"])
+def test_files_are_never_turned(bgr, form, orientation):
+    """As image_transport has it: pixels are where the sensor has them."""
+    whole = cv2.imencode(f".{form}", bgr)[1].tobytes()
+    tags = b"II" + struct.pack("<HIHHHIHHI", 42, 8, 1, 274, 3, 1, orientation, 0, 0)
+    if form == "jpeg":
+        body = b"Exif\0\0" + tags
+        marked = whole[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + whole[2:]
+    else:
+        check = zlib.crc32(b"eXIf" + tags)
+        chunk = struct.pack(">I", len(tags)) + b"eXIf" + tags + struct.pack(">I", check)
+        marked = whole[:33] + chunk + whole[33:]
+    if orientation > 4 and form == "jpeg":  # or these tests would tell nothing
+        assert cv2.imdecode(np.frombuffer(marked, np.uint8), 1).shape[:2] == (WIDTH, HEIGHT)
+    assert np.array_equal(decode_file(marked, form), decode_file(whole, form))
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg"])

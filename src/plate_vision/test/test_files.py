@@ -198,6 +198,22 @@ def test_files_that_opencv_writes(tmp_path):
         assert lens.model == model
 
 
+@pytest.mark.parametrize("kind", ["json", "xml"])
+def test_other_files_that_opencv_writes(tmp_path, kind):
+    path = tmp_path / f"camera.{kind}"
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    file.write("image_width", 640)
+    file.write("image_height", 480)
+    file.write("camera_matrix", np.array([[600.5, 0, 320], [0, 601, 240], [0, 0, 1.0]]))
+    file.write("distortion_coefficients", np.array([[0.1, 0.2, 0.0, 0.0, 0.0]]))
+    file.release()
+    if kind == "json":
+        assert load_lens(path).distortion.tolist() == [0.1, 0.2, 0, 0, 0]
+    else:
+        with pytest.raises(CalibrationError, match=r"camera\.xml: an XML file of OpenCV, allowed"):
+            load_lens(path)
+
+
 @pytest.mark.parametrize("model", ["equidistant", "rational_polynomial"])
 def test_models_there_and_back(tmp_path, model):
     values = [0.1, 0.02, 0.003, 0.001, *([] if model == "equidistant" else [0.1] * 4)]

@@ -459,7 +459,8 @@ def _lens(fields: Fields, corners: np.ndarray) -> Lens | None:
     cx, cy = fields.value(required(keys.CAMERA["centre_px"]))
     distortion = fields.value(keys.CAMERA["distortion"])
     values = () if distortion is None else tuple(distortion.tolist())
-    model = fields.value(keys.CAMERA["distortion_model"])
+    key = keys.CAMERA["distortion_model"]
+    model = fields.text(key.name) if fields.has(key.name) else key.default
     try:
         lens = Lens((float(fx), float(fy)), (float(cx), float(cy)), values, model)
     except RigError as error:

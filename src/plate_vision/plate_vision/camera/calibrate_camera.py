@@ -38,9 +38,9 @@ PRINT_DPI = 300
 
 INCH_M = 0.0254
 
-FRAMES_SEARCHED = 60
-"""Frames of a film that are searched one after the other; then as many of every second one, of
-every fourth and so on: 250 of 1000, 450 of 10,000."""
+FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
+"""Frames of a film, and pictures of a folder, that are searched one after the other; then as many
+of every second one, of every fourth and so on: 250 of 1000 frames, 450 of 10,000."""
 
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE = ("k1", "k2", "k3", "k4")
@@ -133,8 +133,9 @@ def _lens(args: argparse.Namespace) -> None:
 
 
 def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
-    """Look for the board in pictures of one size: in each one of a folder, in fewer and fewer
-    frames of a long film. Returns the board as it is printed, too."""
+    """Look for the board in pictures of one size: in fewer and fewer of a long film or a large
+    folder. Returns the board as it is printed, too."""
+    each = FRAMES_SEARCHED if pictures.is_film else PICTURES_SEARCHED
     progress = Progress(pictures)
     seen: list[Corners] = []
     size_px = (0, 0)
@@ -146,14 +147,14 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
         size_px = here
         corners = None
         try:
-            board, corners = find_board(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), board)
+            grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            board, corners = find_board(grey, board, fast=pictures.is_film)
         except CalibrationError as error:
             unlike = error
         if corners is not None:
             seen.append(corners)
         progress.searched(name, 0 if corners is None else len(corners[0]), len(board.corners))
-        if pictures.is_film:
-            pictures.skip(2 ** (progress.count // FRAMES_SEARCHED) - 1)
+        pictures.skip(2 ** (progress.count // each) - 1)
     progress.end()
     if unlike is not None and len(seen) < LEAST_PICTURES:
         raise unlike
@@ -182,13 +183,14 @@ class Progress:
         """All are searched."""
         if self._changes:
             print(file=sys.stderr)
-        elif self._pictures.is_film:
+        elif self._pictures.is_film or self.count < self._pictures.count:
             print(self._text())
 
     def _text(self) -> str:
         read, count = self._pictures.place, self._pictures.count
         of = f" of {count}" if count >= read else ""
-        return f"{read}{of} frames read, {self.count} searched, board found in {self._found}"
+        kind = "frames" if self._pictures.is_film else "pictures"
+        return f"{read}{of} {kind} read, {self.count} searched, board found in {self._found}"
 
 
 def _summary(fit: LensFit) -> str:

@@ -183,7 +183,7 @@ class Pictures:
     def skip(self, count: int) -> None:
         """Leave out some pictures, in less time than it takes to read them."""
         for _ in range(count):
-            if self._film is not None and not self._film.grab():
+            if not (self.place < len(self._files) if self._film is None else self._film.grab()):
                 return
             self.place += 1
 

@@ -15,7 +15,7 @@ OPENCV = b"%YAML:1.0"
 """First bytes of files that cv::FileStorage wrote up to OpenCV 4; version 5 writes proper YAML."""
 
 MATRIX = re.compile(rb"!!opencv-[a-z-]+")
-"""Tag of a matrix in them."""
+"""Tag of a matrix in them; JSON files have `type_id`."""
 
 NAMES = {
     "image_width": ("imagewidth", "width"),
@@ -38,7 +38,7 @@ def is_ini(content: bytes) -> bool:
 
 def is_opencv(content: bytes) -> bool:
     """Whether a file is one that cv::FileStorage writes."""
-    return content.startswith(OPENCV) or MATRIX.search(content) is not None
+    return content.startswith(OPENCV) or b"opencv-matrix" in content or b"opencv-nd" in content
 
 
 def read_opencv(content: bytes, path: Path) -> Fields:
@@ -52,6 +52,11 @@ def read_opencv(content: bytes, path: Path) -> Fields:
     CalibrationError
         If it is broken, or there are no K and D in it.
     """
+    if content.lstrip()[:1] == b"<":
+        raise CalibrationError(
+            f"{path.name}: an XML file of OpenCV, allowed: YAML (cv::FileStorage writes it into a "
+            "file that ends with .yml)"
+        )
     content = MATRIX.sub(b"", content.removeprefix(OPENCV))
     given = parse_yaml(content, path, CalibrationError).data
     spelt = {str(key).lower().replace("_", ""): value for key, value in given.items()}

@@ -34,6 +34,10 @@ MOST_ENTRIES = 1000
 """Tags of a directory that are looked at; files have some dozens."""
 
 
+MOST_PIECES = 20_000
+"""Pieces of a file that are looked at: a PNG file of 64 MB has 8,000, and a wrong file millions."""
+
+
 class Header(NamedTuple):
     """What a file's first bytes tell.
 
@@ -97,7 +101,9 @@ def turned_text(header: Header) -> str:
 def _png(content: bytes) -> Header:
     width, height = struct.unpack_from(">II", content, 16)
     orientation, place = 1, 8
-    while place + 8 <= len(content):
+    for _ in range(MOST_PIECES):
+        if place + 8 > len(content):
+            break
         size, kind = struct.unpack_from(">I4s", content, place)
         if kind == b"eXIf":
             orientation = _exif(content[place + 8 : place + 8 + size])
@@ -107,7 +113,9 @@ def _png(content: bytes) -> Header:
 
 def _jpeg(content: bytes) -> Header | None:
     orientation, place = 1, 2
-    while content[place] == 0xFF:
+    for _ in range(MOST_PIECES):
+        if content[place] != 0xFF:
+            break
         mark = content[place + 1]
         if mark == 0xFF:  # padding
             place += 1
@@ -125,7 +133,9 @@ def _jpeg(content: bytes) -> Header | None:
 def _webp(content: bytes) -> Header | None:
     size: tuple[int, int] | None = None
     orientation, place = 1, 12
-    while place + 8 <= len(content):
+    for _ in range(MOST_PIECES):
+        if place + 8 > len(content):
+            break
         kind, length = struct.unpack_from("<4sI", content, place)
         body = place + 8
         if kind == b"VP8X":
