@@ -27,6 +27,7 @@ from plate_core.rig import Lens, PartType
 from plate_sim.camera import Camera, Lighting, part_colours, part_greys
 from plate_vision import Tracker, make_vision, observe
 from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
+from plate_vision.plate import OutlineCheck
 from stages.vision import layout
 
 DISCS, TYPED = 100, 56
@@ -38,7 +39,7 @@ IMAGES, QUICK_IMAGES = 4, 1
 FIRST_SEED = 54000
 """Seed of the first layout: those below are for tuning."""
 
-SHOTS, TYPED_SHOTS = 3, 6
+SHOTS, TYPED_SHOTS = 5, 6
 """Images of each layout, one after the other, each with its own noise. Of discs the last one
 counts: a detector may learn from the others. Of typed parts all count, as their light changes."""
 
@@ -49,6 +50,12 @@ BEFORE = Path(__file__).with_suffix(".csv")
 """Figures of the detector before: columns `scene` and `BEFORE_KEYS`."""
 
 BEFORE_KEYS = ("detected_percent", "false", "rms_mm", "worst_mm")
+
+BARREL = (-0.2675, 0.0926, 0.0, 0.0, 0.0)
+"""Published distortion of a webcam, k1, k2, p1, p2, k3."""
+
+MOVED_PX = 12
+"""By which a camera is pushed [px]."""
 
 WEBCAM_QUALITY = 70
 """JPEG quality of a webcam's images."""
@@ -69,8 +76,11 @@ class Kind:
     plate, room : float
         Grey values at full light.
     height : float
-        Of the parts [m]. The rig file says so, unless `unknown`.
-    unknown : bool
+        Of the parts [m].
+    known : callable, optional
+        Makes of the true rig the one that the detector is given; None: the true one.
+    warp : callable, optional
+        What happens to images on their way to the detector.
     sizes : tuple of float
         Of the parts over the rig's, in turns.
     noise, defocus_px : float
@@ -95,7 +105,8 @@ class Kind:
     plate: float = 220.0
     room: float = 60.0
     height: float = 0.0
-    unknown: bool = False
+    known: Callable[[Rig], Rig] | None = None
+    warp: Callable[[np.ndarray], np.ndarray] | None = None
     sizes: tuple[float, ...] = ()
     noise: float = 2.0
     defocus_px: float = 0.0
@@ -151,6 +162,28 @@ def strong_lens() -> Rig:
     return replace(rig, camera=camera)
 
 
+def flat(rig: Rig) -> Rig:
+    """Return the rig of a file that has no heights."""
+    return with_height(rig, 0.0)
+
+
+def without_distortion(rig: Rig) -> Rig:
+    """Return the rig of a file in which the lens's distortion is left out."""
+    lens = rig.camera.lens
+    assert lens is not None
+    return replace(rig, camera=replace(rig.camera, lens=Lens(lens.focal_px, lens.centre_px)))
+
+
+def mirrored(image: np.ndarray) -> np.ndarray:
+    """Return an image with left and right exchanged."""
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def moved(image: np.ndarray) -> np.ndarray:
+    """Return the image of a camera that was pushed: by 12 px to the right."""
+    return np.roll(image, MOVED_PX, axis=1)
+
+
 def shapes() -> Rig:
     """Return the rig with types of parts."""
     return load_rig("shapes")
@@ -182,7 +215,7 @@ KINDS = (
     Kind("10 mm high, 0.91 m", height=0.01, rig=lambda: seen_from(distance_m=0.91)),
     Kind("10 mm high, 0.43 m", height=0.01, rig=near),
     Kind("20 mm high, 0.43 m", height=0.02, rig=near),
-    Kind("10 mm high, 0.43 m, not in the rig file", height=0.01, rig=near, unknown=True),
+    Kind("10 mm high, 0.43 m, not in the rig file", height=0.01, rig=near, known=flat),
     *(Kind(f"shadow {1e3 * length:g} mm", lighting=shade(length)) for length in (3e-3, 5e-3, 1e-2)),
     *(
         Kind(f"tilt {tilt} sideways", rig=lambda tilt=tilt: seen_from(tilt_deg=tilt, focal_px=500))  # type: ignore[misc]
@@ -191,6 +224,7 @@ KINDS = (
     Kind("strong lens", rig=strong_lens),
     Kind("sizes 0.8, 1 and 1.2", sizes=(0.8, 1.0, 1.2)),
     Kind("sizes 0.7 to 1.3", sizes=(0.7, 0.85, 1.0, 1.15, 1.3)),
+    Kind("radius 4 px, soft 1.2 px", rig=lambda: seen_from(radius_m=0.004), defocus_px=1.2),
     Kind("radius 4 px, soft 1.5 px", rig=lambda: seen_from(radius_m=0.004), defocus_px=1.5),
     Kind("radius 4 px, soft 2 px", rig=lambda: seen_from(radius_m=0.004), defocus_px=2.0),
     Kind("radius 5 px, soft 2 px", rig=lambda: seen_from(radius_m=0.005), defocus_px=2.0),
@@ -203,6 +237,12 @@ KINDS = (
         rig=lambda: seen_from(tilt_deg=15, towards_deg=-90, focal_px=500), height=0.005,
         lighting=shade(4e-3, 0.3), jpeg=WEBCAM_QUALITY, marked=True, noise=4.0,
     ),
+    Kind(
+        "barrel lens, left out of the rig file", known=without_distortion,
+        rig=lambda: view_from(load_rig(), focal_px=500, distortion=BARREL),
+    ),
+    Kind("image mirrored", warp=mirrored),
+    Kind("camera pushed by 12 px", warp=moved),
     Kind("typed, plain", typed=True, rig=shapes),
     Kind("typed, light 15 % down, dark room", typed=True, rig=shapes, room=8.0, levels=STEP_DOWN),
     Kind("typed, light 20 % down", typed=True, rig=shapes, levels=(1.0, 1.0, 0.8)),
@@ -296,15 +336,14 @@ def drawn(kind: Kind, seed: int) -> Scene:
         image = camera.render(
             path if kind.blur_px else begin, colours, rng, lighting=lighting, **more
         )
-        images.append(compressed(image, kind.jpeg) if kind.jpeg else image)
+        image = compressed(image, kind.jpeg) if kind.jpeg else image
+        images.append(image if kind.warp is None else kind.warp(image))
     bare = []
     if kind.typed:
         sharp = Camera(real, kind.noise, **light, defocus_px=kind.defocus_px)
         none = np.zeros((0, 2))
         bare = [sharp.render(none, colours[:0], rng) for _ in range(BARE_IMAGES)]
-    known = real
-    if kind.unknown:
-        known = with_height(real, 0.0)
+    known = real if kind.known is None else kind.known(real)
     return Scene(known, bare, images, place, angle, types)
 
 
@@ -328,9 +367,11 @@ def compressed(image: np.ndarray, quality: int) -> np.ndarray:
 
 
 def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
-    """Yield the detector's result after each image of a scene, and whether it reports that it has
-    not taken everything: things that it has overlooked, or an image that it refuses."""
+    """Yield the detector's result after each image of a scene, and whether it reports that
+    something is wrong: things that it has not taken for parts, an outline of the plate that is
+    elsewhere, or an image that it refuses."""
     vision, tracker, plate, stamp = make_vision(one.rig), Tracker(), BarePlate(), 1.0
+    outline = OutlineCheck.of(one.rig, vision.calibration)
     if one.types:
         plate = replace(plate, wanted=len(one.bare))
     for image in one.bare:
@@ -341,10 +382,11 @@ def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
             if one.types:
                 plate, vision, _ = know_plate(plate, vision, image)
             tracker = observe(vision, tracker, image, stamp)
+            outline = outline.add(image, stamp)
         except PlateError:
             yield Tracker(), True
         else:
-            yield tracker, len(tracker.overlooked) > 0
+            yield tracker, len(tracker.overlooked) > 0 or outline.finding is not None
 
 
 def row_of(kind: Kind, count: int, before: Mapping[str, float | None]) -> dict[str, Any]:
