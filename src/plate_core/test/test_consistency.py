@@ -227,6 +227,18 @@ def test_command_tells_and_draws(tmp_path):
         assert words in text
 
 
+def test_command_whose_output_nobody_reads(tmp_path):
+    """`check_rig | head -1`: no traceback, no error, whenever the reader leaves."""
+    for first in (1, 5000):
+        command = f"{sys.executable} -m plate_core.rig.check_rig --drawing a.svg | head -c {first}"
+        script = f"{command} >read; echo ${{PIPESTATUS[0]}}"
+        done = subprocess.run(
+            ["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        )
+        assert done.stderr == ""
+        assert done.stdout.strip() in ("0", "141")
+
+
 def test_command_says_what_lasts_once(spoilt, tmp_path):
     path = spoilt(("limits", "continuous_force_n"), 12.0)
     code, out, _ = check_rig(path, "--drawing", tmp_path / "a.svg")

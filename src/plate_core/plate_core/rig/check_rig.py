@@ -67,12 +67,13 @@ def main() -> None:
 
         drawing.parent.mkdir(parents=True, exist_ok=True)
         draw(rig, path.name, drawing)
-        print(f"drawing: {drawing}")
     except ImportError as error:
         print(f"no drawing: {error}", file=sys.stderr)
     except (OSError, ValueError) as error:
         print(f"error: the drawing cannot be written: {error}", file=sys.stderr)
         sys.exit(2)
+    else:
+        print(f"drawing: {drawing}")
     sys.exit(1 if any(doubt.impossible for doubt in found) else 0)
 
 
