@@ -43,10 +43,11 @@ class _Times(ctypes.Structure):
 
 @contextmanager
 def piped() -> Iterator[None]:
-    """End a program quietly once nobody reads its output any more, as in `check_rig | head -1`.
+    """End a program without a traceback when the reader of its output has closed the pipe, as in
+    `check_rig | head -1`.
 
-    As a decorator of `main`, or around it: all that is to be tidied up inside is. The exit code is
-    then 141, by which shells tell that a pipe was closed.
+    Use it as a decorator of `main`, or in a `with` statement: clean-up inside still runs. The exit
+    code is then 141, which is SIGPIPE's in shells.
     """
     try:
         try:

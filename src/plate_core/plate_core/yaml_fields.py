@@ -462,7 +462,8 @@ def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
 
 
 def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fields:
-    """Do so with what is in a file."""
+    """Return the top mapping of a YAML file's content; the path is for messages, as in
+    `read_yaml`."""
     path = Path(path)
     try:
         loader = _Loader(content.decode("utf-8"))

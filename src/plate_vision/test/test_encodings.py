@@ -58,7 +58,7 @@ def test_sixteen_bits(bgr, bits, order, big):
 def test_a_hint_at_wrong_bits():
     for used in (9, 10, 12, 14):
         image = unpack(np.full((HEIGHT, WIDTH), 0.9 * 2**used, "<u2"), "mono16")
-        assert f"only {used} of the 16 bits used: " in bits_hint(image, 16)
+        assert f"uses only {used} of the 16 bits, " in bits_hint(image, 16)
     assert bits_hint(np.zeros((HEIGHT, WIDTH), np.uint8), 16) == ""  # black anyway
     white = np.full((HEIGHT, WIDTH), 255, np.uint8)
     assert bits_hint(white, 16) == ""

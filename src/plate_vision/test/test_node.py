@@ -306,9 +306,7 @@ def test_images_of_fewer_bits_than_are_said_name_the_parameter(draw, rng, kind, 
         graph.answer(msg)
         text = graph.warnings[0]
         assert "is the light on" in text
-        assert text.endswith(
-            f"only {bits} of the 16 bits used: then set the parameter bits to {bits}"
-        )
+        assert text.endswith(f"uses only {bits} of the 16 bits, set the parameter bits to {bits}")
         graph.detector.set_parameters([Parameter("bits", value=bits)])
         for second in (2, 3, 4):  # a new part must be seen more than once
             msg.header.stamp.sec = second

@@ -1,7 +1,7 @@
 """A camera's lens: the K, D and distortion_model of sensor_msgs/CameraInfo.
 
-All that is refused of a lens is refused here, in the same words for rig file, camera file and
-camera_info; those that call put before them where the lens comes from.
+Wrong lenses are refused here, with the same message for a rig file, a camera file and camera_info.
+Callers prepend the source of the lens.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ class Lens:
         return np.where(shown[..., None], straight, np.nan)
 
     def folds(self, corners_px: np.ndarray, straight: bool = False) -> str:
-        """Say that the lens folds the image of a plate; empty if it maps it one to one.
+        """Return a message if the lens folds the image of a plate; empty if it maps it one to one.
 
         Parameters
         ----------
@@ -216,8 +216,8 @@ class Lens:
             edge = f", {pixels:.0f} px from the optical centre"
         return (
             f"lens: distortion is {[float(f'{value:.6g}') for value in self.distortion]} "
-            f"({self.model}), which folds the image of the plate{edge}, allowed: one that does not "
-            "(are K and D those of this camera, at this size of image?)"
+            f"({self.model}), which folds the image of the plate{edge}, allowed: a distortion that "
+            "does not (are K and D from this camera, at this size of image?)"
         )
 
     def _rays(self, point_px: np.ndarray) -> np.ndarray:

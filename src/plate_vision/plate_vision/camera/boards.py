@@ -28,11 +28,11 @@ LEAST_CORNERS = 6
 """Corners that a picture needs: a homography takes four."""
 
 LEAST_MARKERS = 4
-"""Markers from which on they tell how the board is printed."""
+"""Minimum number of markers from which the board's print is recognised."""
 
 WORST_MISFIT = 0.4
-"""Root mean square distance of markers from where the board has them, over their side: of a wrong
-board it is 0.7 or more, of the right one through a strong lens 0.2."""
+"""Largest misfit of markers on the right board [sides]. A wrong board has 0.7 or more, the right
+one through a strong lens up to 0.2."""
 
 NEAR = 4
 """Markers from whose corners the place of one between them is predicted, so that a lens that bends
@@ -49,14 +49,14 @@ LEAST_PICTURES = 5
 """Pictures that are needed: three tell K in principle, in noise more are wanted."""
 
 MOST_PICTURES = 40
-"""Pictures from which a lens is fitted: more take long, and tell little more."""
+"""Maximum number of pictures in a fit: more take long and improve little."""
 
 START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
 """Angles across the longer side of the image from which the fit of an equidistant lens begins."""
 
 WEAKEST = 1e-9
-"""Least singular value of a fit's derivative over the largest: what tells nothing of some values,
-as of k1 to k6 together, leaves them a large deviation, not an infinite one."""
+"""Minimum singular value of a fit's derivative, relative to the largest. Values that the pictures
+do not determine, such as k1 to k6 together, then have a large but finite deviation."""
 
 FIT_STEPS = 200
 """Steps of that fit at most; 10 to 20 are enough."""
@@ -178,10 +178,11 @@ def find_corners(grey: np.ndarray, board: Board) -> Corners | None:
 
 
 def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Board, Corners | None]:
-    """Do so, and return the board too, as it is printed: the one that is given, unless the markers
-    show that the other square is the first.
+    """Find the corners as `find_corners` does. Return also the board as it is printed: the given
+    one, unless the markers show that its first square has the other colour.
 
-    Fast: a picture without a chessboard takes 0.1 s, not 2 s; a few chessboards are missed.
+    If `fast`, a picture without a chessboard takes 0.1 s instead of 2 s, but a few chessboards are
+    missed.
     """
     grey = np.ascontiguousarray(grey)
     if board.marker_m == 0:
@@ -202,8 +203,8 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
 
 
 def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
-    """Return the board, its first square black or white, on which markers (4, 2) [px], by number,
-    are where they are found."""
+    """Return the board, with a black or white first square, that fits the markers found: corners
+    (4, 2) [px] by number."""
     if len(found) < LEAST_MARKERS:
         return board
     other = replace(board, white_first=not board.white_first)
@@ -223,7 +224,8 @@ def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
 
 
 def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
-    """Return how far the markers found are from where a homography has the board's [markers]."""
+    """Return the root mean square distance between the markers found and those of the board under
+    a homography, over a marker's side."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
     if 2 * len(numbers) < len(found):  # a few may be others' markers
@@ -429,8 +431,7 @@ def _fit_equidistant(
 ) -> Fit:
     """Fit an equidistant lens: Levenberg and Marquardt's method with OpenCV's derivatives.
 
-    It begins with a lens that shows 180 degrees across the image, or less until the boards' poses
-    are found.
+    The fit starts from the best of several ideal lenses of different angles of view.
     """
     starts = []
     for angle in START_ANGLES_RAD:

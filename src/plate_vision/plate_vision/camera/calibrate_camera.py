@@ -121,7 +121,7 @@ def _lens(args: argparse.Namespace) -> None:
     pictures = read_pictures(args.pictures)
     board, seen, size_px = _search(pictures, board)
     if board.white_first:
-        print("the board's first square is white, as OpenCV before 4.6 drew it: taken so")
+        print("the board's first square is white, as in OpenCV before 4.6")
     chosen = choose(seen, board)
     if len(chosen) < len(seen):
         print(f"the lens is fitted to the {len(chosen)} pictures that differ most")
@@ -162,8 +162,8 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
 
 
 class Progress:
-    """Tells how the search goes on: a line for each picture of a folder; of a film one that changes
-    on a terminal, and the sum at the end."""
+    """Prints the progress of the search: a line for each picture of a folder. For a film, one line
+    that is updated on a terminal, and the totals at the end."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
@@ -171,7 +171,7 @@ class Progress:
         self.count = self._found = 0
 
     def searched(self, name: str, corners: int, of: int) -> None:
-        """A picture was searched."""
+        """Count a picture in which some corners were found, and print the progress."""
         self.count += 1
         self._found += corners > 0
         if not self._pictures.is_film:
@@ -180,7 +180,7 @@ class Progress:
             print(f"\r{self._text()}", end="", file=sys.stderr, flush=True)
 
     def end(self) -> None:
-        """All are searched."""
+        """Print the totals."""
         if self._changes:
             print(file=sys.stderr)
         elif self._pictures.is_film or self.count < self._pictures.count:

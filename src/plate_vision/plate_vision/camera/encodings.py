@@ -51,7 +51,7 @@ PNG_DEPTH = 24
 """Where the bits of a colour stand in a PNG file."""
 
 BRIGHT = 127
-"""Brightest grey level below which the highest bit is not used."""
+"""Largest grey level that leaves the highest bit unused."""
 
 TAIL = 64
 """Bytes at the end of a file among which its end mark must be: some cameras pad."""
@@ -178,11 +178,8 @@ def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
 
 
 def bits_hint(image: np.ndarray, bits: int) -> str:
-    """Say how `bits` may be the reason why an image (H, W) or (H, W, 3) uint8, which came with 16
-    bits, is too dark or too bright.
-
-    Too dark: `bits` of numbers are taken where the camera uses fewer. An image that is black is
-    too dark anyway, and tells nothing.
+    """Return a remedy for an image (H, W) or (H, W, 3) uint8 that had 16 bits and is too dark or
+    too bright: another value of `bits`. Empty if `bits` is not the reason, or the image is black.
     """
     brightest = int(image.max(initial=0))
     used = bits - 8 + brightest.bit_length()
@@ -190,12 +187,12 @@ def bits_hint(image: np.ndarray, bits: int) -> str:
         return f"; or is bits, {bits}, too small for this camera?" if bits < 16 else ""
     if brightest == 0:
         return ""
-    return f"; or are only {used} of the {bits} bits used: then set the parameter bits to {used}"
+    return f"; if the camera uses only {used} of the {bits} bits, set the parameter bits to {used}"
 
 
 def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
-    """Return the pixels of a picture's file by OpenCV's flags, never turned; None if it is none, or
-    damaged.
+    """Return the pixels of a picture's file by OpenCV's flags, never rotated; None if it is no
+    picture, or damaged.
 
     `header` is the file's, if it is known already.
 

@@ -19,7 +19,7 @@ from plate_core.yaml_fields import Fields, parse_yaml
 from ..errors import CalibrationError, ImageError, check_size
 from .encodings import check_pixels, unpack
 from .foreign import is_ini, is_opencv, read_ini, read_opencv
-from .headers import read_header, turned_text
+from .headers import AS_STORED, read_header, turned_text
 from .lens import Lens
 
 FAR = 1e6
@@ -109,8 +109,8 @@ def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
 def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pictures:
     """Return an iterator over pictures: name and pixels (H, W, 3) uint8, blue, green, red, of each.
 
-    Pictures are never turned: an orientation in EXIF, PNG, TIFF, WebP or a video is what a viewer
-    does. The first that has one is named in a warning.
+    Pictures are never rotated: an orientation in EXIF, PNG, TIFF, WebP or a video is ignored. A
+    warning names the first picture that has one.
 
     Parameters
     ----------
@@ -159,8 +159,8 @@ class Pictures:
             turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
             if turn in (90, 180, 270):  # -1: it does not know
                 self._tell(
-                    f"{path.name}: rotation of {turn} degrees: players turn the film; here it is "
-                    "not turned, as nothing in ROS is: pixels are where the sensor has them"
+                    f"{path.name}: rotation of {turn} degrees is ignored: players rotate the film; "
+                    f"{AS_STORED}"
                 )
 
     def __iter__(self) -> Pictures:
@@ -207,7 +207,7 @@ class Pictures:
     def _tell(self, text: str) -> None:
         if not self._warned:
             self._warned = True
-            more = " (so with all pictures)" if len(self._files) > 1 else ""
+            more = " (as for all pictures)" if len(self._files) > 1 else ""
             self._warn(text + more)
 
 

@@ -1,8 +1,8 @@
 """The first bytes of a picture's file: its size and orientation, before anything is unpacked.
 
-A file of 389 kB can unpack to 20000 x 20000 pixels; and OpenCV turns pictures as their orientation
-says, which ROS never does: pixels here are always where the sensor has them, as camera_info and
-corners_px have them too.
+A file of 389 kB can unpack to 20000 x 20000 pixels, so its size is checked first. OpenCV rotates
+pictures by their orientation; ROS never does. Here, too, pixels stay where the sensor stores them:
+`camera_info` and `corners_px` refer to these places.
 """
 
 from __future__ import annotations
@@ -13,17 +13,20 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 ORIENTATION = 274
-"""Tag of EXIF and TIFF: how a viewer turns the picture; 1: not at all."""
+"""Tag of EXIF and TIFF: how a viewer rotates and mirrors the picture. 1: it does not."""
 
 WIDTH, HEIGHT = 256, 257
 """Tags of TIFF."""
 
 TURNS = {
-    2: "mirrored", 3: "turned by 180 degrees", 4: "upside down in a mirror",
-    5: "turned by 90 degrees in a mirror", 6: "turned by 90 degrees clockwise",
-    7: "turned by 270 degrees in a mirror", 8: "turned by 90 degrees anticlockwise",
+    2: "mirror it", 3: "rotate it by 180 degrees", 4: "flip it", 5: "transpose it",
+    6: "rotate it by 90 degrees clockwise", 7: "transpose and rotate it",
+    8: "rotate it by 90 degrees anticlockwise",
 }  # fmt: skip
-"""What a viewer does by an orientation."""
+"""What viewers do with a picture, by its orientation."""
+
+AS_STORED = "here, as in ROS, pixels stay where the sensor stores them"
+"""End of a warning: what is done with a picture that viewers rotate."""
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -39,18 +42,18 @@ MOST_PIECES = 20_000
 
 
 class Header(NamedTuple):
-    """What a file's first bytes tell.
+    """The first bytes of a picture's file.
 
     Attributes
     ----------
     kind : str
         PNG, JPEG, BMP, PNM, TIFF or WebP.
     width, height : int
-        As they are stored [px].
+        Size as stored [px].
     orientation : int
         1 to 8, by EXIF.
     place : int
-        TIFF: where the orientation stands in the file; else 0.
+        Position of the orientation in a TIFF file [bytes]; 0 if there is none.
     """
 
     kind: str
@@ -61,7 +64,7 @@ class Header(NamedTuple):
 
 
 def read_header(content: bytes) -> Header | None:
-    """Return the header of a picture's file; None if it is of no kind that is known, or broken."""
+    """Return the header of a picture's file; None if its kind is unknown or it is broken."""
     try:
         if content.startswith(PNG):
             return _png(content)
@@ -81,7 +84,8 @@ def read_header(content: bytes) -> Header | None:
 
 
 def not_turned(content: bytes, header: Header) -> bytes:
-    """Return a file whose picture OpenCV does not turn: TIFF it turns whatever it is asked for."""
+    """Return a file whose picture OpenCV does not rotate. It rotates TIFF in spite of its flags, so
+    the orientation in the file is set to 1."""
     if header.kind != "TIFF" or not header.place:
         return content
     value = b"\1\0" if content[:2] == b"II" else b"\0\1"
@@ -89,13 +93,11 @@ def not_turned(content: bytes, header: Header) -> bytes:
 
 
 def turned_text(header: Header) -> str:
-    """Say that viewers turn a picture, and what is done here; empty if they do not."""
+    """Return a warning about a picture that viewers rotate or mirror; empty if they do not."""
     if header.orientation == 1:
         return ""
-    return (
-        f"orientation {header.orientation}: viewers show it {TURNS[header.orientation]}; here it "
-        "is not turned, as nothing in ROS is: pixels are where the sensor has them"
-    )
+    do = TURNS[header.orientation]
+    return f"orientation {header.orientation} is ignored: viewers {do}; {AS_STORED}"
 
 
 def _png(content: bytes) -> Header:
@@ -171,7 +173,7 @@ def _tiff(content: bytes) -> Header | None:
 
 
 def _exif(data: bytes) -> int:
-    """Return the orientation in EXIF data, which are those of a TIFF file; 1 if they do not say."""
+    """Return the orientation in EXIF data, which have the form of a TIFF file; 1 without one."""
     try:
         found = (value for tag, value, _ in _tags(data) if tag == ORIENTATION)
         return _known(next(found, 1))
