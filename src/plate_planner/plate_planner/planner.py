@@ -371,7 +371,7 @@ class Planner:
         seen = set(state.estimator.seen.ids)
         mine = self._mine(parts.ids)  # things that come and go do not keep a task from beginning
         again = comes_and_goes or self._mine(state.known) == mine <= seen
-        task = begin(state.task, t, missing, again, self.limits)
+        task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)
         now = self._situation(estimator, state, parts, task.active)
         memory, found = self.rules.assess(state.memory, now)

@@ -63,6 +63,17 @@ def test_things_that_come_and_go_do_not_keep_a_task_from_beginning():
     assert state.task.began == 2 * T
 
 
+def test_a_task_that_misses_a_part_names_the_thing_that_it_may_be():
+    planner = Planner(RIG, load_scenario("sort_4"))
+    parts = Plant(planner.scenario, seed=2).seen().take([0, 1, 2])
+    state = planner.start(planner.initial())
+    for k in range(110):
+        state, _, progress = planner.plan(state, with_things(parts, THINGS[:1]), k * T)
+    assert (
+        "parts not seen within 10 s of start; 1 unknown thing is on the plate (unknown_1 at (0.050,"
+    ) in progress.text
+
+
 def test_the_solver_gets_the_parts_of_the_task_before_unknown_things():
     planner = Planner(RIG, load_scenario("sort_50"))
     parts = Plant(planner.scenario, seed=2).seen()

@@ -59,10 +59,9 @@ from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections, outlines_px
 from .errors import ImageError, TeachError, check_size
 from .live_teaching import Teaching, learn_shown
-from .overlooked import Expected, OverlookedTally
+from .overlooked import NAMELESS, Expected, OverlookedTally
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
-from .shapes import GROUP, UNKNOWN
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
@@ -468,7 +467,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         are not taken for parts, with their radii (n,) [m]."""
         things = self._tracker.overlooked
         scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
-        taken = sum(track.label not in (UNKNOWN, GROUP) for track in self._tracker.found)
+        taken = sum(track.label not in NAMELESS for track in self._tracker.found)
         return taken, things, things["radius_px"] / scale
 
     def _note_ids(self) -> None:

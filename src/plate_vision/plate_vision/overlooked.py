@@ -34,9 +34,21 @@ OVERLOOKED = np.dtype(
 """One thing that is not taken for a part: centre and radius [px] of the disc of the same area;
 centre [m, plate_home]; one of `REASONS`."""
 
+NAMELESS = ("unknown", "group")
+"""Classes of sightings that are of no class of parts: what may be a part, and parts that nothing
+takes apart."""
+
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
 """No such thing, (0,) `OVERLOOKED`."""
 NONE_OVERLOOKED.setflags(write=False)
+
+PLAUSIBLE_AREA = 0.3, 3.0
+"""Area of a thing that may be a part, relative to a part's [-]: smaller ones are dust or shine,
+larger ones tools or hands."""
+
+APART = 0.9
+"""A thing nearer to a part than this fraction of the sum of their radii [-] belongs to that part,
+as its shadow or its side face. Two parts that touch are at 1."""
 
 WARN_FRACTION, WARN_COUNT = 0.1, 2
 """Overlooked things are worth a warning above this fraction of all things seen [-], and from this
@@ -54,6 +66,35 @@ REMEDIES = {
     "group": "move them apart",
 }
 """What to do about things of a reason, where it is the same for all rigs."""
+
+
+def may_be_parts(
+    things: np.ndarray,
+    radius: np.ndarray,
+    part_radius: float,
+    inner: np.ndarray,
+    centre: np.ndarray,
+) -> np.ndarray:
+    """Which things (n,) OVERLOOKED may be parts: of a part's size, on the plate, beside the parts.
+
+    Parameters
+    ----------
+    things : (n,) OVERLOOKED
+    radius : (n,)
+        Their radii [m].
+    part_radius : float
+        Of a part [m].
+    inner : (2,)
+        Half sides of the plate's area in which they count [m].
+    centre : (M, 2)
+        Centres of the parts in this image [m, plate_home].
+    """
+    place = np.column_stack([things["x"], things["y"]])
+    area = (radius / part_radius) ** 2
+    size = (PLAUSIBLE_AREA[0] <= area) & (area <= PLAUSIBLE_AREA[1])
+    away = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
+    beside = np.all(away >= APART * (radius + part_radius)[:, None], axis=1)
+    return np.asarray(size & beside & np.all(np.abs(place) <= inner, axis=1))
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,13 @@ from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, PartView, find_discs
 from .discs import outlines, seen_by
 from .errors import check_size
+from .overlooked import may_be_parts
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
 from .recognition import find_types, model_plate
 from .shapes import Background
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import is_named
+from .shapes.classes import UNKNOWN, is_named
 from .tracking import Prediction, Tracker, update
 
 HOME = np.zeros(3)
@@ -185,10 +186,19 @@ def observe(
     things["x"], things["y"] = vision.calibration.to_home(
         np.stack([things["x_px"], things["y_px"]], axis=1)
     ).T
+    scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
+    unknown = may_be_parts(things, things["radius_px"] / scale, vision.radius, vision.inner, centre)
+    label = found["label"]
+    if np.any(unknown):  # no part may be driven into what may be another
+        more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
+        centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
+        label = np.concatenate([label, np.full(len(more), UNKNOWN, label.dtype)])
+        angle = np.concatenate([angle, none])
+        doubt = np.column_stack([UNKNOWN_PX / scale[unknown], none + ANY_ANGLE, none])
+        quality = np.vstack([quality, doubt])
     return update(
-        tracker, stamp, centre, found["label"], angle, quality, expected=expected,
-        overlooked=things,
-    )  # fmt: skip
+        tracker, stamp, centre, label, angle, quality, expected=expected, overlooked=things
+    )
 
 
 def _observe_types(

@@ -778,7 +778,7 @@ def test_parts_of_another_size_than_the_rig_says(draw, rng, tmp_path):
     try:
         graph.until(lambda: graph.detector._picture is None)
         assert graph.notes[-3:] == [
-            "000.png: no parts",
+            "000.png: no parts; 4 unknown",
             "001.png: no parts",
             "that was the last picture of 3, 1 ignored",
         ]

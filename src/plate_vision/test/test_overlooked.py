@@ -5,7 +5,7 @@ import pytest
 
 from plate_core.status import Level
 from plate_vision import OVERLOOKED, REASONS
-from plate_vision.overlooked import Expected, OverlookedTally
+from plate_vision.overlooked import Expected, OverlookedTally, may_be_parts
 
 DISCS = Expected(8e-3, 8e-3)
 
@@ -79,3 +79,27 @@ def test_each_reason_has_a_remedy(reason, typed):
     if reason == "too small":
         sizes = "types have 4 to 9 mm" if typed else "parts: radius_m is 4 to 9 mm"
         assert f"radius 9.8 mm, {sizes}" in found.message
+
+
+R, INNER = 8e-3, np.array([0.29, 0.14])
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "radius", "may_be"),
+    [
+        (0.0, 0.0, R, True),
+        (0.0, 0.0, 0.56 * R, True),  # 0.31 of a part's area
+        (0.0, 0.0, 0.54 * R, False),
+        (0.0, 0.0, 1.72 * R, True),  # 2.96
+        (0.0, 0.0, 1.74 * R, False),
+        (0.291, 0.0, R, False),  # the edge of a plate that is not at home
+        (0.1, 0.1 + 2 * R, R, True),  # it touches the part at (0.1, 0.1) m
+        (0.1, 0.1 + 1.5 * R, R, False),  # the shadow of that part
+    ],
+)
+def test_only_a_thing_of_a_parts_size_beside_the_parts_may_be_one(x, y, radius, may_be):
+    thing = np.array([(0.0, 0.0, 8.0, x, y, "misfit")], OVERLOOKED)
+    parts = np.array([[0.1, 0.1], [-0.2, 0.0]])
+    assert may_be_parts(thing, np.array([radius]), R, INNER, parts).tolist() == [may_be]
+    nobody = np.zeros((0, 2))
+    assert may_be_parts(thing, np.array([R]), R, INNER, nobody).tolist() == [x < 0.29]

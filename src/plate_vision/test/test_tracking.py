@@ -5,7 +5,7 @@ import pytest
 
 from plate_vision import OptionError, Tracker, TrackerOptions, TrackError
 from plate_vision.overlooked import OVERLOOKED
-from plate_vision.tracking import update
+from plate_vision.tracking import found_text, update
 
 DT = 0.05
 
@@ -287,3 +287,14 @@ def test_an_unknown_reason_is_refused():
         update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"], overlooked=things)
     with pytest.raises(TrackError, match="overlooked is float64"):
         update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"], overlooked=np.zeros(3))
+
+
+def test_what_is_of_no_class_is_counted_apart():
+    def text(*labels):
+        place = np.column_stack([np.arange(len(labels)) * 0.05, np.zeros(len(labels))])
+        return found_text(update(Tracker(), 0.0, place, list(labels)))
+
+    assert text("grey", "unknown", "black", "grey") == "3 parts: 1 black, 2 grey; 1 unknown"
+    assert text("group", "unknown", "group") == "no parts; 1 unknown; 2 group"
+    assert text("nut") == "1 part: 1 nut"
+    assert text() == "no parts"

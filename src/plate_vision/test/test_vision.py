@@ -123,3 +123,20 @@ def test_drift_of_still_parts_is_small(draw, rng):
     assert drift.shape == (39, 10, 2)
     assert drift.std() < 0.5e-3
     assert drift.std(axis=0).max() < 1e-3
+
+
+def test_a_thing_that_may_be_a_part_is_published_as_unknown(draw, rng):
+    """So that no part is driven into it: a bar is no disc, but of a disc's area."""
+
+    def bar(image):
+        image[196:205, 387:414] = 40.0
+
+    vision = make_vision(load_rig())
+    tracker = observe(vision, Tracker(), draw([[150.0, 200.0]], ["black"], rng, extra=bar), 0.0)
+    assert tracker.parts.ids == ("black_1", "unknown_1")
+    assert [track.label for track in tracker.tracks] == ["black", "unknown"]
+    seen = vision.calibration.to_image(tracker.parts.position[1:])[0]
+    assert seen == pytest.approx([400.0, 200.0], abs=2.0)
+    assert len(tracker.overlooked) == 1
+    spread, _, confidence = tracker.quality[1]
+    assert (spread > 1e-4, confidence) == (True, 0.0)

@@ -191,7 +191,12 @@ def started() -> TaskState:
 
 
 def begin(
-    state: TaskState, t: float, missing: tuple[str, ...], again: bool, limits: TaskLimits
+    state: TaskState,
+    t: float,
+    missing: tuple[str, ...],
+    again: bool,
+    limits: TaskLimits,
+    others: str = "",
 ) -> TaskState:
     """Begin a task that was told to start, as soon as the same parts, all, are seen twice.
 
@@ -207,6 +212,8 @@ def begin(
     again : bool
         Whether these parts, and no others, are those of the last image with all parts.
     limits : TaskLimits
+    others : str
+        Says what else is on the plate: a missing part may be among it. Empty if nothing is.
     """
     if state.phase is not Phase.RUNNING or state.began is not None:
         return state
@@ -215,7 +222,7 @@ def begin(
         return replace(state, asked=asked, began=t)
     if t - asked > limits.start_timeout_s + TIME_TOLERANCE_S:
         what = f"{_listed(missing)} not seen" if missing else "no two images with the same parts"
-        why = f"{what} within {limits.start_timeout_s:g} s of start; {LOOK}"
+        why = _joined(f"{what} within {limits.start_timeout_s:g} s of start", others, LOOK)
         return _end(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
     return replace(state, asked=asked)
 

@@ -11,7 +11,7 @@ import numpy as np
 from plate_core import Parts
 
 from ..errors import TrackError, check_ranges
-from ..overlooked import NONE_OVERLOOKED, OVERLOOKED, REASONS
+from ..overlooked import NAMELESS, NONE_OVERLOOKED, OVERLOOKED, REASONS
 from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
@@ -111,12 +111,14 @@ class Tracker:
 
 
 def found_text(tracker: Tracker) -> str:
-    """Say how many parts were found in the last image, such as `24 parts: 14 black, 10 grey`."""
+    """Say how many parts were found in the last image, such as `24 parts: 14 black, 10 grey`; what
+    is of no class follows, such as `; 2 unknown`."""
     labels = [track.label for track in tracker.found]
-    if not labels:
-        return "no parts"
-    counts = ", ".join(f"{labels.count(label)} {label}" for label in sorted(set(labels)))
-    return f"{len(labels)} part{'s' if len(labels) > 1 else ''}: {counts}"
+    named = [label for label in labels if label not in NAMELESS]
+    counts = [f"{labels.count(label)} {label}" for label in sorted(set(named))]
+    parts = f"{len(named)} part{'s' if len(named) > 1 else ''}: {', '.join(counts)}"
+    others = [f"{labels.count(label)} {label}" for label in NAMELESS if label in labels]
+    return "; ".join([parts if named else "no parts", *others])
 
 
 def update(
