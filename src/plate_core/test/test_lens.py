@@ -156,6 +156,16 @@ def test_what_is_no_lens_is_refused(matrix, distortion, model, words):
         lens_of_matrix(matrix, distortion, model)
 
 
+def test_a_pole_is_the_end_of_what_a_lens_shows():
+    """r (1 + r2) / (1 - r2) grows to infinity at r = 1: what is seen anywhere has a ray below."""
+    lens = Lens((100.0, 100.0), (0.0, 0.0), (1, 0, 0, 0, 0, -1, 0, 0), "rational_polynomial")
+    r = np.array([0.0, 0.3, 0.7, 0.9, 0.99])
+    straight = 100 * np.column_stack([r * np.cos(r), r * np.sin(r)])
+    assert np.allclose(lens.straighten(lens.bend(straight)), straight, atol=1e-7)
+    assert lens.folds(75 * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1.0]]), straight=True)
+    assert not lens.folds(60 * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1.0]]), straight=True)
+
+
 @pytest.mark.parametrize("side", [0.6, 0.9, 1.02, 1.3])
 def test_folding_is_found_where_it_is(side):
     """r (1 - r2 / 3) folds at r = 1: squares about the axis whose corners are nearer do not

@@ -116,6 +116,25 @@ def test_lenses_of_other_models_are_found(model, bend, make_scene, rng):
     assert np.abs(back - grid.reshape(-1, 2)).max() < 0.25
 
 
+def test_a_rational_lens_has_as_many_values_as_the_pictures_tell(make_scene):
+    """Of these pictures all eight would leave a pole inside the image: it is folded nowhere."""
+    rng = np.random.default_rng(20261121)
+    bend = [0.25, 0.05, 1e-3, -5e-4, 0.0, 0.6, 0.05, 0.0]
+    picture = draw_board(CHARUCO, SQUARE_PX)
+    size = np.array(picture.shape[::-1]) / SQUARE_PX * CHARUCO.square_m
+    scene = make_scene(picture, size, WIDE, bend)
+    sights = []
+    for turn, move in poses(9, rng):
+        sight = find_corners(scene.take(turn, move * [1, 1, 0.65], rng), CHARUCO)
+        sights += [] if sight is None else [sight]
+    fit = fit_lens(CHARUCO, sights, (640, 480), "rational_polynomial")
+    corners = np.array([[0, 0], [639, 0], [639, 479], [0, 479.0]])
+    assert np.all(np.isfinite(fit.lens.straighten(corners)))
+    assert len(fit.lens.distortion) == 8
+    assert fit.warning is None
+    assert np.all(np.isfinite(fit.deviation))
+
+
 def opencv_board(columns, rows, legacy):
     """As OpenCV draws it; before 4.8 it knows only one pattern."""
     shape, known = (columns, rows), cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)

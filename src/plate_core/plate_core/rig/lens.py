@@ -43,6 +43,10 @@ MAX_STEPS = 30
 TABLE = 1025
 """Radii in the table from which Newton's method starts."""
 
+SHORT_OF = 1e-6
+"""Fraction by which the table ends before a fold: where the fold is a pole of a rational polynomial
+the image has no end."""
+
 ROUNDED = 1.01
 """Radius that a result may have over that at which the radial part of the lens folds: tangential
 terms move the fold."""
@@ -266,7 +270,7 @@ class Lens:
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
         """Radii of rays from 0 on, and where the radial part has them: growing [focal lengths]."""
         steep = min(np.arctan(self._reach), STEEPEST_RAD)
-        radius = np.tan(np.linspace(0, steep, TABLE))
+        radius = np.tan(np.linspace(0, (1 - SHORT_OF) * steep, TABLE))
         return radius, radius * self._radial(radius * radius)[0]
 
     def _radial(self, r2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

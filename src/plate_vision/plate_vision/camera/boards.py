@@ -58,6 +58,17 @@ WEAKEST = 1e-9
 """Minimum singular value of a fit's derivative, relative to the largest. Values that the pictures
 do not determine, such as k1 to k6 together, then have a large but finite deviation."""
 
+FIXED = (
+    0,
+    cv2.CALIB_FIX_K6,
+    cv2.CALIB_FIX_K5 | cv2.CALIB_FIX_K6,
+    cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K5 | cv2.CALIB_FIX_K6,
+)
+"""Flags of OpenCV by which values of a rational polynomial are 0, one after the other."""
+
+FOLD_GRID = 33
+"""Points along each side of the image at which a fit must not fold it."""
+
 FIT_STEPS = 200
 """Steps of that fit at most; 10 to 20 are enough."""
 
@@ -337,6 +348,12 @@ class LensFit:
                 f"the board was seen in {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
                 f"of the height, better: {LEAST_COVER:.0%} or more (hold it into the corners)"
             )
+        model = self.lens.model  # a fisheye lens may show more than the straight image has
+        if model != "equidistant" and not _shows(self.lens, self.size_px):
+            return (
+                "the lens folds the image near its edges, allowed there: no part of the plate, "
+                "better: pictures with the board in the corners"
+            )
         return None
 
 
@@ -390,9 +407,37 @@ deviations of fx, fy, cx, cy [px] and D."""
 def _fit_brown(
     points: Sequence[np.ndarray], places: Sequence[np.ndarray], size_px: tuple[int, int], model: str
 ) -> Fit:
-    """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] seen in places (n, 2) [px]."""
-    rational = model == "rational_polynomial"
-    flags, count = (cv2.CALIB_RATIONAL_MODEL, 8) if rational else (0, 5)
+    """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] seen in places (n, 2) [px].
+
+    If a rational polynomial folds the image, its last coefficients are too many for the pictures:
+    they are then 0.
+    """
+    if model == "plumb_bob":
+        return _fit_opencv(points, places, size_px, 5, 0)
+    fits = []
+    for fixed in FIXED:
+        fits.append(_fit_opencv(points, places, size_px, 8, cv2.CALIB_RATIONAL_MODEL | fixed))
+        matrix, bend = fits[-1][:2]
+        if _shows(Lens(matrix, bend, model), size_px):
+            return fits[-1]
+    return fits[0]
+
+
+def _shows(lens: Lens, size_px: tuple[int, int]) -> bool:
+    """Whether a lens folds an image nowhere."""
+    across, down = (np.linspace(0, side - 1, FOLD_GRID) for side in size_px)
+    grid = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    return bool(np.all(np.isfinite(lens.straighten(grid))))
+
+
+def _fit_opencv(
+    points: Sequence[np.ndarray],
+    places: Sequence[np.ndarray],
+    size_px: tuple[int, int],
+    count: int,
+    flags: int,
+) -> Fit:
+    """Fit a lens with `count` values of distortion, by flags of OpenCV."""
     try:
         _, matrix, bend, turns, moves = cv2.calibrateCamera(
             [point.astype(np.float32) for point in points],
@@ -413,7 +458,11 @@ def _fit_brown(
         rows = slice(row, row := row + 2 * len(point))
         slopes[rows, : 4 + count] = slope[:, 6 : 10 + count]
         slopes[rows, 4 + count + 6 * k : 10 + count + 6 * k] = slope[:, :6]
-    return matrix, bend, errors, _deviation(slopes, np.concatenate(errors))[: 4 + count]
+    free = np.ones(slopes.shape[1], bool)
+    free[4 : 4 + count] = bend != 0  # the others are fixed
+    deviation = np.zeros(len(free))
+    deviation[free] = _deviation(slopes[:, free], np.concatenate(errors))
+    return matrix, bend, errors, deviation[: 4 + count]
 
 
 def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
