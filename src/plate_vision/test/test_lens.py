@@ -160,3 +160,42 @@ def test_wrong_edges_are_refused():
         make_region((640, 480), edges)
     with pytest.raises(ImageError, match="region: got"):
         make_region((640, 480), edges[:3])
+
+
+MODELS = [
+    ("plumb_bob", 350.0, [1.0, 0.0, 0.0, 0.0, 0.0], 0.45),  # OpenCV's straightening: 0.28 mm off
+    ("plumb_bob", 600.0, [-0.3, 0.09, 1e-3, -2e-3], 0.65),
+    ("rational_polynomial", 600.0, [-0.3, 0.09, 1e-3, -2e-3, 0.01], 0.65),
+    ("rational_polynomial", 305.0, [4.3, 2.6, -3e-4, 1e-4, 0.12, 4.6, 4.1, 0.8], 0.33),
+    ("rational_polynomial", 500.0, [0.5, -0.2, 0, 0, 0, 0.8, 0, 0, 0.01, -0.02, 0.03, 0.01], 0.55),
+    ("rational_polynomial", 500.0, [0.1, 0, 0, 0, 0, 0.2, *[0.0] * 6, 0.03, -0.02], 0.55),
+    ("equidistant", 330.0, [], 0.38),
+    ("equidistant", 330.0, [0.0] * 5, 0.38),
+    ("equidistant", 330.0, [0.05, -0.02, 0.01, -0.003], 0.38),
+]
+"""Model, focal length [px], D, height of the camera [m]."""
+
+
+@pytest.mark.parametrize(("model", "focal", "values", "height"), MODELS)
+def test_all_models_are_those_of_opencv(model, focal, values, height):
+    """Points all over the plate, to a nanometre, from nothing but a camera_info and the corners."""
+    matrix = np.array([[focal, 0, 322.0], [0, 1.01 * focal, 241.0], [0, 0, 1]])
+    place = np.array([0.0, 0.0, height])
+
+    def seen(points):
+        there = np.column_stack([points, np.zeros(len(points))])
+        if model == "equidistant":
+            known = np.array(values) if np.any(values) else np.zeros(4)
+            return cv2.fisheye.projectPoints(there[:, None], TURN, place, matrix, known)[0][:, 0]
+        return cv2.projectPoints(there, TURN, place, matrix, np.array(values))[0][:, 0]
+
+    rig = load_rig()
+    corners_px = tuple(map(tuple, seen(rig.plate.corners).tolist()))
+    rig = replace(rig, camera=replace(rig.camera, corners_px=corners_px, lens=None))
+    lens = SeenLens(matrix, np.array(values, dtype=float), model)
+    calibration = make_vision(rig, lens=lens).calibration
+    points = np.random.default_rng(5).uniform(-1, 1, (200, 2)) * rig.plate.half
+    assert np.allclose(calibration.to_image(points), seen(points), atol=1e-6)
+    assert np.allclose(calibration.to_home(seen(points)), points, atol=1e-9)
+    pinhole = make_vision(rig, lens=SeenLens(matrix, np.zeros(5))).calibration
+    assert np.abs(pinhole.to_home(seen(points)) - points).max() > 2e-3
