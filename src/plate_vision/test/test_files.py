@@ -12,6 +12,7 @@ import yaml
 from plate_core import RigError, config_path, load_rig
 from plate_vision import CalibrationError, ImageError, Lens, make_vision
 from plate_vision.camera import load_lens, read_pictures, rig_of_picture, save_lens
+from plate_vision.camera.headers import not_turned, read_header
 
 FILE = """
 image_width: 640
@@ -393,6 +394,22 @@ def test_an_unreadable_header_is_no_picture(tmp_path, rng):
         path.write_bytes(whole)
         ((_, pixels),) = read_pictures(path)
         assert pixels.shape == (48, 64, 3)
+
+
+def test_damaged_headers_are_never_a_crash(rng):
+    """Bytes changed at random, in files with an orientation."""
+    picture = rng.integers(0, 256, (16, 24), np.uint8)
+    for kind in (".jpg", ".png", ".webp", ".tif"):
+        whole = oriented(kind, picture, 6)
+        assert read_header(whole)[1:4] == (24, 16, 6)
+        for _ in range(3000):
+            data = bytearray(whole)
+            for place in rng.integers(0, min(len(data), 200), 4):
+                data[place] = rng.choice([0, 1, 127, 128, 255])
+            header = read_header(bytes(data))
+            assert header is None or len(not_turned(bytes(data), header)) == len(data)
+    big = b"II" + struct.pack("<HHHQ", 43, 8, 0, 2**64 - 1)  # a directory beyond all files
+    assert read_header(big) is None
 
 
 def bomb(kind, side):

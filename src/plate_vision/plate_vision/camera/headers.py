@@ -41,6 +41,10 @@ MOST_PIECES = 20_000
 """Pieces of a file that are looked at: a PNG file of 64 MB has 8,000, and a wrong file millions."""
 
 
+BROKEN = (struct.error, IndexError, OverflowError)
+"""Errors of a file that breaks off, or refers to places beyond its end."""
+
+
 class Header(NamedTuple):
     """The first bytes of a picture's file.
 
@@ -78,7 +82,7 @@ def read_header(content: bytes) -> Header | None:
             return _bmp(content)
         if found := PNM.match(content[:4096]):
             return Header("PNM", int(found[1]), int(found[2]))
-    except (struct.error, IndexError):  # it breaks off
+    except BROKEN:
         pass
     return None
 
@@ -177,7 +181,7 @@ def _exif(data: bytes) -> int:
     try:
         found = (value for tag, value, _ in _tags(data) if tag == ORIENTATION)
         return _known(next(found, 1))
-    except (struct.error, IndexError):
+    except BROKEN:
         return 1
 
 
