@@ -26,7 +26,7 @@ from report.panels import Row
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows, steering
 from report.stability import chart_of, rows_of, words_of
-from report.views import scenes, tasks
+from report.views import scenes
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
 __all__ = [
@@ -67,7 +67,6 @@ CHARTS: tuple[Entry, ...] = (
     of_table(tracking, "tracking"),
     of_table(cameras, "cameras", "free_running"),
     of_table(drives, "drives"),
-    of_table(tasks, "task_views", "views"),
     of_table(bound, "bound"),
     of_table(rigs, "rigs"),
     of_table(crowds, "crowds", "sizing", "parts"),

@@ -1,11 +1,10 @@
-"""The charts of scenes as real cameras see them: what is detected, and tasks in them."""
+"""The chart of scenes as real cameras see them: what is detected, and how well."""
 
 from __future__ import annotations
 
-from harness import shown
 from report.axis import Axis
 from report.chart import Drawn
-from report.panels import OURS, PEER, Look, Panels, Row, by
+from report.panels import OURS, PEER, Look, Panels, Row
 
 LEAST_MM = 0.01
 """Errors below this are the noise of a pixel, and drawn here [mm]."""
@@ -38,33 +37,6 @@ def scenes(rows: list[Row]) -> Drawn:
         f"{WELL_PERCENT:g} % and more are detected in {len(rows) - len(lost)} of {len(rows)} "
         f"scenes, before in {was}; not in: {named or 'none'}. Losses that the detector does not "
         f"report: {', '.join(silent) or 'none'}.",
-    )
-
-
-def tasks(rows: list[Row]) -> Drawn:
-    """Return the time of tasks by scene, beside the plain scene."""
-    panels, names = Panels(), tuple(by(rows, "scene"))[::-1]
-    looks = {
-        name: Look(name, colour, marker)
-        for name, colour, marker in zip(
-            by(rows, "scenario"), (OURS, PEER, "#2e7d4a"), "osD", strict=False
-        )
-    }
-    y = Axis("", names=names)
-    note = "{succeeded} ended well, {dropped} dropped"
-    share = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
-    time = panels.add("Time of the task", Axis("longer than in the plain scene [%]"), y)
-    at = [row | {"share": 100 * row["good"] / row["runs"]} for row in rows]
-    share.kinds(at, "scenario", "share", "scene", looks, note=note)
-    time.kinds(at, "scenario", "longer_percent", "scene", looks, note=note)
-    slow = [r for r in rows if r["longer_percent"] is not None]
-    worst = max(slow, key=lambda r: r["longer_percent"])
-    bad = [f"{r['scenario']}, {r['scene']}" for r in rows if r["good"] < r["runs"] or r["dropped"]]
-    return Drawn(
-        panels,
-        f"At most {shown(worst['longer_percent'])} % longer than in the plain scene "
-        f"({worst['scenario']}, {worst['scene']}). Not all ended well, or parts were dropped, in: "
-        f"{'; '.join(bad) or 'none'}.",
     )
 
 
