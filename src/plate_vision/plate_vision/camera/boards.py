@@ -467,7 +467,9 @@ def _fit_opencv(
 
 def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Return the standard deviations (m,) of values fitted by least squares, from the derivative
-    (n, m) and what is left (n,)."""
+    (n, m) and the errors that are left; infinite after a fit that failed."""
+    if not np.all(np.isfinite(slopes)):
+        return np.full(slopes.shape[1], np.inf)
     size = np.linalg.norm(slopes, axis=0)
     _, strength, turn = np.linalg.svd(slopes / size, full_matrices=False)
     strength = np.maximum(strength, WEAKEST * strength[0])
