@@ -24,8 +24,9 @@ from plate_core.tasks import (
     target_problem,
 )
 
-from .estimation import COAST, Estimator
+from .estimation import COAST, Coast, Estimator
 from .supervision import (
+    BYSTANDERS,
     STOP,
     Failure,
     Findings,
@@ -52,8 +53,8 @@ from .tasks import CROWD, Assessment, DriftRequest, Situation, TaskOptions, Task
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Nothing is asked of any part: the plate rests."""
 
-TAKEN_COAST = 1
-"""Where parts come and go, one that is not seen is propagated for so many images: it may have been
+TAKEN_COAST = Coast(parts=1, unknown=1)
+"""Images for which what is not seen is propagated where parts come and go: it may have been
 taken."""
 
 IN_MOTION_S = 0.1
@@ -318,6 +319,7 @@ class Planner:
         if self.rules.open_ended:  # there is no end to names, and none is missed
             there = self._without_doubles(there, estimator.seen)
         else:
+            there = self._without_doubles(there, estimator.seen, BYSTANDERS)
             last = self._last_seen(last, there, estimator.stamp)
         present = without_surplus(self._on_plate(there), self._labels)
         state = replace(state, last=last, due=np.inf)
@@ -343,13 +345,20 @@ class Planner:
         keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
         return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
 
-    def _without_doubles(self, parts: Parts, seen: Parts) -> Parts:
-        """Leave out parts that are not seen where another is: that one was hidden, and has come
-        back under another name."""
-        reach = np.array([self.rig.part_type(part_class(name)).reach_m for name in parts.ids])
-        gone = np.array([name not in seen.ids for name in parts.ids], dtype=bool)
+    def _without_doubles(
+        self, parts: Parts, seen: Parts, classes: tuple[str, ...] | None = None
+    ) -> Parts:
+        """Leave out parts, of these classes if any are given, that are not seen where another is:
+        that one was hidden, and has come back under another name."""
+        label = [part_class(name) for name in parts.ids]
+        gone = [name not in seen.ids for name in parts.ids]
+        if classes is not None:
+            gone = [hidden and each in classes for hidden, each in zip(gone, label, strict=True)]
+        if not any(gone):
+            return parts
+        reach = np.array([self.rig.part_type(each).reach_m for each in label])
         away = np.hypot(*(parts.position[:, None] - seen.position[None]).transpose(2, 0, 1))
-        double = gone & np.any(away < reach[:, None], axis=1)
+        double = np.array(gone) & np.any(away < reach[:, None], axis=1)
         return parts.take(np.flatnonzero(~double)) if np.any(double) else parts
 
     def _last_seen(

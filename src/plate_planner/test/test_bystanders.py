@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plant import RIG, Plant, T, ready
 
-from plate_core import OverlookedThing, Parts
+from plate_core import OverlookedThing, Parts, PlateCycle
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
 from plate_planner.supervision import Overlooked
@@ -61,6 +61,27 @@ def test_things_that_come_and_go_do_not_keep_a_task_from_beginning():
     for k, image in enumerate((missing, parts)):
         state, _, _ = planner.plan(state, image, (k + 1) * T)
     assert state.task.began == 2 * T
+
+
+def asked_of(planner, images):
+    """Return the ids of what is asked for after each of these images; the plate rests."""
+    state, asked = ready(planner, images[0]), []
+    for k, image in enumerate(images):
+        state = planner.started(state, PlateCycle.rest(T), k * T, True)
+        state, wanted, _ = planner.plan(state, image, k * T)
+        asked.append(wanted.parts.ids)
+    return asked
+
+
+def test_parts_keep_clear_of_a_thing_that_is_not_seen_for_a_while():
+    planner = Planner(RIG, load_scenario("sort_4"))
+    parts = Plant(planner.scenario, seed=2).seen()
+    both = with_things(parts)
+    asked = asked_of(planner, [both, both, *[parts] * 12])
+    assert ["unknown_1" in ids for ids in asked] == [True] * 12 + [False] * 2  # ten images
+    again = with_things(parts, ("unknown_3",))  # it is back, under another name
+    last = asked_of(planner, [both, parts, again])[-1]
+    assert set(last) == {*parts.ids, "unknown_3", "group_2"}
 
 
 def test_a_task_that_misses_a_part_names_the_thing_that_it_may_be():

@@ -152,17 +152,17 @@ def test_it_knows_where_the_next_cycle_finds_the_parts():
 
 
 def test_a_part_that_is_missed_is_carried_on_and_given_up_in_the_end():
-    gone = range(10, 10 + COAST + 1)
+    gone = range(10, 10 + COAST.parts + 1)
 
     def edit(k, parts):
         keep = [0, 2] if k in gone else [0, 1, 2]
         return Parts.make(tuple(parts.ids[i] for i in keep), parts.position[keep])
 
     for k, (estimator, truth) in enumerate(estimated(World(3, 0.9), 20, edit=edit)):
-        if gone[0] <= k < gone[0] + COAST:
+        if gone[0] <= k < gone[0] + COAST.parts:
             assert estimator.parts.ids == ("black_1", "black_2", "black_3")
             assert np.abs(estimator.parts.position - truth).max() < 0.5e-3
-        elif k == gone[0] + COAST:
+        elif k == gone[0] + COAST.parts:
             assert estimator.parts.ids == ("black_1", "black_3")
     assert set(estimator.parts.ids) == {"black_1", "black_2", "black_3"}  # it came back
 

@@ -298,3 +298,17 @@ def test_what_is_of_no_class_is_counted_apart():
     assert text("group", "unknown", "group") == "no parts; 1 unknown; 2 group"
     assert text("nut") == "1 part: 1 nut"
     assert text() == "no parts"
+
+
+def test_a_thing_at_the_limit_of_sight_keeps_its_name():
+    """Its name is kept for longer than a part's: so it is published as soon as it is seen again."""
+    tracker = Tracker(TrackerOptions(max_missed=5))
+    place = np.array([[0.0, 0.0], [0.1, 0.0]])
+    tracker = update(tracker, 0.0, place, ["grey", "unknown"])
+    for k in range(1, 31):
+        tracker = update(tracker, 0.05 * k, np.zeros((0, 2)), [])
+    tracker = update(tracker, 0.05 * 31, place, ["grey", "unknown"])
+    assert tracker.parts.ids == ("unknown_1",)  # the part needs a second image
+    for k in range(32, 63):
+        tracker = update(tracker, 0.05 * k, np.zeros((0, 2)), [])
+    assert tracker.given_up == ("unknown_1",)

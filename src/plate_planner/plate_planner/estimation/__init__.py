@@ -5,8 +5,17 @@
 
 from .cycle_log import SNAP, check_start
 from .estimator import COAST, SETTLE_S, DriftBias, Estimator, LastRequest, rows_of, warm_up
+from .filter import Coast
 
 __all__ = [
-    "COAST", "SETTLE_S", "SNAP", "DriftBias", "Estimator", "LastRequest", "check_start",
-    "rows_of", "warm_up",
+    "COAST",
+    "SETTLE_S",
+    "SNAP",
+    "Coast",
+    "DriftBias",
+    "Estimator",
+    "LastRequest",
+    "check_start",
+    "rows_of",
+    "warm_up",
 ]  # fmt: skip

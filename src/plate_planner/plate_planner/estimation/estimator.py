@@ -10,12 +10,14 @@ from plate_core import Parts, PlateCycle, Rig, part_class
 from plate_core.rig import row_delay
 
 from .cycle_log import MEMORY_S, SHORTEST_S, SNAP, CycleClock, CycleLog
-from .filter import StateEstimate, propagate
+from .filter import Coast, StateEstimate, propagate
 from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
-COAST = 5
-"""Images for which a part that is not seen is propagated: as long as vision keeps its name."""
+COAST = Coast(parts=5, unknown=10)
+"""Images for which what is not seen is propagated. A part: as long as vision keeps its name. A
+thing that may be a part is often not seen, and is still there meanwhile: as long as `MEMORY_S`, if
+images are taken at the starts of cycles."""
 
 FRESH = 1.5
 """A request is what the present cycle does if it is at most this many periods old."""
@@ -283,7 +285,7 @@ class Estimator:
             latency = LatencyHypotheses.of(0.0)  # from now on it is known when images are taken
         return replace(self, log=self.log.started(cycle, begin, triggered), latency=latency)
 
-    def update(self, parts: Parts, t: float, coast: int = COAST) -> Estimator:
+    def update(self, parts: Parts, t: float, coast: Coast = COAST) -> Estimator:
         """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
         for `coast` images."""
         log, hypotheses = self.log.advance(t), self.latency

@@ -13,10 +13,11 @@ Everything is done for A hypotheses side by side, of how old an image is at its 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle
+from plate_core import Parts, PlateCycle, part_class
 
 from .. import _kernels
 from .cycle_log import CycleLog
@@ -47,6 +48,18 @@ FRICTION_RANGE = np.log(3.0)
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
 """The state and its neighbours, (6, 5)."""
+
+
+UNKNOWN = "unknown"
+"""Class of things that may be parts, see `plate_planner.supervision`."""
+
+
+class Coast(NamedTuple):
+    """Images in a row for which what is not seen is propagated: parts, and things of the class
+    `unknown`."""
+
+    parts: int
+    unknown: int
 
 
 @dataclass(frozen=True)
@@ -114,7 +127,7 @@ class StateEstimate:
         parts: Parts,
         time: np.ndarray,
         friction_accel: float,
-        most: int,
+        most: Coast,
         jitter: float,
         friction: np.ndarray,
     ) -> tuple[StateEstimate, Fit]:
@@ -129,7 +142,7 @@ class StateEstimate:
             When it shows each of them, by each hypothesis [s].
         friction_accel : float
             mu g of the rig [m/s2].
-        most : int
+        most : Coast
             Images in a row for which a part that is not seen is kept.
         jitter : float
             Standard deviation of the images' stamps [s].
@@ -211,9 +224,10 @@ class StateEstimate:
         covariance += cycles[:, :, None, None] * np.diag(PROCESS_NOISE**2)
         return cloud[:, :, 0], covariance
 
-    def _without(self, most: int) -> StateEstimate:
+    def _without(self, most: Coast) -> StateEstimate:
         """Leave out parts that the last `most` images did not show."""
-        keep = self.unseen < most
+        unknown = np.array([part_class(name) == UNKNOWN for name in self.ids], bool)
+        keep = self.unseen < np.where(unknown, most.unknown, most.parts)
         if np.all(keep):
             return self
         return StateEstimate(

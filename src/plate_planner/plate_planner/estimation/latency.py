@@ -16,7 +16,7 @@ import numpy as np
 from plate_core import Parts
 
 from .cycle_log import CycleLog
-from .filter import Fit, StateEstimate
+from .filter import Coast, Fit, StateEstimate
 
 STEPS = np.arange(-2, 3)
 """Latencies tried, in steps from the middle one."""
@@ -137,7 +137,7 @@ class LatencyHypotheses:
         unsure: float,
         delay: np.ndarray,
         friction_accel: float,
-        most: int,
+        most: Coast,
         friction: np.ndarray,
     ) -> LatencyHypotheses:
         """Take in the parts of an image with stamp t [s], which is off by `unsure` [s] or more

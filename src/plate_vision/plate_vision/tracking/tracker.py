@@ -15,6 +15,10 @@ from ..overlooked import NAMELESS, NONE_OVERLOOKED, OVERLOOKED, REASONS
 from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
+UNKNOWN_MISSED = 30
+"""Images in a row that a thing of the class `unknown` may be missed at least: it is at the limit of
+what is seen, and must not be waited for again each time."""
+
 
 @dataclass(frozen=True)
 class TrackerOptions:
@@ -194,7 +198,7 @@ def update(
             is_new[found] = False
             tracks.append(track.extended(stamp, seen[found], keep))
             before.append(track)
-        elif track.number and track.missed < options.max_missed:
+        elif track.number and track.missed < _max_missed(track, options):
             tracks.append(replace(track, missed=track.missed + 1))
             before.append(track)
         elif track.number:
@@ -209,6 +213,12 @@ def update(
     )  # fmt: skip
     tracks.sort(key=lambda track: (track.label, track.number))
     return Tracker(options, stamp, tuple(tracks), numbers, tuple(given_up), renamed, overlooked)
+
+
+def _max_missed(track: Track, options: TrackerOptions) -> int:
+    """Images in a row that a part or thing may be missed before its id is given up."""
+    unknown = track.label == NAMELESS[0]
+    return max(options.max_missed, UNKNOWN_MISSED) if unknown else options.max_missed
 
 
 def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> dict[str, int]:
