@@ -42,6 +42,9 @@ FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
 """Frames of a film, and pictures of a folder, that are searched one after the other; then as many
 of every second one, of every fourth and so on: 250 of 1000 frames, 450 of 10,000."""
 
+FRAMES_TOLD = 50
+"""Searched frames of a film between two lines of progress where there is no terminal."""
+
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE = ("k1", "k2", "k3", "k4")
 """Names of distortion's values."""
@@ -163,7 +166,7 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
 
 class Progress:
     """Prints the progress of the search: a line for each picture of a folder. For a film, one line
-    that is updated on a terminal, and the totals at the end."""
+    that is updated on a terminal, or else a line now and then, and the totals at the end."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
@@ -178,6 +181,8 @@ class Progress:
             print(f"{name}: {corners} of {of} corners", flush=True)
         elif self._changes:
             print(f"\r{self._text()}", end="", file=sys.stderr, flush=True)
+        elif self.count % FRAMES_TOLD == 0:
+            print(self._text(), flush=True)
 
     def end(self) -> None:
         """Print the totals."""
