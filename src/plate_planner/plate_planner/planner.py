@@ -392,7 +392,7 @@ class Planner:
             found.problem,
             lambda: shortfall_text(estimator.request, self.rig, parts, found.distance, count),
             "; ".join(filter(None, (found.outcome, self.others(parts)))),
-            lambda name: loss_of(name, state.last.get(name), began, self.rig, count),
+            lambda name: loss_of(name, state.last.get(name), began, self.rig, count, parts),
             not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
             estimator.at_rest,
             estimator.unanswered,

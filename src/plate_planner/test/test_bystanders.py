@@ -9,7 +9,7 @@ from plant import RIG, Plant, T, ready
 from plate_core import OverlookedThing, Parts, PlateCycle
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
-from plate_planner.supervision import Overlooked
+from plate_planner.supervision import Overlooked, Reason
 
 HALF, RADIUS = RIG.plate.half, RIG.parts.radius_m
 PLACE = np.array([[0.05, 0.02], [-0.1, 0.1]])
@@ -82,6 +82,21 @@ def test_parts_keep_clear_of_a_thing_that_is_not_seen_for_a_while():
     again = with_things(parts, ("unknown_3",))  # it is back, under another name
     last = asked_of(planner, [both, parts, again])[-1]
     assert set(last) == {*parts.ids, "unknown_3", "group_2"}
+
+
+def test_a_lost_part_that_is_seen_as_a_thing_has_not_left_the_plate():
+    planner = Planner(RIG, load_scenario("sort_4"))
+    parts = Plant(planner.scenario, seed=2).seen()
+    parts.position[0] = HALF - 0.02  # near a corner
+    state, now = (
+        ready(planner, parts),
+        with_things(parts.take([1, 2, 3]), THINGS[:1], parts.position[:1]),
+    )
+    for k in range(30):
+        state, _, progress = planner.plan(state, now if k > 2 else parts, k * T)
+    assert progress.phase == "lost part"
+    assert state.task.reason == Reason.PART_UNSEEN
+    assert "where unknown_1 is now: its class is no longer recognised; detections_" in progress.text
 
 
 def test_a_task_that_misses_a_part_names_the_thing_that_it_may_be():

@@ -10,10 +10,16 @@ from plate_core import Parts, Rig, part_class
 from plate_core.rig import LEAST_GAMMA
 
 from ..estimation import LastRequest
+from .bystanders import BYSTANDERS
 from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
 """A part that was last seen this near an edge has left the plate [part radii]."""
+
+SAME_PLACE = 3.0
+"""A thing this near to where a part was seen last is taken for that part [part radii]."""
+
+NOBODY = Parts.make((), np.zeros((0, 2)))
 
 FEW = 5
 """So many parts can be moved at will; more leave a cycle little freedom."""
@@ -29,16 +35,23 @@ class LastSeen(NamedTuple):
     stamp: float
 
 
-def loss_of(name: str, last: LastSeen | None, began: float, rig: Rig, count: int) -> Failure:
+def loss_of(
+    name: str, last: LastSeen | None, began: float, rig: Rig, count: int, parts: Parts = NOBODY
+) -> Failure:
     """Say what became of a part that is no longer seen, and what would help; `last` is None where
     it never was.
 
-    `began` is when the task did [s], `count` the number of parts.
+    `began` is when the task did [s], `count` the number of parts, `parts` are those in the image.
     """
     if last is None:
         return Failure(Reason.PART_UNSEEN, f"{name} not seen; {LOOK}")
     x, y = last.position
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
+    away = np.hypot(*(parts.position - last.position).T)
+    for row in np.flatnonzero(away < SAME_PLACE * rig.parts.radius_m):
+        if part_class(parts.ids[row]) in BYSTANDERS:
+            text = f"{name} was seen last {where}, where {parts.ids[row]} is now"
+            return Failure(Reason.PART_UNSEEN, f"{text}: its class is no longer recognised; {LOOK}")
     edge = float(np.min(rig.plate.half - np.abs(last.position)))
     if edge > NEAR_EDGE * rig.parts.radius_m:
         text = f"{name} was seen last {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
