@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from plate_core.rig import PART_PX
 
-from .camera import grey_levels
+from .camera import Calibration, grey_levels
 from .discs import (
     RIM_PX,
     SILHOUETTE,
@@ -30,6 +31,7 @@ from .discs import (
     seeds_of,
     tops,
 )
+from .discs.shadow import Shadow
 from .errors import OptionError, check_ranges, check_size
 from .overlooked import NONE_OVERLOOKED
 from .plate import (
@@ -50,6 +52,7 @@ from .remains import (
     solid,
     without,
 )
+from .shadow_search import FEWEST, find_shadow
 from .shapes import find_outlines
 
 CLASSES = ("black", "grey")
@@ -73,12 +76,13 @@ DETECTION = np.dtype(
         ("confidence", "f8"),
         ("method", "U8"),
         ("scatter_px", "f8"),
+        ("misfit", "f8"),
     ]
 )
 """One part: centre and radius [px], of the disc of the same area; angle [rad], counter-clockwise as
 seen: of its longest side with x, 0 to pi; of a disc that of its mark, 0 without one; class;
 confidence, 0 to 1; how it was measured; standard deviation of the centre along each axis [px], as
-far as noise and misfit cause it."""
+far as noise and misfit cause it; deviation from the silhouette of a part, 0 for none."""
 
 MAX_MISFIT, NOISE_MISFIT = 0.2, 0.5
 """Largest deviation of a part from its silhouette, at the contour: drawn ones have 0.02 to 0.05,
@@ -108,6 +112,10 @@ search."""
 SIGMAS = 2.2
 """Least contrast of a part, over the standard deviation of a pixel's noise: the mean of four
 pixels, of which the contrast is taken, has half of that."""
+
+ROUGH = 0.25
+"""Fraction of things that look like no part, or only roughly, from which on shadows are looked
+for."""
 
 FAINT = 2.0
 """Things with less than so many times the least contrast are too faint."""
@@ -180,10 +188,13 @@ class PartView:
         Returns the silhouettes (n,) SILHOUETTE of a part at image points (n, 2) [px].
     least_px : float
         Smallest radius of a part in the image [px].
+    calibration : Calibration, optional
+        Without it no shadows are looked for.
     """
 
     silhouettes: Silhouettes
     least_px: float
+    calibration: Calibration | None = None
 
     @classmethod
     def even(cls, radius_px: float) -> PartView:
@@ -252,11 +263,14 @@ class Discs(NamedTuple):
         Their silhouettes.
     overlooked : (m,) OVERLOOKED
         Things on the plate that are not taken for parts; their places in plate_home are not set.
+    shadow : Shadow, optional
+        That all parts cast.
     """
 
     found: np.ndarray
     parts: np.ndarray
     overlooked: np.ndarray
+    shadow: Shadow | None = None
 
     @property
     def places(self) -> np.ndarray:
@@ -269,30 +283,102 @@ NO_DISCS = Discs(np.empty(0, DETECTION), np.empty(0, SILHOUETTE), NONE_OVERLOOKE
 
 
 def find_discs(
-    image: np.ndarray, region: Region, options: DetectorOptions, view: PartView
+    image: np.ndarray,
+    region: Region,
+    options: DetectorOptions,
+    view: PartView,
+    shadow: Shadow | None = None,
 ) -> Discs:
     """Find parts of a known radius, as `detect` does, in an image (H, W) or (H, W, 3).
 
     First those that are clearly darker than the plate, in grey levels. If there is anything else on
     the plate, then also those that differ from it otherwise, by `plate.contrast`: fainter or
-    brighter ones, those of another colour, or with highlights or holes.
+    brighter ones, those of another colour, or with highlights or holes. If many do not look like
+    parts, a shadow is looked for that all of them cast; `shadow` is that of the image before.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
         return NO_DISCS
+    scene = Scene(plate, channels_of(image, plate, region), region, options, view)
+    if shadow is not None:
+        discs = _shadowed_discs(scene, shadow)
+        if not _doubtful(discs):
+            return discs
     discs = _dark_discs(plate, region, options, view)
-    channels = channels_of(image, plate, region)
-    limit = max(1 - options.threshold, SIGMAS * channels.noise)
-    remains = find_remains(channels, region, limit, view.least_px, discs.places, discs.parts)
-    contrast = None if remains is None else contrast_image(channels, region)
-    if remains is None or contrast is None:
+    remains = find_remains(
+        scene.channels, region, scene.limit, view.least_px, discs.places, discs.parts
+    )
+    if remains is not None:
+        discs = _with_others(scene, discs, remains)
+    if view.calibration is None or not _doubtful(discs):
         return discs
-    remains = solid(remains, options.radius_px)
-    others = _other_discs(plate, channels, contrast, remains, limit, region, options, view, discs)
+    every = find_remains(
+        scene.channels, region, scene.limit, view.least_px, NO_DISCS.places, NO_DISCS.parts
+    )
+    if every is None or scene.contrast is None:
+        return discs
+    shadow = find_shadow(
+        scene.contrast, solid(every, options.radius_px), view.silhouettes, view.calibration
+    )
+    return discs if shadow is None else _shadowed_discs(scene, shadow)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One image, and what is known of it."""
+
+    plate: LitPlate
+    channels: Channels
+    region: Region
+    options: DetectorOptions
+    view: PartView
+
+    @property
+    def limit(self) -> float:
+        """Least contrast of a part."""
+        return max(1 - self.options.threshold, SIGMAS * self.channels.noise)
+
+    @cached_property
+    def contrast(self) -> LitPlate | None:
+        """The `contrast_image`."""
+        return contrast_image(self.channels, self.region)
+
+
+def _doubtful(discs: Discs) -> bool:
+    """Whether many things look like no part, or only roughly: as parts with shadows do."""
+    rough = np.count_nonzero(discs.found["misfit"] > GOOD_MISFIT)
+    odd = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
+    doubtful = rough + np.count_nonzero(odd)
+    return bool(doubtful >= FEWEST and doubtful > ROUGH * len(discs.found))
+
+
+def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
+    """Return discs with those found by their contrast among the remains, and what is left."""
+    contrast, radius_px = scene.contrast, scene.options.radius_px
+    if contrast is None:
+        return discs
+    remains = solid(remains, radius_px)
+    others = _other_discs(scene, contrast, remains, discs, None)
     remains = without(remains, others.places, others.parts)
-    things = overlooked_things(remains, region, options.radius_px, FAINT * limit, contrast)
+    things = overlooked_things(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
     found = np.concatenate([discs.found, others.found])
     return Discs(found, np.concatenate([discs.parts, others.parts]), things)
+
+
+def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
+    """Find all parts by their contrast, where each casts a shadow."""
+    contrast, radius_px, view = scene.contrast, scene.options.radius_px, scene.view
+    remains = find_remains(
+        scene.channels, scene.region, scene.limit, view.least_px, NO_DISCS.places, NO_DISCS.parts
+    )
+    if remains is None or contrast is None:
+        return NO_DISCS._replace(shadow=shadow)
+    remains = solid(remains, radius_px)
+    discs = _other_discs(scene, contrast, remains, NO_DISCS, shadow)
+    remains = without(remains, discs.places, discs.parts)
+    remains = without(remains, discs.places, shadow.drawn(discs.places, discs.parts))
+    things = overlooked_things(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
+    return discs._replace(overlooked=things, shadow=shadow)
 
 
 def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view: PartView) -> Discs:
@@ -321,32 +407,34 @@ def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view:
 
 
 def _other_discs(
-    plate: LitPlate,
-    channels: Channels,
-    contrast: LitPlate,
-    remains: Remains,
-    limit: float,
-    region: Region,
-    options: DetectorOptions,
-    view: PartView,
-    known: Discs,
+    scene: Scene, contrast: LitPlate, remains: Remains, known: Discs, shadow: Shadow | None
 ) -> Discs:
-    """Find parts by their contrast to the plate, above a limit, beside the `known` ones."""
+    """Find parts by their contrast to the plate, beside the `known` ones; all cast a shadow, if one
+    is given."""
+    silhouettes = scene.view.silhouettes
+
+    def dark_shapes(point_px: np.ndarray) -> np.ndarray:
+        parts = silhouettes(point_px)
+        return parts if shadow is None else shadow.drawn(point_px, parts)
+
     dark = remains.odd | remains.outside.astype(np.uint8)
     seeds, parts = seeds_of(
-        contrast, dark, remains.outside, remains.grid, view.least_px, view.silhouettes
+        contrast, dark, remains.outside, remains.grid, scene.view.least_px, dark_shapes
     )
     if not len(seeds):
         return NO_DISCS
+    if shadow is not None:
+        parts = silhouettes(seeds)
     top_px, radii_px = tops(seeds, parts), parts["growth"] * parts["radius_px"]
-    _, marks = paint_over(plate, top_px, radii_px)
-    discs = fit_discs(
-        contrast, np.concatenate([seeds, known.places]), np.concatenate([parts, known.parts])
-    )[: len(seeds)]
-    discs["misfit"][discs["darkness"] < limit] = np.inf
+    _, marks = paint_over(scene.plate, top_px, radii_px)
+    every = np.concatenate([seeds, known.places])
+    discs = fit_discs(contrast, every, np.concatenate([parts, known.parts]), shadow)[: len(seeds)]
+    discs["misfit"][discs["darkness"] < scene.limit] = np.inf
     centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
-    light = brightness(channels, centre + top_px - seeds, radii_px)
-    return _accepted(discs, parts, marks, light, METHODS[1], contrast.noise, region, options)
+    light = brightness(scene.channels, centre + top_px - seeds, radii_px)
+    return _accepted(
+        discs, parts, marks, light, METHODS[1], contrast.noise, scene.region, scene.options
+    )
 
 
 def _accepted(
@@ -362,7 +450,7 @@ def _accepted(
     """Return those of the measured discs (n,) DISC that are parts: by their silhouettes (n,), marks
     (n, 2) [px], and brightness (n,) relative to the plate."""
     found = np.zeros(len(discs), DETECTION)
-    for name in ("x_px", "y_px", "radius_px"):
+    for name in ("x_px", "y_px", "radius_px", "misfit"):
         found[name] = discs[name]
     odd_px = np.maximum(discs["misfit"] - GOOD_MISFIT, 0) * discs["radius_px"]
     found["scatter_px"] = np.hypot(discs["scatter_px"], odd_px)

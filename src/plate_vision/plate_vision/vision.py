@@ -139,7 +139,11 @@ def make_vision(
         calibration,
         make_region((rig.camera.width_px, rig.camera.height_px), outline_px),
         replace(options or DetectorOptions(), radius_px=radius_px),
-        PartView(seen_by(calibration, rig.parts.radius_m, rig.parts.height_m), float(seen.min())),
+        PartView(
+            seen_by(calibration, rig.parts.radius_m, rig.parts.height_m),
+            float(seen.min()),
+            calibration,
+        ),
         rig.parts.radius_m,
         make_catalogue(rig.types) if rig.types else None,
         inner=rig.plate.half - rig.limits.stroke_m,
@@ -176,7 +180,7 @@ def observe(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    discs = find_discs(image, vision.region, vision.options, vision.view)
+    discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow)
     found = discs.found
     ring_px = discs.places[:, None] + outlines(discs.parts, found["radius_px"])
     centre = vision.calibration.disc_centres(ring_px)
@@ -196,9 +200,10 @@ def observe(
         angle = np.concatenate([angle, none])
         doubt = np.column_stack([UNKNOWN_PX / scale[unknown], none + ANY_ANGLE, none])
         quality = np.vstack([quality, doubt])
-    return update(
+    tracker = update(
         tracker, stamp, centre, label, angle, quality, expected=expected, overlooked=things
     )
+    return tracker if tracker.shadow is discs.shadow else replace(tracker, shadow=discs.shadow)
 
 
 def _observe_types(

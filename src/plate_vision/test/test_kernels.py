@@ -10,6 +10,7 @@ LIGHT = np.float32([200, 0, 0, 0, 0, 0, 15, 10, 0.1])
 PLATE = GREY, LIGHT, USABLE
 EIGHTS = np.full(4, 8.0)
 DISCS = np.tile([1.0, 0, 0, 1, 8, 0, 0, 1], (4, 1))
+NO_SHADOW = np.empty((0, 2)), 0.0, 1.0
 LABELS = np.full((20, 30), 3, np.int32)
 FIELD = np.zeros((20, 30), np.float32)
 PAIRS, THREE = np.ones((4, 2)), np.zeros(3)
@@ -51,18 +52,29 @@ WRONG = {
         *PLATE, 0.8, (0, 0, 2), USABLE, np.zeros((20, 30), np.uint8)
     ),
     "a step of nothing": lambda: _kernels.find_peaks(FIELD, 0, 0, USABLE, (0, 0, 0), 8),
-    "no room for discs": lambda: _kernels.fit_discs(*PLATE, PAIRS, DISCS, 0.01, np.zeros((3, 7))),
+    "no room for discs": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS, *NO_SHADOW, 0.01, np.zeros((3, 7))
+    ),
     "an endless radius": lambda: _kernels.fit_discs(
-        *PLATE, PAIRS, DISCS + [0, 0, 0, 0, np.inf, 0, 0, 0], 0.01, np.zeros((4, 7))
+        *PLATE, PAIRS, DISCS + [0, 0, 0, 0, np.inf, 0, 0, 0], *NO_SHADOW, 0.01, np.zeros((4, 7))
     ),
     "an endless lean": lambda: _kernels.fit_discs(
-        *PLATE, PAIRS, DISCS + [0, 0, 0, 0, 0, np.inf, 0, 0], 0.01, np.zeros((4, 7))
+        *PLATE, PAIRS, DISCS + [0, 0, 0, 0, 0, np.inf, 0, 0], *NO_SHADOW, 0.01, np.zeros((4, 7))
     ),
     "a silhouette without area": lambda: _kernels.fit_discs(
-        *PLATE, PAIRS, DISCS * [0, 0, 0, 0, 1, 1, 1, 1], 0.01, np.zeros((4, 7))
+        *PLATE, PAIRS, DISCS * [0, 0, 0, 0, 1, 1, 1, 1], *NO_SHADOW, 0.01, np.zeros((4, 7))
     ),
     "too few silhouettes": lambda: _kernels.fit_discs(
-        *PLATE, PAIRS, DISCS[1:], 0.01, np.zeros((4, 7))
+        *PLATE, PAIRS, DISCS[1:], *NO_SHADOW, 0.01, np.zeros((4, 7))
+    ),
+    "a shadow of fewer discs": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS, PAIRS[1:], 0.5, 1.0, 0.01, np.zeros((4, 7))
+    ),
+    "an endless shadow": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS, PAIRS * np.inf, 0.5, 1.0, 0.01, np.zeros((4, 7))
+    ),
+    "a shadow without an edge": lambda: _kernels.fit_discs(
+        *PLATE, PAIRS, DISCS, PAIRS, 0.5, 0.0, 0.01, np.zeros((4, 7))
     ),
     "no radius for a seed": lambda: _kernels.find_marks(*PLATE, PAIRS, EIGHTS[1:], 0.01),
     "a radius of nothing": lambda: _kernels.find_marks(*PLATE, PAIRS, 0 * EIGHTS, 0.01),

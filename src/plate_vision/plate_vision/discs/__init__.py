@@ -7,7 +7,16 @@ from .fit import fit_discs
 from .marks import mark_angles, paint_over
 from .measure import RIM_PX, crowded, measure_alone
 from .seeds import COARSE_RADIUS_PX, find_seeds, seeds_of
-from .silhouette import SILHOUETTE, Silhouettes, even_discs, longest, outlines, seen_by, tops
+from .silhouette import (
+    SILHOUETTE,
+    Silhouettes,
+    even_discs,
+    longest,
+    outlines,
+    seen_by,
+    to_image,
+    tops,
+)
 
 __all__ = [
     "COARSE_RADIUS_PX",
@@ -25,5 +34,6 @@ __all__ = [
     "paint_over",
     "seeds_of",
     "seen_by",
+    "to_image",
     "tops",
 ]

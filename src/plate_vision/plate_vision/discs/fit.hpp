@@ -150,9 +150,29 @@ struct Contour {
 
 [[gnu::always_inline]] inline float within(float u) { return std::min(std::max(u, -1.f), 1.f); }
 
-// Take the neighbours' darkness off a window.
+// The shadows that one lamp casts: to where the centre of each part's shadow reaches (n, 2) [px,
+// disc's frame], the darkness of the plate in it, and half the width of its edge [px].
+struct Shadows {
+    const double* cast = nullptr;
+    double darkness = 0, edge_px = 1;
+
+    bool any() const { return darkness > 0; }
+
+    // The contour of a disc's shadow: the disc, drawn along its cast.
+    Contour contour(const DiscFit& disc, const Silhouette& part, int k) const {
+        DiscFit soft = disc;
+        soft[EDGE] = edge_px;
+        Silhouette drawn = part;
+        drawn.growth = 1;
+        drawn.lean_px[0] = cast[2 * k], drawn.lean_px[1] = cast[2 * k + 1];
+        return Contour(soft, drawn);
+    }
+};
+
+// Subtract the neighbours' darkness from a window; pixels in their shadows do not count.
 PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<DiscFit>& discs,
-                                      const Silhouette* parts, const std::vector<int>& neighbours) {
+                                      const Silhouette* parts, const Shadows& shadows,
+                                      const std::vector<int>& neighbours) {
     const int size = window.size;
     const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
     float *__restrict rest = window.rest.data(), *__restrict seen = window.seen.data();
@@ -169,6 +189,13 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
             rest[i] -= side * cover + more * top;
             seen[i] *= 1 - cover;
         }
+        if (!shadows.any()) continue;
+        const Contour shadow = shadows.contour(discs[j], parts[j], j);
+#pragma omp simd
+        for (int i = 0; i < size; i++) {
+            float wx, wy;
+            seen[i] *= 1 - cover_at(within(shadow.depth(x[i], y[i], wx, wy)));
+        }
     }
 }
 
@@ -176,9 +203,12 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
 // contour that is seen.
 //
 // The misfit is the root mean square error at the contour, less the noise, relative to the
-// darkness. `noise` is a standard deviation, as darkness.
+// darkness. `noise` is a standard deviation, as darkness. With SHADOW the plate beside the disc is
+// darker by `shade` within `cast`.
+template <bool SHADOW>
 PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, const Silhouette& part,
-                              double noise, std::vector<Slopes>& slopes,
+                              const Contour& cast, float shade, double noise,
+                              std::vector<Slopes>& slopes,
                               double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS],
                               Disc& out) {
     const Contour contour(disc, part);
@@ -200,9 +230,16 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
         const float cover = cover_at(u);
         const float top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
         const float level = side + more * (top / std::max(cover, 1e-6f));
-        const float gap = rest[i] - level * cover;
+        // The disc hides its own part of the shadow.
+        float beside = 0, under = 0;
+        if constexpr (SHADOW) {
+            float sx, sy;
+            beside = std::max(cover_at(within(cast.depth(x[i], y[i], sx, sy))) - cover, 0.f);
+            under = beside > 0 ? shade : 0;
+        }
+        const float gap = rest[i] - level * cover - shade * beside;
         const float kept = depth > 1 && std::abs(gap) > odd ? 0.f : 1.f, weight = seen[i] * kept;
-        const float error = gap * weight, gr = level * steep * (1 - u * u) * weight;
+        const float error = gap * weight, gr = (level - under) * steep * (1 - u * u) * weight;
         const float rim = std::abs(depth) < near ? seen[i] : 0.f;
         const float inverse = 1 / std::sqrt(wx * wx + wy * wy + 1e-6f);
         weights += rim;
@@ -227,14 +264,14 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
     }
     for (int a = 0; a < UNKNOWNS; a++) {
         for (int b = 0; b <= a; b++) normal[a][b] = sum[a][b];
-        right[a] = sum[a][ERROR];
+        right[a] = sum[a][int{ERROR}];
     }
     square /= std::max(weights, 1.f);
     out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
     const double whole = std::max<double>(pixels, 1) * std::max(window.all, 1.0) / window.size;
     out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
     // Each coordinate is seen on half of the contour.
-    const double slopes_xy = 0.5 * (sum[X][X] + sum[Y][Y]);
+    const double slopes_xy = 0.5 * (sum[X][int{X}] + sum[Y][int{Y}]);
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
 
@@ -258,9 +295,10 @@ inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
 }
 
 // Measure discs (n,), neighbours among them, from first guesses of their places (n, 2) [px] and
-// their silhouettes (n,) there; `noise` is a standard deviation, as darkness.
+// their silhouettes (n,) there, with the shadows that they cast; `noise` is a standard deviation, as
+// darkness.
 inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const Silhouette* parts,
-                      double noise, Disc* discs) {
+                      const Shadows& shadows, double noise, Disc* discs) {
     const int count = seeds.size(0);
     std::vector<DiscWindow> windows;
     std::vector<DiscFit> fits;
@@ -272,7 +310,10 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
         windows.emplace_back(plate, x, y, parts[k]);
         const double dark = first_darkness(windows[k], x + 0.5 * to_x, y + 0.5 * to_y, radius);
         fits.push_back({x, y, radius, EDGE_PX[1], dark, dark});
-        reach.push_back(parts[k].reach() + rim_of(parts[k]));
+        const double cast = shadows.any() ? parts[k].stretch() * std::hypot(shadows.cast[2 * k],
+                                                                            shadows.cast[2 * k + 1])
+                                          : 0;
+        reach.push_back(parts[k].reach() + cast + rim_of(parts[k]));
         discs[k].misfit = 1;
     }
     std::vector<char> moved(count, true), moves(count);
@@ -294,8 +335,14 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
                 }
             }
             if (!stale) continue;
-            without_others(windows[k], fits, parts, neighbours);
-            sum_up(windows[k], fits[k], parts[k], noise, slopes, normal, right, discs[k]);
+            without_others(windows[k], fits, parts, shadows, neighbours);
+            if (shadows.any())
+                sum_up<true>(windows[k], fits[k], parts[k],
+                             shadows.contour(fits[k], parts[k], k), shadows.darkness, noise, slopes,
+                             normal, right, discs[k]);
+            else
+                sum_up<false>(windows[k], fits[k], parts[k], Contour(fits[k], parts[k]), 0, noise,
+                              slopes, normal, right, discs[k]);
             if (improve(fits[k], normal, right, parts[k].radius_px) >= SETTLED_PX) {
                 moves[k] = true;
                 still = false;

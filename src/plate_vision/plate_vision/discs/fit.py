@@ -15,12 +15,20 @@ from .. import _kernels
 from ..plate.light import LitPlate
 from . import silhouette
 from .measure import DISC, numbers
+from .shadow import Shadow
 
 
-def fit_discs(plate: LitPlate, seeds: np.ndarray, parts: np.ndarray) -> np.ndarray:
+def fit_discs(
+    plate: LitPlate, seeds: np.ndarray, parts: np.ndarray, shadow: Shadow | None = None
+) -> np.ndarray:
     """Measure discs (n,) DISC, neighbours among them, from first guesses of their places (n, 2)
-    [px] and their silhouettes (n,) SILHOUETTE there."""
+    [px] and their silhouettes (n,) SILHOUETTE there, and with the shadows that they cast."""
     discs = np.zeros(len(seeds), DISC)
     shapes = silhouette.numbers(parts)
-    _kernels.fit_discs(*plate.pixels, seeds, shapes, plate.noise, numbers(discs))
+    cast, shade, edge_px = np.empty((0, 2)), 0.0, 1.0
+    if shadow is not None:
+        cast, shade, edge_px = shadow.cast(seeds, parts), shadow.darkness, shadow.edge_px
+    _kernels.fit_discs(
+        *plate.pixels, seeds, shapes, cast, shade, edge_px, plate.noise, numbers(discs)
+    )
     return discs

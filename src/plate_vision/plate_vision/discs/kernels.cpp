@@ -75,15 +75,21 @@ void bind_discs(nb::module_& m) {
         crowded(view(centre), distance_px, near.data());
     }, arg(), arg(), arg().noconvert());
     m.def("fit_discs", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                          In<double, 2> seeds, In<double, 2> parts, double noise,
-                          Array<double, 2> discs) {
+                          In<double, 2> seeds, In<double, 2> parts, In<double, 2> cast,
+                          double shade, double edge_px, double noise, Array<double, 2> discs) {
         const LitPlate plate = lit_plate(grey, light, usable);
         require(are_pairs(seeds), "shape: seeds (n, 2)");
         Disc* out = as_discs(discs, seeds.shape(0));
         const Silhouette* shapes = as_silhouettes(parts, seeds.shape(0));
+        require(shade == 0 || (are_pairs(cast) && cast.shape(0) == seeds.shape(0)),
+                "shape: cast (n, 2)");
+        require(shade >= 0 && shade <= 1 && edge_px > 0, "shade: allowed: 0 to 1, edge_px: above 0");
+        for (size_t k = 0; shade > 0 && k < cast.shape(0); k++)
+            require(std::hypot(cast(k, 0), cast(k, 1)) <= MOST_RADIUS_PX,
+                    "cast: allowed: up to 1e4 px");
         nb::gil_scoped_release others_may_run;
-        fit_discs(plate, view(seeds), shapes, noise, out);
-    }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
+        fit_discs(plate, view(seeds), shapes, {cast.data(), shade, edge_px}, noise, out);
+    }, arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_marks", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
                            In<double, 2> seeds, In<double, 1> radii, double noise) {
         const LitPlate plate = lit_plate(grey, light, usable);

@@ -32,13 +32,18 @@ struct Silhouette {
     }
     double lean_length() const { return std::hypot(lean_px[0], lean_px[1]); }
 
-    // Distance [px of the image] within which all of the silhouette is.
-    double reach() const {
-        // The largest stretch of the inverse is one over the smallest singular value.
+    // Largest length [px of the image] of what has a length of 1 px in the disc's frame.
+    double stretch() const {
+        // It is one over the smallest singular value.
         const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
         const double half = 0.5 * (a * a + b * b + c * c + d * d), area = a * d - b * c;
         const double least = std::sqrt(half - std::sqrt(std::max(half * half - area * area, 0.0)));
-        return (std::max(growth, 1.0) * radius_px + lean_length()) / std::max(least, 1e-3);
+        return 1 / std::max(least, 1e-3);
+    }
+
+    // Distance [px of the image] within which all of the silhouette is.
+    double reach() const {
+        return (std::max(growth, 1.0) * radius_px + lean_length()) * stretch();
     }
 
     // Image offset [px] from the part's place to the contour, where the outward normal of the

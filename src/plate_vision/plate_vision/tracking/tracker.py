@@ -10,6 +10,7 @@ import numpy as np
 
 from plate_core import Parts
 
+from ..discs.shadow import Shadow
 from ..errors import TrackError, check_ranges
 from ..overlooked import NAMELESS, NONE_OVERLOOKED, OVERLOOKED, REASONS
 from .assignment import assign
@@ -75,6 +76,8 @@ class Tracker:
         Parts that have another class since the last image.
     overlooked : (n,) OVERLOOKED
         Things in the last image that are not taken for parts.
+    shadow : Shadow, optional
+        That all parts cast in the last image.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
@@ -84,6 +87,7 @@ class Tracker:
     given_up: tuple[str, ...] = ()
     renamed: tuple[tuple[str, str], ...] = ()
     overlooked: np.ndarray = field(default_factory=lambda: NONE_OVERLOOKED)
+    shadow: Shadow | None = None
 
     @property
     def found(self) -> tuple[Track, ...]:

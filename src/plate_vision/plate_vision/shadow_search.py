@@ -1,0 +1,177 @@
+"""The shadow that all parts of an image cast, found from their silhouettes: `find_shadow`.
+
+A part and its shadow are one dark thing: the part's disc, drawn along the way of the shadow. If
+many things are longer than a part, all in one direction, the length and direction are those of the
+shadow, up to its sense. The sense, the darkness and the width of the edge are those with which the
+parts' contours fit best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import cv2
+import numpy as np
+
+from .camera import Calibration
+from .discs import Silhouettes, fit_discs, to_image
+from .discs.shadow import Shadow
+from .plate import LitPlate
+from .remains import Remains
+
+FEWEST = 3
+"""Things of one direction that show a shadow: fewer may be parts of another shape."""
+
+MOST_THINGS = 10
+"""Things by which a shadow is chosen: more make it slower, and hardly better."""
+
+SIZE = 1.05, 4.0
+"""Area of a part with its shadow, relative to the part's."""
+
+ALIGNED = 0.8
+"""Least length of the mean of the things' directions, as unit vectors of twice the angle."""
+
+LEAST_LENGTH = 0.1
+"""Shortest shadow that is looked for [part radii]."""
+
+SKIRT_PX = 0.7
+"""Width by which things are larger than parts, as their blurred edges belong to them [px]."""
+
+DARKNESS = np.linspace(0.1, 0.8, 6)
+EDGES_PX = (1.0, 2.5, 4.5)
+"""Darkness and half widths of the edge [px] that are tried."""
+
+FINE = (-0.05, -0.025, 0.025, 0.05)
+"""Changes of the darkness that are tried at the end."""
+
+GOOD_FIT, BETTER = 0.08, 0.75
+"""Largest mean misfit with a shadow; and relative to that without one, and with one to the other
+side: else it is not known to which side the shadows are."""
+
+WORST = 0.4
+"""A thing that is no part counts for the mean with this misfit."""
+
+ROUNDS = 2
+"""Times that darkness and edges are tried, each with a better length."""
+
+RATIOS = np.linspace(0, 4, 81)
+"""Lengths of capsules [radii] for which the flatness is known."""
+
+PROFILE_PX = 0.5
+"""Step of the places at which the end of a shadow is looked for [px]."""
+
+
+def find_shadow(
+    contrast: LitPlate, remains: Remains, silhouettes: Silhouettes, calibration: Calibration
+) -> Shadow | None:
+    """Return the shadow that the things of an image cast; None if they show none.
+
+    `contrast` is the `contrast_image`, `remains` are all things on the plate.
+    """
+    found = _capsules(remains, silhouettes)
+    if found is None:
+        return None
+    middle, parts, length_px, direction = found
+    slopes = calibration.slopes(middle)
+    ways = np.einsum("nij,nj->ni", slopes, length_px[:, None] * direction)
+    way = np.median(ways, axis=0)
+    plain = float(np.mean(np.minimum(fit_discs(contrast, middle, parts)["misfit"], WORST)))
+
+    def fitted(shadow: Shadow) -> np.ndarray:
+        offset = np.linalg.solve(slopes, np.broadcast_to(shadow.way[:, None], (len(slopes), 2, 1)))
+        seeds = np.ascontiguousarray(middle - 0.5 * offset[:, :, 0])
+        return fit_discs(contrast, seeds, parts, shadow)
+
+    def misfit(shadow: Shadow) -> float:
+        return float(np.mean(np.minimum(fitted(shadow)["misfit"], WORST)))
+
+    def improved(shadow: Shadow) -> Shadow:
+        """Try darkness and edges; then measure the length."""
+        tried = (
+            replace(shadow, darkness=float(darkness), edge_px=edge_px)
+            for darkness, edge_px in product(DARKNESS, EDGES_PX)
+        )
+        best = min(tried, key=misfit)
+        return _measured(contrast, best, fitted(best), parts)
+
+    one, other = (Shadow(calibration, sense * way, 0.5, 1.0) for sense in (1, -1))
+    for _ in range(ROUNDS):
+        one, other = improved(one), improved(other)
+    best, worse = sorted((one, other), key=misfit)
+    finer = [replace(best, darkness=best.darkness + change) for change in FINE]
+    best = min([best, *finer], key=misfit)
+    left = misfit(best)
+    clear = left < BETTER * min(plain, misfit(worse))
+    return best if left < GOOD_FIT and clear else None
+
+
+def _capsules(
+    remains: Remains, silhouettes: Silhouettes
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return things that are as long in one direction: middles (n, 2) [px], silhouettes (n,) of
+    parts there, how much longer (n,) [px] than a part, and directions (n, 2) in the image; None if
+    there are too few."""
+    x0, y0, stride = remains.grid
+    beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
+    count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
+    at_edge = np.zeros(count, bool)
+    at_edge[labels[(beside > 0) & (remains.odd > 0)]] = True
+    middle = middle * stride + (x0, y0)
+    parts = silhouettes(middle)
+    radius = parts["radius_px"] + SKIRT_PX
+    size = stats[:, cv2.CC_STAT_AREA] * stride**2 / (np.pi * radius**2)
+    usual = ~at_edge & (size > SIZE[0]) & (size < SIZE[1])
+    usual[0] = False
+    rows = np.flatnonzero(usual)[:MOST_THINGS]
+    if len(rows) < FEWEST:
+        return None
+    flat = np.empty((len(rows), 2))
+    for k, row in enumerate(rows):
+        left, top, wide, high = stats[row, :4].tolist()
+        here = (labels[top : top + high, left : left + wide] == row).astype(np.uint8)
+        m = cv2.moments(here, binaryImage=True)
+        flat[k] = m["mu20"] - m["mu02"], 2 * m["mu11"]
+        flat[k] /= m["mu20"] + m["mu02"]
+    much = np.hypot(*flat.T)
+    unit = flat / np.maximum(much, 1e-9)[:, None]
+    mean = unit.mean(axis=0)
+    if np.hypot(*mean) < ALIGNED:
+        return None
+    length = np.interp(much, _flatness(RATIOS), RATIOS) * radius[rows]
+    if np.median(length / radius[rows]) < LEAST_LENGTH:
+        return None
+    angles = 0.5 * np.arctan2(unit[:, 1], unit[:, 0])
+    direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    usual_way = 0.5 * np.arctan2(mean[1], mean[0])
+    sense = np.sign(direction @ (np.cos(usual_way), np.sin(usual_way)))
+    return middle[rows], parts[rows], length, direction * sense[:, None]
+
+
+def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> Shadow:
+    """Return the shadow with its length: from the ends of discs (n,) DISC the image has half of its
+    darkness at the end of the shadow, in the median over the discs."""
+    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
+    ends = to_image(parts, shadow.cast(centre, parts))
+    length = np.hypot(*ends.T)
+    radius = float(np.median(discs["radius_px"]))
+    steps = np.arange(radius, RATIOS[-1] * radius, PROFILE_PX)
+    place = centre[:, None] + steps[:, None] * (ends / length[:, None])[:, None]
+    height, width = contrast.grey.shape
+    column, row = np.rint(place).astype(int).transpose(2, 0, 1)
+    levels = contrast.grey[row.clip(0, height - 1), column.clip(0, width - 1)]
+    profile = np.median(1 - levels / contrast.light[0], axis=0)
+    light = np.flatnonzero(profile < 0.5 * shadow.darkness)
+    end = PROFILE_PX * (light[0] if len(light) else len(steps))
+    return replace(shadow, way=shadow.way * max(end, 1.0) / float(np.median(length)))
+
+
+def _flatness(length: np.ndarray) -> np.ndarray:
+    """Return (Ia - Ib) / (Ia + Ib) of capsules of radius 1 and lengths (n,), with their second
+    moments Ia along the length, and Ib across:
+
+        Ia = L3 / 6 + pi L2 / 4 + 4 L / 3 + pi / 4,    Ib = 2 L / 3 + pi / 4
+    """
+    along = length**3 / 6 + np.pi * length**2 / 4 + 4 * length / 3 + np.pi / 4
+    across = 2 * length / 3 + np.pi / 4
+    return np.asarray((along - across) / (along + across))

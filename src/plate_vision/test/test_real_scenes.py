@@ -1,0 +1,139 @@
+"""Discs in scenes that laboratories have: height, tilt, shine, shadow, contrast, colour, sizes."""
+
+import numpy as np
+import pytest
+
+from plate_vision import DetectorOptions, Tracker, make_vision, observe
+
+from .raycast import Look, cast
+
+GRID = np.array(
+    [(x, y) for x in np.linspace(-0.165, 0.165, 6) for y in np.linspace(-0.09, 0.09, 4)]
+)
+GREYS = np.tile([40.0, 130.0], 12)
+NEAR = Look(distance=0.43, focal_px=430.0)
+
+
+def scattered(rng):
+    """Return 24 places (24, 2) [m], at least 20 mm apart."""
+    return GRID + rng.uniform(-0.012, 0.012, GRID.shape)
+
+
+def seen(rig, image, images=2):
+    """Return the tracker after some images of one scene."""
+    vision, tracker = make_vision(rig, DetectorOptions()), Tracker()
+    for k in range(images):
+        tracker = observe(vision, tracker, image, 1 + 0.1 * k)
+    return tracker
+
+
+def errors(tracker, position):
+    """Return the distances (n,) [m] of all parts from the truth; all must be found, no others."""
+    found = tracker.parts.position
+    assert len(found) == len(position), tracker.overlooked["reason"].tolist()
+    gap = np.linalg.norm(found[:, None] - position, axis=2)
+    assert len(set(gap.argmin(axis=1).tolist())) == len(position)
+    return gap.min(axis=1)
+
+
+SCENES = {
+    "high, near": (NEAR, {"height": 0.01}),
+    "high, its sides bright": (NEAR, {"height": 0.01, "side": 1.2}),
+    "high, tilted": (Look(0.6, 650.0, (0.0, 25.0)), {"height": 0.01}),
+    "tilted sideways": (Look(0.6, 620.0, (0.0, 30.0)), {}),
+    "tilted forwards": (Look(0.6, 620.0, (30.0, 0.0)), {}),
+    "a highlight": (Look(), {"gloss": 0.3}),
+    "faint": (Look(), {"plate": 160.0, "greys": 130.0}),
+    "bright on dark": (Look(), {"plate": 70.0, "greys": 200.0}),
+    "bright on grey": (Look(), {"plate": 130.0, "greys": 200.0}),
+    "sizes": (Look(), {"radius": np.linspace(0.0066, 0.0094, 24)}),
+    "noise": (Look(), {"noise": 20.0}),
+    "small and soft": (Look(0.9, 560.0), {"blur_px": 1.8}),
+    "a short hard shadow": (Look(), {"shadow": (0.003, -0.002, 0.5)}),
+    "a long hard shadow": (Look(), {"shadow": (-0.006, 0.007, 0.45)}),
+    "a soft shadow": (Look(), {"shadow": (0.005, 0.003, 0.35), "soft_px": 1.5}),
+}
+WORST = {"noise": 4e-4, "small and soft": 4e-4}
+"""Largest error of a place [m], where it is not 0.25 mm."""
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_parts_are_found_where_they_are(name, rng):
+    look, settings = SCENES[name]
+    position, options = scattered(rng), dict(settings)
+    greys = np.broadcast_to(options.pop("greys", GREYS), 24)
+    image = cast(look, position, greys, rng, **options)
+    rig = look.rig(height=settings.get("height", 0.0))
+    assert errors(seen(rig, image), position).max() < WORST.get(name, 2.5e-4)
+
+
+@pytest.mark.parametrize("plate", [200.0, 90.0])
+def test_both_brighter_and_darker_parts(plate, rng):
+    position = scattered(rng)
+    image = cast(Look(), position, np.tile([20.0, 250.0], 12), rng, plate=plate)
+    tracker = seen(Look().rig(), image)
+    assert errors(tracker, position).max() < 2.5e-4
+    assert sorted({name.split("_")[0] for name in tracker.parts.ids}) == ["black", "white"]
+
+
+def test_parts_that_differ_in_colour_alone(rng):
+    """Yellow on white: green and red are those of the plate."""
+    position = scattered(rng)
+    image = cast(Look(), position, np.tile([[60.0, 218.0, 222.0]], (24, 1)), rng)
+    assert errors(seen(Look().rig(), image), position).max() < 2.5e-4
+
+
+def test_without_a_lens_the_height_is_known_by_the_perspective_or_by_the_rig_file(rng):
+    """A tilted view of square pixels tells the camera's place."""
+    look = Look(0.6, 650.0, (0.0, 25.0))
+    position = scattered(rng)
+    image = cast(look, position, GREYS, rng, height=0.01)
+    assert errors(seen(look.rig(height=0.01, calibrated=False), image), position).max() < 4e-4
+
+
+def test_a_height_that_is_not_known_shows_in_the_scatter(rng):
+    position = scattered(rng)
+    image = cast(NEAR, position, GREYS, rng, height=0.006)
+    tracker = seen(NEAR.rig(), image)
+    gap = np.linalg.norm(tracker.parts.position[:, None] - position, axis=2).min(axis=1)
+    scatter = tracker.quality[:, 0]
+    assert len(gap) > 12
+    far = gap > 5e-4
+    assert np.median(scatter[far]) > 0.3 * np.median(gap[far])
+
+
+def test_highlights_are_no_marks(rng):
+    image = cast(Look(), scattered(rng), GREYS, rng, gloss=0.3)
+    assert np.all(seen(Look().rig(), image).parts.angle == 0)
+
+
+def test_the_shadow_is_known_from_then_on(rng):
+    position = scattered(rng)
+    look = Look()
+    image = cast(look, position, GREYS, rng, shadow=(0.006, -0.004, 0.5))
+    tracker = seen(look.rig(), image)
+    assert tracker.shadow is not None
+    assert tracker.shadow.way == pytest.approx([0.006, -0.004], abs=1e-3)
+    assert tracker.shadow.darkness == pytest.approx(0.5, abs=0.1)
+    plain = cast(look, position, GREYS, rng)
+    after = observe(make_vision(look.rig(), DetectorOptions()), tracker, plain, 2.0)
+    assert errors(after, position).max() < 2.5e-4
+
+
+REASONS = {
+    "too large": {"radius": 0.013},
+    "too small": {"radius": 0.005},
+    "too faint": {"greys": 211.0, "noise": 1.0},
+}
+
+
+@pytest.mark.parametrize("reason", REASONS)
+def test_what_is_no_part_is_listed_with_its_reason(reason, rng):
+    position, options = GRID[::3], dict(REASONS[reason])
+    greys = np.full(len(position), options.pop("greys", 40.0))
+    tracker = seen(Look().rig(), cast(Look(), position, greys, rng, **options))
+    assert len(tracker.parts.ids) == 0
+    things = tracker.overlooked
+    assert things["reason"].tolist() == [reason] * len(position)
+    gap = np.hypot(things["x"] - position[:, :1], things["y"] - position[:, 1:])
+    assert gap.min(axis=1).max() < 1e-3
