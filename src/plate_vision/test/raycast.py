@@ -110,33 +110,46 @@ def cast(
     relative to the part's; `shadow` x, y of its end [m], and the fraction of the light that is
     missing in it, which fades over `soft_px`.
     """
-    seen, above = look.places(), look.place
+    places, above = look.places(), look.place
     colour = np.asarray(colour, float)
     channels = colour.shape[1] if colour.ndim == 2 else 1
     radii = np.broadcast_to(radius, len(position))
-    inside = np.all(np.abs(seen) < HALF, axis=-1)[..., None]
+    inside = np.all(np.abs(places) < HALF, axis=-1)[..., None]
+
+    def window(at, reach):
+        """Rows and columns of the fine points that look within a reach [m] of a place."""
+        rim = reach * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        around = look.project(np.column_stack([at + rim, np.zeros(4)]))
+        low = np.maximum(FINE * np.floor(around.min(axis=0)).astype(int), 0)
+        high = np.maximum(FINE * np.ceil(around.max(axis=0) + 1).astype(int), 0)
+        return np.s_[low[1] : high[1], low[0] : high[0]]
+
     image = np.where(inside, plate, 60.0) * np.ones(channels)
     way, depth = np.array(shadow[:2]), shadow[2]
     if depth:
-        dark = np.zeros(seen.shape[:2])
+        dark = np.zeros(places.shape[:2])
         for at, r in zip(position, radii, strict=True):
-            offset = seen - at
+            here = window(at, r + np.hypot(*way))
+            offset = places[here] - at
             along = np.clip(offset @ way / (way @ way), 0, 1)
-            dark[np.hypot(*np.moveaxis(offset - along[..., None] * way, -1, 0)) < r] = 1
+            dark[here][np.hypot(*np.moveaxis(offset - along[..., None] * way, -1, 0)) < r] = 1
         if soft_px:
             dark = cv2.GaussianBlur(dark, (0, 0), soft_px * FINE)
         image *= 1 - depth * dark[..., None]
     order = np.argsort(-np.hypot(*(np.asarray(position) - above[:2]).T))
     for k in order:
         at, r = position[k], radii[k]
+        lean = np.hypot(*(at - above[:2])) * height / (above[2] - height)
+        here = window(at, 1.1 * r + lean)
+        seen, part = places[here], image[here]
         for level in np.linspace(0, height, SLICES if height else 1):
             growth = above[2] / (above[2] - level)
             top = np.hypot(*np.moveaxis(seen - above[:2] - growth * (at - above[:2]), -1, 0))
-            image[top < growth * r] = colour[k] * (side if level < height else 1.0)
+            part[top < growth * r] = colour[k] * (side if level < height else 1.0)
         if gloss:
             spot = at + r * np.array([0.25, 0.15])
             off = np.hypot(*np.moveaxis(seen - above[:2] - growth * (spot - above[:2]), -1, 0))
-            image[off < gloss * r] = 250.0
+            part[off < gloss * r] = 250.0
     small = image.reshape(SIZE[1], FINE, SIZE[0], FINE, channels).mean(axis=(1, 3))
     small = cv2.GaussianBlur(small, (0, 0), blur_px).reshape(small.shape)
     small = np.clip(np.rint(small + rng.normal(0, noise, small.shape)), 0, 255).astype(np.uint8)
