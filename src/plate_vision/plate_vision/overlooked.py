@@ -59,9 +59,13 @@ SPECK_RADIUS = 0.3
 """Things smaller than this, relative to the smallest part's radius [-], do not count for the
 warning while parts are seen: a tenth of a part's area is dust or a reflection."""
 
+EDGE_REASONS = ("at the edge", "beyond the plate")
+"""Things of these reasons do not count either: a plate that is away from home in the image, as those
+of a camera that runs free are, shows its own edge there."""
+
 REMEDIES = {
     "too faint": "more light, or parts that differ more from the plate",
-    "at the edge": "move them inwards, or check camera: corners_px",
+    "at the edge": "move them inwards; or it is the edge of a plate that is not at home",
     "beyond the plate": "check camera: corners_px, or clear the surround",
     "group": "move them apart",
 }
@@ -95,6 +99,36 @@ def may_be_parts(
     away = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
     beside = np.all(away >= APART * (radius + part_radius)[:, None], axis=1)
     return np.asarray(size & beside & np.all(np.abs(place) <= inner, axis=1))
+
+
+def unnamed_things(
+    seen: np.ndarray, on_plate: np.ndarray, radius: np.ndarray, smallest: float, largest: float
+) -> np.ndarray:
+    """Return the things (k,) OVERLOOKED among sightings that are of no type.
+
+    Parameters
+    ----------
+    seen : (n,) `shapes.classes.SIGHTING`
+        Only those of a class of `NAMELESS` count.
+    on_plate : (n,)
+        Which of them are on the plate wherever the motors are: bool. Others do not count: they may
+        be the edge of a plate that is not at home.
+    radius : (n,)
+        Radii of the discs of the same area [m].
+    smallest, largest : float
+        Radii between which a thing has the size of a part [m].
+    """
+    reason = np.full(len(seen), "misfit", OVERLOOKED["reason"])
+    reason[radius > largest] = "too large"
+    reason[seen["label"] == NAMELESS[1]] = "group"
+    reason[radius < smallest] = "too small"
+    reason[~seen["whole"]] = "at the edge"
+    rows = np.isin(seen["label"], NAMELESS) & on_plate
+    things = np.zeros(np.count_nonzero(rows), OVERLOOKED)
+    for name in ("x_px", "y_px", "radius_px", "x", "y"):
+        things[name] = seen[name][rows]
+    things["reason"] = reason[rows]
+    return things
 
 
 @dataclass(frozen=True)
@@ -181,7 +215,8 @@ class OverlookedTally:
             return Finding(Level.WARN, f"no part is detected, but {things} seen: {why}")
         of = f"{total} of {total + taken} things on the plate"
         verb = "is not taken for a part" if total == 1 else "are not taken for parts"
-        large = np.count_nonzero(radius >= SPECK_RADIUS * expected.smallest)
+        counts = (radius >= SPECK_RADIUS * expected.smallest) & ~np.isin(reason, EDGE_REASONS)
+        large = np.count_nonzero(counts)
         many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
 

@@ -14,7 +14,7 @@ from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, PartView, find_discs
 from .discs import outlines, seen_by
 from .errors import check_size
-from .overlooked import may_be_parts
+from .overlooked import PLAUSIBLE_AREA, may_be_parts, unnamed_things
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
 from .recognition import find_types, model_plate
@@ -224,6 +224,8 @@ def _observe_types(
     scale = vision.calibration.scale(centre)
     least = SPECK * np.min(catalogue.area)
     on_plate = np.all(np.abs(centre) <= vision.inner, axis=1)
+    limits = np.sqrt(np.array([least, PLAUSIBLE_AREA[1] * np.max(catalogue.area)]) / np.pi)
+    things = unnamed_things(seen, on_plate, seen["radius_px"] / scale, *limits)
     kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > least))
     seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
     turns = {one.part.name: one.part.symmetry for one in catalogue.templates}
@@ -232,7 +234,9 @@ def _observe_types(
     place[~seen["whole"]] = np.nan
     angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)
     quality = np.column_stack([place, angle, seen["confidence"]])
-    return update(tracker, stamp, centre, seen["label"], seen["angle"], quality, symmetry, expected)
+    return update(
+        tracker, stamp, centre, seen["label"], seen["angle"], quality, symmetry, expected, things
+    )
 
 
 def follow_plate(

@@ -5,7 +5,8 @@ import pytest
 
 from plate_core.status import Level
 from plate_vision import OVERLOOKED, REASONS
-from plate_vision.overlooked import Expected, OverlookedTally, may_be_parts
+from plate_vision.overlooked import Expected, OverlookedTally, may_be_parts, unnamed_things
+from plate_vision.shapes.classes import SIGHTING
 
 DISCS = Expected(8e-3, 8e-3)
 
@@ -50,6 +51,12 @@ def test_no_part_at_all_is_a_warning():
 def test_specks_do_not_warn_while_parts_are_seen():
     found = tally(4, ["too small"] * 6, radius=1e-3).finding(DISCS)
     assert (found.level, found.message[:7]) == (Level.OK, "6 of 10")
+
+
+def test_the_edge_of_a_plate_that_moves_does_not_warn_while_parts_are_seen():
+    found = tally(4, ["at the edge"] * 3 + ["beyond the plate"]).finding(DISCS)
+    assert (found.level, found.message[:6]) == (Level.OK, "4 of 8")
+    assert tally(0, ["beyond the plate"]).finding(DISCS).level == Level.WARN
 
 
 def test_numbers_are_averages_over_the_images():
@@ -103,3 +110,17 @@ def test_only_a_thing_of_a_parts_size_beside_the_parts_may_be_one(x, y, radius, 
     assert may_be_parts(thing, np.array([radius]), R, INNER, parts).tolist() == [may_be]
     nobody = np.zeros((0, 2))
     assert may_be_parts(thing, np.array([R]), R, INNER, nobody).tolist() == [x < 0.29]
+
+
+def test_sightings_of_no_type_are_things():
+    rows = [("nut", 8.0, True), ("unknown", 8.0, True), ("unknown", 3.0, True),
+            ("unknown", 20.0, True), ("group", 20.0, True), ("unknown", 8.0, False),
+            ("unknown", 8.0, True)]  # fmt: skip
+    seen = np.zeros(len(rows), SIGHTING)
+    for row, (label, radius_px, whole) in zip(seen, rows, strict=True):
+        row["label"], row["radius_px"], row["whole"], row["x"] = label, radius_px, whole, 0.1
+    on_plate = np.array([True] * 6 + [False])
+    found = unnamed_things(seen, on_plate, 1e-3 * seen["radius_px"], 4e-3, 14e-3)
+    assert found["reason"].tolist() == ["misfit", "too small", "too large", "group", "at the edge"]
+    assert found["x"].tolist() == [0.1] * 5
+    assert found["radius_px"].tolist() == [8, 3, 20, 20, 8]
