@@ -137,6 +137,7 @@ NOBODY = Parts.make((), np.zeros((0, 2)))
         (thing(0, 0, 1.7 * RADIUS), True),  # 2.9
         (thing(0, 0, 1.8 * RADIUS), False),  # 3.2
         (thing(HALF[0] - 0.5 * RADIUS, 0), False),  # not wholly on the plate
+        (thing(HALF[0] - 1.5 * RADIUS, 0), False),  # the edge of a plate that is not at home
         (thing(0, -HALF[1] - 0.05), False),
         (thing(PLACE[0, 0] + 0.002, PLACE[0, 1]), False),  # published as a part
     ],

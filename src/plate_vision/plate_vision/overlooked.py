@@ -60,8 +60,8 @@ SPECK_RADIUS = 0.3
 warning while parts are seen: a tenth of a part's area is dust or a reflection."""
 
 EDGE_REASONS = ("at the edge", "beyond the plate")
-"""Things of these reasons do not count either: a plate that is away from home in the image, as those
-of a camera that runs free are, shows its own edge there."""
+"""Things of these reasons do not count either: a plate that is away from home shows its own edge
+there, as in images of a camera that runs free."""
 
 REMEDIES = {
     "too faint": "more light, or parts that differ more from the plate",

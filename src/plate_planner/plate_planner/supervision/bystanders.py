@@ -77,10 +77,11 @@ class Overlooked:
         areas = areas or [np.pi * self.rig.parts.radius_m**2]
         low = np.sqrt(PLAUSIBLE_AREA[0] * min(areas) / np.pi)
         high = np.sqrt(PLAUSIBLE_AREA[1] * max(areas) / np.pi)
+        inner = self.rig.plate.half - self.rig.limits.stroke_m  # else it may be the plate's edge
         found = []
         for thing in things:
             place = np.array([thing.x, thing.y])
-            whole = bool(np.all(np.abs(place) + thing.radius <= self.rig.plate.half))
+            whole = bool(np.all(np.abs(place) + thing.radius <= inner))
             away = np.hypot(*(parts.position - place).T)  # of a part that is published anyway
             if low <= thing.radius <= high and whole and not np.any(away < thing.radius):
                 found.append(thing)
