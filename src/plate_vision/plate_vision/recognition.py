@@ -13,11 +13,12 @@ from plate_core.rig import PartType
 from .camera import Calibration, calibrate_by_matrix
 from .detection import DETECTION, METHODS
 from .plate import Region
-from .shapes import Background, find_patches, model_background
+from .shapes import Background, model_background
 from .shapes.background import colours
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import is_named, recognise
+from .shapes.classes import Conditions, is_named, recognise_under
 from .shapes.groups import explain_groups
+from .shapes.segmentation import segment
 from .shapes.teaching import ALIKE, gap_between
 
 BLUR_PX = 0.8
@@ -87,9 +88,10 @@ def find_types(
     region: Region | None = None,
 ) -> np.ndarray:
     """Find parts of taught types on the plate: (n,) `SIGHTING`."""
-    patches = find_patches(image, background, region)
-    seen = recognise(image, patches, catalogue, calibration)
-    return explain_groups(image, patches, seen, catalogue, calibration)
+    patches, lamp = segment(image, background, region, lamps=background.learned)
+    conditions = Conditions(lamp, background)
+    seen, conditions = recognise_under(image, patches, catalogue, calibration, conditions)
+    return explain_groups(image, patches, seen, catalogue, calibration, conditions)
 
 
 def model_plate(image: np.ndarray, region: Region) -> Background:

@@ -91,12 +91,15 @@ class Background:
     cleaned : bool
         Whether single pixels are left out of images before they are compared with it: photographs
         have dust and dead pixels that no bare plate shows.
+    learned : bool
+        Whether it was learned from images of the bare plate.
     """
 
     lab: np.ndarray
     limit: np.ndarray
     chroma: float = CHROMA[1]
     cleaned: bool = False
+    learned: bool = False
 
     @property
     def grey(self) -> np.ndarray:
@@ -123,7 +126,7 @@ class Background:
             image = np.asarray(image)
             check_image(image)
             _check_size(image, self)
-            convert = partial(_compared, channels=self.lab.shape[2])
+            convert = partial(compared, channels=self.lab.shape[2])
         region = region or make_region(self.lab.shape[1::-1])
         return fit_light(Lit(image, convert, self.lab, self.limit, self.chroma, region), before)
 
@@ -157,7 +160,7 @@ def learn_plate(images: np.ndarray) -> Background:
     side = 2 * NEAR_PX + 1
     square = cv2.blur(square, (side, side))
     noise = np.sqrt(square + (SHIFT_PX / 8 * steepness(mean[:, :, 0])) ** 2)
-    return Background(mean, _limit(noise), chroma)
+    return Background(mean, _limit(noise), chroma, learned=True)
 
 
 def model_background(image: np.ndarray) -> Background:
@@ -254,11 +257,11 @@ def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
     image = np.asarray(image)
     check_image(image)
     _check_size(image, background)
-    lab = _compared(image, background.lab.shape[2])
+    lab = compared(image, background.lab.shape[2])
     return _cleaned(lab) if background.cleaned else lab
 
 
-def _compared(image: np.ndarray, channels: int) -> np.ndarray:
+def compared(image: np.ndarray, channels: int) -> np.ndarray:
     """Return colours (H, W, C) of pixels (H, W) or (H, W, 3) uint8, with so many channels C."""
     if (image.ndim == 2) != (channels == 1):
         code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY

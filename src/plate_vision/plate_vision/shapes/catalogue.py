@@ -22,6 +22,9 @@ GRID = 13
 CHIRAL = 0.02
 """A part that differs from its mirror image by more of its reach, RMS, has two faces."""
 
+HOLE_INSIDE = 0.55
+"""Size of the part of a hole that is clear of its rim, relative to the hole."""
+
 SAMPLES = 64
 """Points on a type's outline."""
 
@@ -72,6 +75,16 @@ class Template:
         depth = -distances(self.edges, self._grid)[:, 0]
         points = self._grid[depth > 0.2 * np.max(depth)]
         return points[np.argsort(-np.hypot(*(points - self.pole[0]).T))]
+
+    @cached_property
+    def hole_points(self) -> np.ndarray:
+        """Points (n, 2) in its holes, clear of their rims [m]."""
+        found = [np.empty((0, 2))]
+        for hole in self.part.holes:
+            ring = np.array(hole)
+            middle = np.mean(ring, axis=0)
+            found += [middle + HOLE_INSIDE * way * (ring - middle) for way in (0.0, 0.5, 1.0)]
+        return np.concatenate(found)
 
     @property
     def _grid(self) -> np.ndarray:

@@ -12,18 +12,22 @@ no angle, and names what is of no type.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from plate_core.rig import PartType
+from plate_core.rig import PartType, to_home
 
 from .. import _kernels
 from ..camera.lens import Calibration
+from .background import Background
 from .catalogue import Catalogue, Template, lay_on
-from .heights import footprint, magnified
+from .heights import footprint, magnified, seen_shift
+from .holes import Look
 from .outlines import POINTS, THREE, Outline, make_outline, patch_rings
 from .patch import Patch
+from .shadows import SHORTEST_PX, Lamp
 
 UNKNOWN = "unknown"
 """The label of a patch that is like no type."""
@@ -77,6 +81,18 @@ HOPELESS = 12.0
 """A type whose size and colour alone give so much more than the best score is not tried: its
 likelihood is 0.2 % of the other's."""
 
+FILLED_COLOUR = 0.5
+"""Weight of the colour of a part whose hole is seen, but not in its outline."""
+
+CLEAN = 1.5
+"""Score below which a type with holes is not tried without them."""
+
+FEWEST_NAMED = 3
+"""Parts of known types by which the length of shadows, and how much outlines swell, is measured."""
+
+LEAST_SWELL_PX, MOST_SWELL_PX = 0.3, 1.5
+"""Swelling of most outlines that is taken into account, at least and at most [px]."""
+
 SIGHTING = np.dtype(
     [
         ("x_px", "f8"),
@@ -92,6 +108,7 @@ SIGHTING = np.dtype(
         ("fit_px", "f8"),
         ("swell_px", "f8"),
         ("colour", "f8"),
+        ("place_sd", "f8"),
     ]
 )
 """One part: its centre and the radius of the disc of the same area [px]; type, `UNKNOWN` or
@@ -105,11 +122,34 @@ def is_named(seen: np.ndarray) -> np.ndarray:
     return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
 
 
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """How the parts of an image are seen.
+
+    Attributes
+    ----------
+    lamp : Lamp, optional
+        The one that casts all shadows: patches have them, see `segment`.
+    background : Background, optional
+        The bare plate: what is seen through holes that an outline lacks is compared with it.
+    swell_px : float
+        How much larger outlines of parts are than the parts [px]: by blur, soft shadows, light.
+    settled : bool
+        Whether lamp and swelling were measured by parts of known types.
+    """
+
+    lamp: Lamp | None = None
+    background: Background | None = None
+    swell_px: float = 0.0
+    settled: bool = False
+
+
 def recognise(
     image: np.ndarray,
     patches: Sequence[Patch],
     catalogue: Catalogue,
     calibration: Calibration,
+    conditions: Conditions | None = None,
 ) -> np.ndarray:
     """Say of patches which type of part they are.
 
@@ -122,48 +162,97 @@ def recognise(
         Of the types.
     calibration : Calibration
         Between the image and plate_home, where the types' outlines are.
+    conditions : Conditions, optional
+        How parts are seen; None: nothing is known.
 
     Returns
     -------
     (n,) SIGHTING
     """
+    return recognise_under(image, patches, catalogue, calibration, conditions or Conditions())[0]
+
+
+def recognise_under(
+    image: np.ndarray,
+    patches: Sequence[Patch],
+    catalogue: Catalogue,
+    calibration: Calibration,
+    conditions: Conditions,
+) -> tuple[np.ndarray, Conditions]:
+    """As `recognise`; returns the conditions, too, as the parts show them.
+
+    If most parts of known types are swollen, or their shadows have another length than was
+    measured without types, all are compared once more.
+    """
     outlines, colours = measure_patches(image, patches, calibration)
+    found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
+    if conditions.settled or not len(found):
+        return found, conditions
+    settled = _settled(conditions, found, outlines, catalogue, calibration)
+    if settled.lamp is not conditions.lamp or settled.swell_px:
+        found = _compared(image, patches, outlines, colours, catalogue, calibration, settled)
+    return found, settled
+
+
+def _compared(
+    image: np.ndarray,
+    patches: Sequence[Patch],
+    outlines: list[Outline],
+    colours: np.ndarray,
+    catalogue: Catalogue,
+    calibration: Calibration,
+    conditions: Conditions,
+) -> np.ndarray:
+    """Return the sightings (n,) SIGHTING of patches with these outlines and colours (n, 3)."""
+    lamp, background, swell = conditions.lamp, conditions.background, conditions.swell_px
     found = np.zeros(len(outlines), SIGHTING)
     if not len(outlines):
         return found
     found["whole"] = [patch.whole for patch in patches]
     found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
     levels, which, usual = height_levels(catalogue, calibration)
-    on_plate = [outlines if h == 0 else footprints(outlines, calibration, h) for h in levels]
+    on_plate = [footprints(outlines, calibration, h, lamp) for h in levels]
     centre = np.array([outline.centre for outline in on_plate[usual]])
     scale = calibration.scale(centre)
     area = np.array([outline.area for outline in on_plate[usual]])
     found["x"], found["y"] = centre.T
     found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
+    look = None
+    if background is not None and background.learned:
+        look = Look(image, background, calibration)
     if catalogue.templates:
         reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
         fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
         size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
         filled = np.array([[one.filled.area for one in own] for own in on_plate])[which].T
-        swell_px = scale[:, None] * np.abs(filled - catalogue.filled_area) / catalogue.rim
-        ratio = np.log(np.maximum(filled, 1e-12) / catalogue.filled_area) / 2
+        own_area = catalogue.filled_area + swell / scale[:, None] * catalogue.rim
+        swell_px = scale[:, None] * np.abs(filled - own_area) / catalogue.rim
+        ratio = np.log(np.maximum(filled, 1e-12) / own_area) / 2
         other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
         form = np.array([[one.form for one in own] for own in on_plate])[which].swapaxes(0, 1)
         other |= np.sum((form - catalogue.form) ** 2, axis=2) > UNLIKE**2
         tints = [
-            colours if h == 0 else top_colours(image, own, calibration, h, colours)
+            colours if h == 0 and lamp is None else top_colours(image, own, calibration, h, colours)
             for h, own in zip(levels, on_plate, strict=True)
         ]
         tint = np.array(tints)[which].swapaxes(0, 1)
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
-        least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
+        # A hole that is filled by blur or shadow is in the colour of what is around it.
+        holed = np.array([bool(one.part.holes) for one in catalogue.templates])
+        weight = np.where(holed & (look is not None), FILLED_COLOUR, 1.0)
+        least = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
         least[other] = np.inf
         for i in range(len(outlines)):
             seen = [own[i] for own in on_plate]
             own_outlines = [seen[level] for level in which]
             _judge_one(
-                found[i], own_outlines, catalogue, scale[i], least[i], fit[i], size[i], tint[i]
-            )
+                found[i], own_outlines, catalogue, scale[i], least[i], fit[i], size[i], tint[i],
+                look, swell,
+            )  # fmt: skip
+    if lamp is not None:
+        # Half of a shadow's error is the part's: of its length, and of where its edge is.
+        error_px = np.hypot(lamp.scatter_px, max(swell, LEAST_SWELL_PX))
+        found["place_sd"] = 0.5 * error_px / scale
     fitted = np.column_stack([found["x"], found["y"]])
     found["x_px"], found["y_px"] = calibration.to_image(fitted).T
     return found
@@ -182,16 +271,21 @@ def height_levels(
 
 
 def footprints(
-    outlines: Sequence[Outline], calibration: Calibration, height: float
+    outlines: Sequence[Outline], calibration: Calibration, height: float, lamp: Lamp | None = None
 ) -> list[Outline]:
-    """Return where parts of a height [m] touch the plate, of which all that is seen has these
-    outlines; those of what is not so high as they are."""
-    if calibration.place is None:
+    """Return where parts of a height [m] touch the plate, of which all that is seen, with the
+    shadows of a lamp, has these outlines; those of what is not so high as they are."""
+    if height == 0 and lamp is None:
         return list(outlines)
-    scale = calibration.scale(np.array([outline.centre for outline in outlines]).reshape(-1, 2))
+    centre = np.array([outline.centre for outline in outlines]).reshape(-1, 2)
+    scale = calibration.scale(centre)
+    shadows: list[np.ndarray | None] = [None] * len(outlines)
+    if lamp is not None:
+        ends = calibration.to_home(calibration.to_image(centre) + lamp.shift_px)
+        shadows = list(ends - centre)
     return [
-        footprint(one, calibration.place, height, float(own)) or one
-        for one, own in zip(outlines, scale, strict=True)
+        footprint(one, calibration.place, height, float(own), shadow) or one
+        for one, own, shadow in zip(outlines, scale, shadows, strict=True)
     ]
 
 
@@ -270,32 +364,43 @@ def _judge_one(
     fit_square: np.ndarray,
     size_square: np.ndarray,
     tint: np.ndarray,
+    look: Look | None,
+    swell: float,
 ) -> None:
     """Fill in a sighting () SIGHTING. Of each type (T,): the outline if it is as high as that; its
-    least score; variances of outline and size [px2]; how far its colour is."""
-    best, second, chosen, kept = np.inf, np.inf, 0, np.empty(0)
+    least score; variances of outline and size [px2]; how far its colour is. Outlines are swollen
+    by `swell` [px]."""
+    best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
     laid, points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(least).tolist():
         most = min(LIMIT**2, best + HOPELESS)
         if least[j] > most:
             break
-        template, seen, holes = catalogue.templates[j], outlines[j], 0.0
-        outline = seen
-        if bool(template.part.holes) != (len(outline.ends) > 1):
-            holes = max(outline.hole_share, template.outline.hole_share) / HOLES
-            template, seen = template.filled, outline.filled
-        fit = lay_on(template, seen, scale, ASTRAY * np.sqrt(most * fit_square[j]) / scale)
-        score = (
-            (scale * fit[4]) ** 2 / fit_square[j]
-            + (scale * fit[3]) ** 2 / size_square[j]
-            + (tint[j] / COLOUR_LAB) ** 2
-            + holes**2
-        )
-        if score < best:
-            best, second, chosen, kept = score, best, j, fit
-            laid, points = template, seen.points
-        else:
-            second = min(second, score)
+        outline = outlines[j]
+        for template, seen, holes in _ways_to_lay(catalogue.templates[j], outline, look):
+            hopeless = ASTRAY * np.sqrt(most * fit_square[j]) / scale
+            fit = lay_on(template, seen, scale, hopeless)
+            score = (scale * fit[4]) ** 2 / fit_square[j] + (
+                scale * fit[3] - swell
+            ) ** 2 / size_square[j]
+            weight = 1.0
+            if holes is None:
+                share = max(outline.hole_share, catalogue.templates[j].outline.hole_share)
+                holes = share / HOLES
+                if look is not None and score < min(LIMIT**2, best):
+                    penalty = look.penalty(catalogue.templates[j], fit)
+                    if penalty is not None:
+                        holes, weight = min(penalty, holes), FILLED_COLOUR
+            score += (weight * tint[j] / COLOUR_LAB) ** 2 + holes**2
+            if score < best:
+                if chosen != j:
+                    second = best
+                best, chosen, kept = score, j, fit
+                laid, points = template, seen.points
+            elif chosen != j:
+                second = min(second, score)
+            if score < CLEAN:
+                break
     if best > LIMIT**2:
         return
     over = catalogue.templates[chosen].mirrored
@@ -313,6 +418,81 @@ def _judge_one(
     row["fit_px"], row["swell_px"] = scale * kept[4], scale * kept[3]
     row["colour"] = tint[chosen]
     row["confidence"] = (1 - best / LIMIT**2) * (1 - np.exp(-0.5 * (second - best)))
+
+
+def _ways_to_lay(
+    template: Template, outline: Outline, look: Look | None
+) -> list[tuple[Template, Outline, float | None]]:
+    """Return how a type may be laid onto an outline: template, outline, and the penalty of holes in
+    standard deviations, None if that depends on what is seen in them."""
+    own, seen = bool(template.part.holes), len(outline.ends) > 1
+    plain = template, outline, 0.0
+    filled = template.filled, outline.filled, None
+    if own and seen and look is not None:
+        return [plain, filled]  # of a hole that is half in a shadow the rest is seen
+    return [plain] if own == seen else [filled]
+
+
+def _settled(
+    conditions: Conditions,
+    found: np.ndarray,
+    outlines: Sequence[Outline],
+    catalogue: Catalogue,
+    calibration: Calibration,
+) -> Conditions:
+    """Return the conditions as parts of known types (n,) SIGHTING show them."""
+    named = np.flatnonzero(is_named(found) & found["whole"])
+    if len(named) < FEWEST_NAMED:
+        return replace(conditions, settled=True)
+    swell = float(np.median(found["swell_px"][named]))
+    if abs(swell) < LEAST_SWELL_PX:
+        swell = 0.0
+    lamp = conditions.lamp
+    if lamp is not None:
+        lamp = _measured(lamp, found, named, outlines, catalogue, calibration)
+    return replace(
+        conditions, lamp=lamp, settled=True, swell_px=min(max(swell, -MOST_SWELL_PX), MOST_SWELL_PX)
+    )
+
+
+def _measured(
+    lamp: Lamp,
+    found: np.ndarray,
+    named: np.ndarray,
+    outlines: Sequence[Outline],
+    catalogue: Catalogue,
+    calibration: Calibration,
+) -> Lamp:
+    """Return a lamp with the length that shadows have by the sizes of the parts `named` (m,) of
+    sightings (n,) SIGHTING, and of all that is seen of them and their shadows.
+
+    Blur swells outlines on all sides: it is measured across the shadows.
+    """
+    numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
+    centre = np.column_stack([found["x"], found["y"]])[named]
+    scale = calibration.scale(centre)
+    way = calibration.to_home(calibration.to_image(centre) + lamp.shift_px) - centre
+    lengths = []
+    for i, shadow in zip(named.tolist(), way, strict=True):
+        u = shadow / np.hypot(*shadow)
+        axes = np.array([[u[0], -u[1]], [u[1], u[0]]])
+        part = catalogue.templates[numbers[found["label"][i]]].part
+        base = to_home(np.array([found["x"][i], found["y"][i], found["angle"][i]]), part.polygon)
+        top = base
+        if calibration.place is not None:
+            top = base + seen_shift(calibration.place, base, part.height_m)
+        seen, body = np.ptp(outlines[i].rings[0] @ axes, axis=0), np.vstack([base, top]) @ axes
+        swell = seen[1] - np.ptp(body[:, 1])
+        end = np.min(body[:, 0]) + seen[0] - swell
+        if end > np.max(body[:, 0]):  # else the part hides its shadow
+            lengths.append(end - np.max((base @ axes)[:, 0]))
+    if len(lengths) < FEWEST_NAMED:
+        return lamp
+    length_px = np.array(lengths) * float(np.median(scale))
+    usual = max(float(np.median(length_px)), SHORTEST_PX)
+    spread = float(np.median(np.abs(length_px - usual)))
+    unit = lamp.shift_px / np.hypot(*lamp.shift_px)
+    return replace(lamp, shift_px=usual * unit, scatter_px=1.5 * spread)
 
 
 def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, scale: float) -> None:

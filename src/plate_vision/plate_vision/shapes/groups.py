@@ -29,6 +29,7 @@ from .classes import (
     LIMIT,
     SIGHTING,
     UNKNOWN,
+    Conditions,
     angle_sd,
     colour_distance,
     footprints,
@@ -43,6 +44,7 @@ from .grouping import Work
 from .heights import seen_shift
 from .outlines import Outline, fit_pose
 from .patch import Patch
+from .shadows import Lamp
 
 NEAR_PX: float = _kernels.NEAR_PX
 """How near the group's rim is to a part's where it is the same [px]."""
@@ -175,6 +177,7 @@ def explain_groups(
     seen: np.ndarray,
     catalogue: Catalogue,
     calibration: Calibration,
+    conditions: Conditions | None = None,
 ) -> np.ndarray:
     """Return sightings (n,) SIGHTING in which groups, and what is of no type, are replaced by parts
     of taught types where these explain them.
@@ -185,7 +188,7 @@ def explain_groups(
     patches : sequence of Patch
     seen : (m,) SIGHTING
         One for each patch.
-    catalogue, calibration
+    catalogue, calibration, conditions
         As for `recognise`.
     """
     # Of what is cut off too little is seen; it may be the plate's edge.
@@ -203,11 +206,11 @@ def explain_groups(
         own = members[~settled[members]]
         for chosen in (members, own) if len(own) < len(members) else (members,):
             union = _union([patches[i] for i in chosen])
-            one = recognise(image, [union], catalogue, calibration)
+            one = recognise(image, [union], catalogue, calibration, conditions)
             if len(chosen) > 1 and one["label"][0] != GROUP:
                 parts = one
             else:
-                parts = _parts(image, union, one, catalogue, calibration, tries)
+                parts = _parts(image, union, one, catalogue, calibration, tries, conditions)
             if len(parts):
                 kept[chosen] = False
                 added.append(parts)
@@ -264,6 +267,7 @@ def _parts(
     catalogue: Catalogue,
     calibration: Calibration,
     tries: Work,
+    conditions: Conditions | None,
 ) -> np.ndarray:
     """Return the sightings (n,) SIGHTING of the parts of a group; none if it is not explained.
     `one` (1,) is the sighting of all of it."""
@@ -277,9 +281,10 @@ def _parts(
     turn = np.column_stack([right - origin, up - origin]) * scale
     to_px = np.column_stack([turn, origin - corner - turn @ place[0]])
     view = View(mask, image[here], to_px, scale, outlines[0])
+    lamp = None if conditions is None else conditions.lamp
     levels, _, usual = height_levels(catalogue, calibration)
-    if levels[usual]:
-        view = _on_plate(view, calibration, levels[usual])
+    if levels[usual] or lamp is not None:
+        view = _on_plate(view, calibration, levels[usual], lamp)
     most = LARGER * float(np.max(catalogue.filled_area))
     doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
     found = take_apart(_coarser(view, catalogue), catalogue, doubtful, tries)
@@ -301,21 +306,23 @@ def _parts(
     return np.concatenate([parts, recognise(image, rest, catalogue, calibration)])
 
 
-def _on_plate(view: View, calibration: Calibration, height: float) -> View:
+def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | None) -> View:
     """Return a view of where a group of parts of a height [m] touches the plate: its top is moved
     there."""
-    (outline,) = footprints([view.outline], calibration, height)
+    (outline,) = footprints([view.outline], calibration, height, lamp)
     mask = np.zeros_like(view.mask)
     for number, ring in enumerate(outline.rings):
         points = view.seen(np.zeros(3), ring)
         cv2.fillPoly(mask, [np.rint(16 * points).astype(np.int32)], not number, shift=4)
-    assert calibration.place is not None  # else all heights are 0
+    view = replace(view, mask=mask & view.mask, outline=outline)
+    if calibration.place is None or height == 0:
+        return view
     shift = seen_shift(calibration.place, outline.centre[None], height)[0] @ view.to_px[:, :2].T
     pixels = cv2.warpAffine(
         view.pixels, np.column_stack([np.eye(2), -shift]), mask.shape[::-1],
         borderMode=cv2.BORDER_REPLICATE,
     )  # fmt: skip
-    return replace(view, mask=mask & view.mask, pixels=pixels, outline=outline)
+    return replace(view, pixels=pixels)
 
 
 def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Patch]:

@@ -5,6 +5,9 @@ further out: at c + (p - c) H / (H - z). So a part whose footprint is F covers a
 to k = H / (H - height), seen from c: its top, and the side faces that are turned to the camera.
 Where t p is covered for each such t, p belongs to the footprint. Of a convex part this is exact;
 narrow notches and holes are filled up to as much as the top is shifted.
+
+The same holds for a part and the shadow that one lamp casts on the plate: together they cover the
+footprint wherever it is shifted along the shadow.
 """
 
 from __future__ import annotations
@@ -51,42 +54,59 @@ def seen_shift(place: np.ndarray, point: np.ndarray, height: float) -> np.ndarra
     return np.asarray((point - place[:2]) * (magnified(place, height) - 1))
 
 
-def footprint(outline: Outline, place: np.ndarray, height: float, scale: float) -> Outline | None:
+def footprint(
+    outline: Outline,
+    place: np.ndarray | None,
+    height: float,
+    scale: float,
+    shadow: np.ndarray | None = None,
+) -> Outline | None:
     """Return the outline on the plate of a part that is seen.
 
     Parameters
     ----------
     outline : Outline
-        All that is seen of it, mapped to the plate.
-    place : (3,)
-        Of the camera [m, plate_home].
+        All that is seen of it, and of its shadow, mapped to the plate.
+    place : (3,), optional
+        Of the camera [m, plate_home]; None: it is not known.
     height : float
         Of the part [m].
     scale : float
         Of the image at the part [px/m].
+    shadow : (2,), optional
+        From the part to the end of its shadow [m]; None if it casts none.
 
     Returns
     -------
     Outline or None
-        None if it is not as high.
+        None if it is not as high, or its shadow not as long.
     """
-    factor, below = magnified(place, height), place[:2]
-    shift_px = scale * float(np.max(np.hypot(*(outline.points - below).T))) * (factor - 1)
-    if shift_px < LEAST_SHIFT_PX:
-        return outline
-    steps = int(min(np.ceil(shift_px / STEP_PX) + 1, MOST_STEPS))
-    # The footprint is nearer to the camera than what is seen of the part.
     rings = outline.rings
-    inner = [below + (ring - below) / factor for ring in rings[:1]] + rings[:1]
-    low = np.min(np.concatenate(inner), axis=0) - MARGIN_PX / scale
-    size = np.ceil((np.max(np.concatenate(inner), axis=0) - low) * scale + MARGIN_PX).astype(int)
+    seen = [rings]
+    if place is not None and height > 0:
+        factor, below = magnified(place, height), place[:2]
+        shift_px = scale * float(np.max(np.hypot(*(outline.points - below).T))) * (factor - 1)
+        seen += [
+            [below + (ring - below) * t for ring in rings]
+            for t in np.linspace(1, 1 / factor, _steps(shift_px))[1:]
+        ]
+    if shadow is not None:
+        shift_px = scale * float(np.hypot(*shadow))
+        seen += [
+            [ring - t * shadow for ring in rings] for t in np.linspace(0, 1, _steps(shift_px))[1:]
+        ]
+    if len(seen) == 1:
+        return outline
+    low = np.min([one[0].min(axis=0) for one in seen], axis=0) - MARGIN_PX / scale
+    high = np.max([one[0].max(axis=0) for one in seen], axis=0)
+    size = np.ceil((high - low) * scale + MARGIN_PX).astype(int)
     fine = np.zeros(FINE * size[::-1], np.uint8)
     both = np.full_like(fine, 255)
-    for t in np.linspace(1, 1 / factor, steps):
+    for one in seen:
         fine[:] = 0
-        for number, ring in enumerate(rings):
+        for number, ring in enumerate(one):
             # The middles of the first sub-pixel and pixel are 0.
-            point = (below + (ring - below) * t - low) * scale
+            point = (ring - low) * scale
             point = np.rint(16 * (FINE * (point + 0.5) - 0.5)).astype(np.int32)
             cv2.fillPoly(fine, [point], 0 if number else 255, shift=4)
         cv2.bitwise_and(both, fine, both)
@@ -96,6 +116,13 @@ def footprint(outline: Outline, place: np.ndarray, height: float, scale: float) 
     if not found:
         return None
     return make_outline([low + ring / scale for ring in found])
+
+
+def _steps(shift_px: float) -> int:
+    """Return how many places are looked at along a shift [px]: one if it is too small."""
+    if shift_px < LEAST_SHIFT_PX:
+        return 1
+    return int(min(np.ceil(shift_px / STEP_PX) + 1, MOST_STEPS))
 
 
 def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:

@@ -47,6 +47,16 @@ PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
 """Terms of the surfaces in each pass of the fit, and deviation of the pixels that count [L]: 0 is
 the limit of the plate's noise. The first two bridge a light that falls from one side."""
 
+STEADY, STEADY_LIMIT = 0.6, 0.6
+"""Fraction of the plate that looks as in the last light, from which on no other light is sought: no
+other can be that of more. So do pixels with less than this fraction of the deviation that the
+plate's noise has at most: else the light has changed a little, and half of the noise is cut off."""
+
+EVEN = np.zeros((6, 3), np.float32)
+"""Surfaces of a light that is that of the background."""
+EVEN[0, 0] = 1
+EVEN.setflags(write=False)
+
 RIDGE = 0.002
 """Weight of a surface that is even, relative to that of all pixels: where pixels of the plate are
 seen in one corner only."""
@@ -149,7 +159,12 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     weight = np.ones(len(rows))
     if before is not None and len(before.shown) == len(rows):  # else the plate has moved
         weight[~before.shown] = COVERED_WEIGHT
-    usual = 0.0 if before is None else float(np.log(max(before.surface[0, 0], 1e-3)))
+    last = EVEN[:, : seen.shape[1]] if before is None else before.surface
+    colours = seen - origin, known - origin, origin
+    near = _away(*colours, lit.chroma, design, last) <= STEADY_LIMIT * limit
+    if np.mean(near) >= STEADY:
+        return Light(*_fitted(*colours, limit, lit.chroma, design, last, PASSES[-2:]))
+    usual = float(np.log(max(last[0, 0], 1e-3)))
     ratio = np.log(np.maximum(seen[:, 0] - origin[0], 1) / np.maximum(known[:, 0] - origin[0], 1))
     found = []
     modes = _modes(ratio, weight, seen.shape[1])
@@ -158,13 +173,12 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
         # Parts nearly as bright as the plate are kept out of its fit.
         gap = min((abs(mode - other) for other in modes if other != mode), default=np.inf)
         surface, kept = _fitted(
-            seen - origin,
-            known - origin,
-            origin,
+            *colours,
             limit,
             lit.chroma,
             design,
-            (float(np.exp(mode)), 0.5 * gap * level),
+            float(np.exp(mode)) * EVEN[:, : seen.shape[1]],
+            tuple((terms, min(near, 0.5 * gap * level)) for terms, near in PASSES),
         )
         value = float(np.sum(weight[kept])) * np.exp(-abs(mode - usual))
         found.append((value, surface, kept))
@@ -224,22 +238,20 @@ def _fitted(
     limit: np.ndarray,
     chroma: float,
     design: np.ndarray,
-    start: tuple[float, float],
+    start: np.ndarray,
+    passes: tuple[tuple[int, float], ...],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the surfaces (6, C) by which known colours (K, C) become those that are seen (K, C),
-    both less their `origin` (C,); and which pixels (K,) agree. They begin with a factor, and with
-    pixels that are no further from it than a deviation [L]: `start`."""
+    both less their `origin` (C,); and which pixels (K,) agree. They begin with `start` (6, C);
+    `passes` are as `PASSES`."""
     channels = seen.shape[1]
-    surface = np.zeros((6, channels), np.float32)
-    surface[0, 0], most = start
+    surface = start.copy()
     mean = max(float(np.mean(known[:, 0])), 1.0)
     steep = design * (known[:, :1] / mean)
     ridge = RIDGE * len(seen) * np.diag([0.0, 1, 1, 1, 1, 1])
     kept = np.ones(len(seen), bool)
-    for terms, near in PASSES:
-        kept = _away(seen, known, origin, chroma, design, surface) <= np.maximum(
-            limit, min(near, most)
-        )
+    for terms, near in passes:
+        kept = _away(seen, known, origin, chroma, design, surface) <= np.maximum(limit, near)
         if np.count_nonzero(kept) < 2 * design.shape[1]:
             return surface, np.zeros(len(seen), bool)
         part = steep[kept][:, :terms]

@@ -18,7 +18,7 @@ from ..plate.region import Region
 from .background import Background, colours_like, deviation
 from .grouping import Piece, pieces_of
 from .patch import HALF, Patch
-from .shadows import take_out_shadows
+from .shadows import Lamp, find_lamp, find_sides, take_out_shadows
 
 LEAST_AREA_PX2: float = _kernels.LEAST_AREA_PX2
 """Smallest part: a disc of 3 px radius."""
@@ -89,9 +89,20 @@ def find_patches(
     ImageError
         If the image has another shape than the background.
     """
+    return segment(image, background, region, lamps=False)[0]
+
+
+def segment(
+    image: np.ndarray, background: Background, region: Region | None = None, lamps: bool = True
+) -> tuple[list[Patch], Lamp | None]:
+    """Find what lies on the background, as `find_patches`, and the lamp that casts all shadows.
+
+    If there is one, patches are parts together with their shadows. Else, or if `lamps` is False,
+    shadows are taken out as far as they are told from parts.
+    """
     lab = colours_like(image, background)
     if min(lab.shape[:2]) < LEAST_SIDE_PX:
-        return []
+        return [], None
     limit = background.limit
     away = deviation(lab, background.lab, background.chroma)
     seen = cv2.compare(away, limit, cv2.CMP_GT)
@@ -99,20 +110,27 @@ def find_patches(
         seen[~region.usable] = 0
     away = cv2.bitwise_and(away, seen)
     count, labels = cv2.connectedComponents(seen)
-    take_out_shadows(lab, background.lab, background.chroma, limit, away, labels, count)
+    sides = find_sides(lab, background.lab, background.chroma, limit, labels, count)
+    lamp = find_lamp(sides, away, labels) if lamps else None
+    if lamp is None:
+        take_out_shadows(sides, away, labels, background.learned)
     light = cv2.extractChannel(lab, 0)
     brighter = cv2.compare(light, cv2.extractChannel(background.lab, 0), cv2.CMP_GT)
     cover = _cover(away, brighter, limit, labels, count)
+    if lamp is not None:
+        shade = np.minimum(away * np.float32(1 / lamp.level), np.float32(1))
+        np.maximum(cover, shade, out=cover, where=sides.lit)
     mask = _bridged(cover, away, light)
     noise = float(np.median(limit[::NOISE_STEP, ::NOISE_STEP]))
     patches = _patches(mask, cover, away, lab, noise, region)
     usual = _usual_area(patches)
-    return [
+    kept = [
         patch
         for patch in patches
         if patch.area_px2 >= DUST * usual
         and not (patch.area_px2 < REMNANT * usual and _of_shadow(patch, seen, away))
     ]
+    return kept, lamp
 
 
 def _cover(

@@ -6,6 +6,9 @@ is softer. So each patch is parted in a light and a dark side, and the light one
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -26,6 +29,10 @@ DEPTHS = 0.4
 
 SHARP_PERCENT = 25
 """Of the patches so many have edges that are called sharp."""
+
+CLEAR_EDGE, WIDE_PERCENT = 0.5, 80
+"""Deviation of patches with clear edges, relative to the upper quartile of all; per cent of the
+edges of parts that are no wider than the width of an image's edges."""
 
 LIGHTER: float = _kernels.LIGHTER
 """Deviation of a shadow, relative to that of the part that casts it, at most."""
@@ -50,16 +57,75 @@ LEAST_AREA_PX2 = 30
 """Least patch of which the edges are looked at."""
 
 
-def take_out_shadows(
+LEAST_CAST = (0.06, 0.75)
+"""Fraction of a patch that a shadow takes, at least and at most, if its length is measured."""
+
+LEAST_PART = 0.2
+"""Fraction of it that the part takes, at least, of what is no shadow by its colour."""
+
+ONE_LAMP = 0.85
+"""Length of the mean of unit vectors to the shadows, from which on one lamp casts them all."""
+
+SPREAD = 0.35
+"""Largest spread of the shadows' lengths, relative to the usual one: median deviation."""
+
+SHORTEST_PX = 1.0
+"""Shortest shadow that is taken off as such [px]."""
+
+
+class Sides(NamedTuple):
+    """Where patches are like a darker background: see `ShadowEdges` in shadows.hpp.
+
+    Attributes
+    ----------
+    like, lit : (H, W) bool
+        Pixels whose chroma is the background's, and which are darker; those of them that are not
+        too dark for a shadow.
+    slope : (H, W) float32
+        Slope of the light [L/px].
+    steepest, largest : (count,) float32
+        Of each patch the steepest slope [L/px], and the largest deviation where it is darker [L].
+    total, balance : (count,) int64
+        Its pixels; how many more of them are brighter than like a darker background.
+    """
+
+    like: np.ndarray
+    lit: np.ndarray
+    slope: np.ndarray
+    steepest: np.ndarray
+    largest: np.ndarray
+    total: np.ndarray
+    balance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """The one lamp that casts the shadows of an image.
+
+    Attributes
+    ----------
+    level : float
+        Deviation of a shadow from the background [L].
+    shift_px : (2,)
+        From a part to the end of its shadow [px].
+    scatter_px : float
+        Standard deviation of the length from patch to patch [px].
+    """
+
+    level: float
+    shift_px: np.ndarray
+    scatter_px: float
+
+
+def find_sides(
     lab: np.ndarray,
     bare: np.ndarray,
     chroma: float,
     limit: np.ndarray,
-    away: np.ndarray,
     labels: np.ndarray,
     count: int,
-) -> None:
-    """Set to 0 where the deviation of an image from the background is that of a shadow.
+) -> Sides:
+    """Find where patches are like a darker background.
 
     Parameters
     ----------
@@ -67,8 +133,8 @@ def take_out_shadows(
         Colours of the image and of the background.
     chroma : float
         Weight of a and b beside L.
-    limit, away : (H, W) uint8
-        Deviation up to which a pixel shows the background; that of each pixel, 0 up to there.
+    limit : (H, W) uint8
+        Deviation up to which a pixel shows the background.
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     count : int
@@ -81,12 +147,104 @@ def take_out_shadows(
     _kernels.find_shadow_edges(
         lab, bare, chroma, limit, labels, like, lit, slope, steepest, largest, total, balance
     )
+    return Sides(like, lit, slope, steepest, largest, total, balance)
+
+
+def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None:
+    """Find the one lamp of an image, if one casts shadows on the same side of most parts.
+
+    A shadow ends as far from its part as the part and its shadow reach further than the part, in
+    the direction of the shadow. It is measured where the part has another colour, or is darker.
+
+    Parameters
+    ----------
+    sides : Sides
+    away : (H, W) uint8
+        Deviation of each pixel from the background, 0 where it shows it [L].
+    labels : (H, W) int32
+        Number of the patch of each pixel, 0 outside.
+    """
+    count = len(sides.total)
+    cast = cv2.morphologyEx(sides.lit.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    places = cv2.findNonZero((away > 0).view(np.uint8))
+    if places is None:
+        return None
+    columns, rows = places.reshape(-1, 2).T
+    patch, shaded = labels[rows, columns], cast[rows, columns] > 0
+    own = ~sides.lit[rows, columns]
+    grey = np.bincount(patch[own], minlength=count) < LEAST_PART * sides.total
+    # Of a part as grey as a shadow the darker side is the part.
+    bound = np.empty(count, np.float32)
+    _kernels.part_sides(
+        away, sides.lit, sides.slope, sides.steepest, labels, bound, *np.empty((2, count), "f4")
+    )
+    darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
+    own |= darker
+    shaded &= ~darker
+    shade, body = (
+        np.bincount(patch[shaded], minlength=count),
+        np.bincount(patch[own], minlength=count),
+    )
+    large = sides.total >= LEAST_AREA_PX2
+    large[0] = False
+    fraction = shade / np.maximum(sides.total, 1)
+    clear = large & (fraction > LEAST_CAST[0]) & (fraction < LEAST_CAST[1])
+    clear &= body > LEAST_PART * sides.total
+    if np.count_nonzero(clear) < max(FEWEST, AGREE * np.count_nonzero(large)):
+        return None
+    at = np.stack([columns, rows]).astype(float)
+    middles = [
+        np.stack([np.bincount(patch[which], line[which], count) for line in at], axis=1)
+        / np.maximum(number, 1)[:, None]
+        for which, number in ((shaded, shade), (own, body))
+    ]
+    way = (middles[0] - middles[1])[clear]
+    way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+    mean = np.mean(way, axis=0)
+    if np.hypot(*mean) < ONE_LAMP:
+        return None
+    unit = mean / np.hypot(*mean)
+    along = unit @ at
+    level = float(np.median(away[rows, columns][shaded]))
+    reach, part = np.full((2, count), -np.inf)
+    dark = own | (away[rows, columns] > 0.5 * level)
+    np.maximum.at(reach, patch[dark], along[dark])
+    np.maximum.at(part, patch[own], along[own])
+    length = reach[clear] - part[clear]
+    usual = float(np.median(length))
+    spread = float(np.median(np.abs(length - usual)))
+    if usual < SHORTEST_PX or spread > SPREAD * usual:
+        return None
+    return Lamp(level, usual * unit, 1.5 * spread)
+
+
+def take_out_shadows(
+    sides: Sides, away: np.ndarray, labels: np.ndarray, plate_known: bool = False
+) -> None:
+    """Set to 0 where the deviation of an image from the background is that of a shadow.
+
+    Parameters
+    ----------
+    sides : Sides
+        Where patches are like a darker background.
+    away : (H, W) uint8
+        Deviation of each pixel from the background, 0 where it shows it [L].
+    labels : (H, W) int32
+        Number of the patch of each pixel, 0 outside.
+    plate_known : bool
+        Whether the background was learned: then what is neither like a darker plate nor faint is a
+        part, and has edges as wide as parts have in this image.
+    """
+    like, lit, slope, steepest, largest, total, balance = sides
+    count = len(total)
     _clear_bright(away, like, labels, (balance > 0) & (total >= LEAST_AREA_PX2))
     width = largest / np.maximum(steepest, 1)
     large = np.flatnonzero((total >= LEAST_AREA_PX2) & (steepest > 0))
     if not len(large):
         return
     sharp = float(np.percentile(width[large], SHARP_PERCENT))
+    if plate_known:
+        sharp = max(sharp, _part_width(width, largest, total, balance, large))
     bound, light, dark = np.empty((3, count), np.float32)
     _kernels.part_sides(away, lit, slope, steepest, labels, bound, light, dark)
     if np.any(bound > 0):
@@ -102,6 +260,27 @@ def take_out_shadows(
     alone = (width > min(ALONE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
     if np.any(alone[large]):
         away[alone[labels]] = 0
+
+
+def _part_width(
+    width: np.ndarray,
+    largest: np.ndarray,
+    total: np.ndarray,
+    balance: np.ndarray,
+    large: np.ndarray,
+) -> float:
+    """Return the width of parts' edges [px] from those of patches (count,), of which `large` (n,)
+    are looked at.
+
+    An image may be out of focus, or moved in one direction: edges across that are as wide as they
+    get. Slivers and faint patches do not count.
+    """
+    usual = np.sort(largest[large])[3 * len(large) // 4]
+    clear = large[largest[large] >= CLEAR_EDGE * usual]
+    parts = clear[balance[clear] >= -MOSTLY * total[clear]]
+    if len(parts) >= FEWEST:
+        return float(np.sort(width[parts])[WIDE_PERCENT * len(parts) // 100])
+    return float(np.sort(width[clear])[len(clear) // 2])
 
 
 def _clear_bright(

@@ -1,0 +1,89 @@
+"""Holes of parts that cannot be told by their outline: light falls short in them, or a shadow fills
+them.
+
+Where a type that is laid onto a patch has a hole, the image there must look like the plate with
+less light: no brighter, and of its chroma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from plate_core.rig import to_home
+
+from .. import _kernels
+from ..camera.lens import Calibration
+from .background import Background, compared
+from .catalogue import Template
+from .heights import magnified
+
+DARKEST = 0.4
+"""Darkest hole, relative to the plate [L + 41]."""
+
+CHROMA_LIMIT = 1.5
+"""Deviation of a hole's chroma from the plate's, relative to that of the plate's noise, at most."""
+
+SEEN, UNSEEN = 0.3, 2.0
+"""Penalties of a hole that is missing in the outline, in standard deviations: if it looks like the
+plate, and unlike the part; if it looks like both."""
+
+SPARSE = 16
+"""Rows and columns of which one is looked at for the usual noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """An image, and the bare plate as it is in it."""
+
+    image: np.ndarray
+    background: Background
+    calibration: Calibration
+
+    @cached_property
+    def _limit(self) -> float:
+        """Usual deviation up to which a pixel shows the plate [L]."""
+        return float(np.median(self.background.limit[::SPARSE, ::SPARSE]))
+
+    def penalty(self, template: Template, fit: np.ndarray) -> float | None:
+        """Return the penalty of a type with holes, laid at `fit` (3,) x, y [m], angle [rad], onto a
+        patch in which they are missing; None if something else than the plate is seen there, or if
+        the type has no holes."""
+        if not template.part.holes:
+            return None
+        holes, plate = self._colours(to_home(fit[:3], template.hole_points), 0.0)
+        body, _ = self._colours(to_home(fit[:3], template.inner), template.part.height_m)
+        if not len(holes) or not len(body):
+            return None
+        here, bare, part = (np.median(one, axis=0) for one in (holes, plate, body))
+        origin = _kernels.LIGHTNESS_0 if len(here) == 3 else 0.0
+        light = (here[0] + origin) / (bare[0] + origin)
+        limit, chroma = self._limit, self.background.chroma
+        tint = chroma * (here[1:] - 128 - light * (bare[1:] - 128))
+        noise = limit / max(bare[0], 1)
+        if (
+            not DARKEST < light < 1 + noise
+            or np.hypot.reduce(tint, initial=0) > CHROMA_LIMIT * limit
+        ):
+            return None
+        gap = here - part
+        gap[1:] *= chroma
+        return SEEN if float(np.sqrt(gap @ gap)) > limit else UNSEEN
+
+    def _colours(self, point: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return colours (n, C) of the image and of the bare plate at points (m, 2) [m] of a height
+        [m]; n <= m are in the image."""
+        place = self.calibration.place
+        if height and place is not None:
+            point = place[:2] + (point - place[:2]) * magnified(place, height)
+        column, row = np.rint(self.calibration.to_image(point)).astype(int).T
+        rows, columns = self.image.shape[:2]
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        row, column = row[inside], column[inside]
+        bare = self.background.lab[row, column].astype(float)
+        if not len(row):
+            return bare, bare
+        pixels = self.image[row, column][:, None]
+        return compared(pixels, bare.shape[1])[:, 0].astype(float), bare
