@@ -230,7 +230,7 @@ def _observe_types(
     seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
     turns = {one.part.name: one.part.symmetry for one in catalogue.templates}
     symmetry = np.array([turns.get(label, 0) for label in seen["label"].tolist()], int)
-    place = np.where(named, SHAPE_PX, UNKNOWN_PX) / scale
+    place = np.hypot(np.where(named, SHAPE_PX, UNKNOWN_PX) / scale, seen["place_sd"])
     place[~seen["whole"]] = np.nan
     angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)
     quality = np.column_stack([place, angle, seen["confidence"]])

@@ -81,8 +81,9 @@ def picture(height, seed=0, poses=POSES):
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def errors(drawn, known, place=PLACE, poses=POSES):
-    """Distances [m] of parts from where they touch the plate, once all have their own name."""
+def errors(drawn, known, place=PLACE, poses=POSES, sightings=False):
+    """Distances [m] of parts from where they touch the plate, once all have their own name; and
+    the sightings, if they are wanted."""
     scale = FOCAL_PX / PLACE[2]
     middle = (np.array(SIZE) - 1) / 2
     view = np.array([[scale, 0, middle[0]], [0, -scale, middle[1]], [0, 0, 1]])
@@ -96,7 +97,7 @@ def errors(drawn, known, place=PLACE, poses=POSES):
         gap = np.hypot(found["x"] - x, found["y"] - y)
         assert found["label"][np.argmin(gap)] == name
         gaps.append(gap.min())
-    return np.array(gaps)
+    return (np.array(gaps), found) if sightings else np.array(gaps)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.003, 0.006, 0.010])
@@ -110,6 +111,14 @@ def test_without_its_height_a_part_is_seen_where_its_top_and_sides_are():
     off = errors(0.003, 0.0)
     expected = 0.5 * 0.003 / 0.427 * np.array([np.hypot(x, y) for _, x, y, _ in POSES])
     assert off == pytest.approx(expected, abs=0.35e-3)
+
+
+def test_reported_scatter_has_what_an_unknown_height_costs():
+    off, found = errors(0.005, 0.0, sightings=True)
+    sd = np.hypot(found["place_sd"], 0.04e-3)
+    assert np.sqrt(np.mean(off**2)) < 3.5 * np.sqrt(2) * np.median(sd)
+    flat = errors(0.0, 0.0, sightings=True)[1]
+    assert np.median(flat["place_sd"]) < 0.05e-3
 
 
 def test_heights_say_nothing_if_the_cameras_place_is_not_known():

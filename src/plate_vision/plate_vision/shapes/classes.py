@@ -87,6 +87,18 @@ FILLED_COLOUR = 0.5
 CLEAN = 1.5
 """Score below which a type with holes is not tried without them."""
 
+OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
+"""Error of a place by an outline that is not the type's, relative to how far they are apart, and
+how far they are in a sharp image [px]: blur by motion, height, light."""
+
+SWELL_ERROR, USUAL_SWELL_PX = 0.5, 0.2
+"""Error of a place relative to how much an outline is swollen, and usual swelling [px]: what makes
+a part larger on one side, as its unknown height does, moves it by more than it swells it."""
+
+HEIGHT_ERROR_PX = 0.1
+"""Standard deviation of a place on the plate along each axis after the correction for height: side
+faces have another shade than the top [px]."""
+
 FEWEST_NAMED = 3
 """Parts of known types by which the length of shadows, and how much outlines swell, is measured."""
 
@@ -249,10 +261,17 @@ def _compared(
                 found[i], own_outlines, catalogue, scale[i], least[i], fit[i], size[i], tint[i],
                 look, swell,
             )  # fmt: skip
+    error_px = np.hypot(
+        OUTLINE_ERROR * np.maximum(found["fit_px"] - USUAL_FIT_PX, 0),
+        SWELL_ERROR * np.maximum(np.abs(found["swell_px"]) - USUAL_SWELL_PX, 0),
+    )
     if lamp is not None:
         # Half of a shadow's error is the part's: of its length, and of where its edge is.
-        error_px = np.hypot(lamp.scatter_px, max(swell, LEAST_SWELL_PX))
-        found["place_sd"] = 0.5 * error_px / scale
+        shadow_px = np.hypot(lamp.scatter_px, max(swell, LEAST_SWELL_PX))
+        error_px = np.hypot(error_px, 0.5 * shadow_px)
+    if len(levels) > 1 or levels[0] > 0:
+        error_px = np.hypot(error_px, HEIGHT_ERROR_PX)
+    found["place_sd"] = error_px / scale
     fitted = np.column_stack([found["x"], found["y"]])
     found["x_px"], found["y_px"] = calibration.to_image(fitted).T
     return found
