@@ -58,8 +58,9 @@ from .camera import (
 from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections, outlines_px
 from .errors import ImageError, TeachError, check_size
+from .faint import faint_finding, faint_patches
 from .live_teaching import Teaching, learn_shown
-from .overlooked import NAMELESS, Expected, OverlookedTally
+from .overlooked import NAMELESS, Expected, OverlookedTally, beside_parts
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
 from .shapes.part_files import OUT, load_bare
@@ -68,6 +69,9 @@ from .vision import HOME, follow_plate, make_vision, observe
 
 WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
+
+FAINT_PERIOD_S = 2.0
+"""Least time between two searches for faint patches, by the images' stamps [s]: one takes 10 ms."""
 
 SOURCES = ("topic", "file")
 """Where images come from."""
@@ -267,6 +271,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._came = np.empty(0)  # the last image that was used, as it came
         self._early: float | None = None
         self._outline: OutlineCheck | None = None
+        self._faint: Finding | None = None
+        self._faint_count, self._faint_at = 0, -math.inf  # in the image that was last searched
         if self._location is None:
             self._place_camera()
 
@@ -319,8 +325,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
         overlooked.add(*self._counts())
-        if (found := overlooked.finding(expected_parts(self._rig))) is not None:
-            self._warn(f"{name}: {found.message}")
+        for found in (overlooked.finding(expected_parts(self._rig)), self._faint):
+            if found is not None:
+                self._warn(f"{name}: {found.message}")
 
     def _answer(
         self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
@@ -369,6 +376,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._markers.get_subscription_count():
             self._markers.publish(self._scene(stamp))
         self._check_outline(came, seconds(stamp))
+        if not 0 <= seconds(stamp) - self._faint_at < FAINT_PERIOD_S:
+            self._look_for_faint(image, seconds(stamp))
         return True
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
@@ -454,6 +463,23 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if found is not None and before.finding is None:
             self._warn(found.message)
 
+    def _look_for_faint(self, image: np.ndarray, stamp: float) -> None:
+        """Count faint patches as large as round parts; those of two searches count, or of a
+        picture."""
+        if self._vision.catalogue is not None:
+            return  # compared with the bare plate
+        taken, things, _ = self._counts()
+        vision, place = self._vision, [track.position for track in self._tracker.found]
+        known_px = vision.calibration.to_image(np.array(place).reshape(-1, 2))
+        known_px = np.vstack([known_px, np.column_stack([things["x_px"], things["y_px"]])])
+        radius_px = vision.options.radius_px
+        margin_px = self._rig.limits.stroke_m * radius_px / vision.radius
+        found, contrast = faint_patches(image, vision.region, radius_px, known_px, margin_px)
+        alone = self.options.source == "file"
+        count = len(found) if alone else min(len(found), self._faint_count)
+        self._faint = faint_finding(count, contrast, taken)
+        self._faint_count, self._faint_at = len(found), stamp
+
     def _note_overlooked(self) -> list[OverlookedThing]:
         """Count the things that are not taken for parts; returns them in metres."""
         taken, things, radius = self._counts()
@@ -464,11 +490,17 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _counts(self) -> tuple[int, np.ndarray, np.ndarray]:
         """Return the number of parts in the last image, and the things (n,) OVERLOOKED in it that
-        are not taken for parts, with their radii (n,) [m]."""
+        are not taken for parts, with their radii (n,) [m]; shadows and edges of round parts do not
+        count."""
         things = self._tracker.overlooked
         scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
-        taken = sum(track.label not in NAMELESS for track in self._tracker.found)
-        return taken, things, things["radius_px"] / scale
+        radius = things["radius_px"] / scale
+        taken = [track.position for track in self._tracker.found if track.label not in NAMELESS]
+        if self._vision.catalogue is None:
+            centre = np.array(taken).reshape(-1, 2)
+            beside = beside_parts(things, radius, self._vision.radius, centre)
+            things, radius = things[beside], radius[beside]
+        return len(taken), things, radius
 
     def _note_ids(self) -> None:
         """Say which ids are gone since the last image."""
@@ -555,6 +587,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             findings.append(Finding(Level.WARN, MODELLED))
         if self._outline is not None:
             findings.append(self._outline.finding)
+        findings.append(self._faint)
         findings.append(tally.overlooked_lately.finding(expected_parts(self._rig)))
         if self.options.source == "topic":
             findings.append(self._input.gone(now))
@@ -574,6 +607,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "silent_s": f"{self._input.silence(now):.2f}",
             "parts_seen": len(self._tracker.parts),
             **tally.overlooked_lately.values(),
+            "faint_patches": self._faint_count,
             "ids_given_up": self._given_up,
             "ids_renamed": self._renamed,
             "plate_outline": "" if self._outline is None else self._outline.text,

@@ -96,9 +96,17 @@ def may_be_parts(
     place = np.column_stack([things["x"], things["y"]])
     area = (radius / part_radius) ** 2
     size = (PLAUSIBLE_AREA[0] <= area) & (area <= PLAUSIBLE_AREA[1])
+    on_plate = np.all(np.abs(place) <= inner, axis=1)
+    return np.asarray(size & on_plate & beside_parts(things, radius, part_radius, centre))
+
+
+def beside_parts(
+    things: np.ndarray, radius: np.ndarray, part_radius: float, centre: np.ndarray
+) -> np.ndarray:
+    """Which things (n,) OVERLOOKED lie beside all parts; parameters as of `may_be_parts`."""
+    place = np.column_stack([things["x"], things["y"]])
     away = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
-    beside = np.all(away >= APART * (radius + part_radius)[:, None], axis=1)
-    return np.asarray(size & beside & np.all(np.abs(place) <= inner, axis=1))
+    return np.asarray(np.all(away >= APART * (radius + part_radius)[:, None], axis=1))
 
 
 def unnamed_things(

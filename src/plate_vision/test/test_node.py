@@ -316,6 +316,20 @@ def test_images_of_fewer_bits_than_are_said_name_the_parameter(draw, rng, kind, 
         graph.close()
 
 
+def test_faint_patches_are_reported(graph, draw, rng):
+    def faint(image):
+        y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+        for cx in (150.0, 250.0, 350.0):
+            image[np.hypot(x - cx, y - 240) <= 8] -= 4
+
+    for k in range(3):
+        assert names(graph.answer(image(draw([], [], rng, extra=faint), 1.0 + 2.1 * k))) == []
+    found = graph.detector._find(0.0)
+    assert found.level == Level.WARN
+    assert "3 faint patches as large as parts are not detected (contrast to" in found.message
+    assert graph.detector._values()["faint_patches"] == 3
+
+
 def test_noise_alone_is_no_part(graph, rng):
     for k, low in enumerate((0, 100, 200)):
         frame = rng.integers(low, 256, (480, 640), dtype=np.uint8)

@@ -1,0 +1,127 @@
+"""Faint patches of a part's size that the detector does not see: an average over a part's area
+shows contrasts far below the noise of a pixel. They are only counted, for the diagnostics.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from plate_core.status import Finding, Level
+
+from .camera.encodings import grey_levels
+from .overlooked import REMEDIES, WARN_COUNT, WARN_FRACTION
+from .plate.region import Region
+
+INNER, RING = 1.6, (2.6, 4.6)
+"""Side of the square that is averaged, and of the squares that bound the ring around it [radii]:
+the first lies in the part, the ring beside it."""
+
+NOISE_FACTOR, MIN_CONTRAST = 8.0, 2.0
+"""Least contrast of a patch to the ring around it: in standard deviations of that contrast over the
+plate, so that texture is none, and in grey levels, for stripes and spots of the light."""
+
+CLEAR = 3.4
+"""Distance from parts and from other things within which nothing counts [radii]: their shadows."""
+
+SPREAD = 0.6
+"""A patch is as large as a part if its contrast at 1.2 radii from its middle is below this fraction
+of the one in the middle: a shade or a stripe is larger."""
+
+
+COARSE_PX = 4.0
+"""Radius of a part to which a larger image is reduced [px]: that takes a fraction of the time."""
+
+
+def faint_patches(
+    image: np.ndarray, region: Region, radius_px: float, taken_px: np.ndarray, margin_px: float
+) -> tuple[np.ndarray, float]:
+    """Return the centres (n, 2) [px] of faint patches as large as a part, and their median contrast
+    to the plate [grey levels].
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+    region : Region
+        Where the plate is.
+    radius_px : float
+        Of a part [px].
+    taken_px : (m, 2)
+        Centres of parts and other things that are known [px].
+    margin_px : float
+        Distance from the predicted edge of the plate within which nothing counts [px]: the plate
+        may be away from home.
+    """
+    wide = 2 * round(margin_px) + 1
+    free = cv2.erode(region.usable.astype(np.uint8), np.ones((wide, wide), np.uint8))
+    free = np.asarray(free, np.float32)
+    for x, y in taken_px:
+        cv2.circle(free, (round(x), round(y)), round(CLEAR * radius_px), 0.0, -1)
+    grey = grey_levels(image).astype(np.float32)
+    step = max(round(radius_px / COARSE_PX), 1)
+    size_px = grey.shape[1] // step, grey.shape[0] // step
+    grey = np.asarray(cv2.resize(grey, size_px, interpolation=cv2.INTER_AREA), np.float32)
+    free = np.floor(cv2.resize(free, size_px, interpolation=cv2.INTER_AREA)).astype(np.float32)
+    radius_px /= step
+    inner, low, high = (_box(grey, free, side * radius_px) for side in (INNER, *RING))
+    ring = (high[0] - low[0]) / np.maximum(high[1] - low[1], 1e-6)
+    # The whole patch and its ring must be bare.
+    whole = (high[1] > 0.98 * (round(RING[1] * radius_px) | 1) ** 2) & (free > 0)
+    if not np.any(whole):
+        return np.zeros((0, 2)), 0.0
+    contrast = np.where(whole, inner[0] / np.maximum(inner[1], 1e-6) - ring, 0.0)
+    values = contrast[whole]
+    noise = 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    size = np.abs(contrast - float(np.median(values))) * whole
+    reach = round(2 * radius_px) | 1
+    peak = cv2.dilate(size, np.ones((reach, reach), np.uint8))
+    rows, columns = np.nonzero((size >= peak) & (size > max(MIN_CONTRAST, NOISE_FACTOR * noise)))
+    found = []
+    for x, y in zip(columns.tolist(), rows.tolist(), strict=True):
+        if _is_round(contrast, x, y, radius_px):
+            found.append((x, y, size[y, x]))
+    if not found:
+        return np.zeros((0, 2)), 0.0
+    places = np.array(found)
+    return step * (places[:, :2] + 0.5) - 0.5, float(np.median(places[:, 2]))
+
+
+def faint_finding(count: int, contrast: float, taken: int) -> Finding | None:
+    """Say that faint patches as large as a part are not detected, None if there are none; `taken`
+    is the number of parts."""
+    if not count:
+        return None
+    is_ = "1 faint patch as large as a part is"
+    if count > 1:
+        is_ = f"{count} faint patches as large as parts are"
+    many = not taken or (count >= WARN_COUNT and count > WARN_FRACTION * (count + taken))
+    return Finding(
+        Level.WARN if many else Level.OK,
+        f"{is_} not detected (contrast to the plate {contrast:.2g} grey levels: "
+        f"{REMEDIES['too faint']})",
+    )
+
+
+def _box(grey: np.ndarray, free: np.ndarray, side_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums of the free pixels' greys (H, W), and their numbers (H, W), in squares."""
+    side = round(side_px) | 1
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        return np.asarray(
+            cv2.boxFilter(
+                values, cv2.CV_32F, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT
+            )
+        )
+
+    return summed(grey * free), summed(free)
+
+
+def _is_round(contrast: np.ndarray, x: int, y: int, radius_px: float) -> bool:
+    """Whether the contrast falls off to all sides of a place within 1.2 radii."""
+    turn = 2 * np.pi * np.arange(8) / 8
+    columns = np.rint(x + 1.2 * radius_px * np.cos(turn)).astype(int)
+    rows = np.rint(y + 1.2 * radius_px * np.sin(turn)).astype(int)
+    height, width = contrast.shape
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    around = contrast[rows[inside], columns[inside]] / contrast[y, x]
+    return bool(np.all(around < SPREAD))
