@@ -404,7 +404,10 @@ def row_of(kind: Kind, count: int, before: Mapping[str, float | None]) -> dict[s
             began = time.process_time()
             if not kind.typed and number < len(one.images) - 1:
                 continue
-            found, ids = tracker.parts.position, tracker.parts.ids
+            # What is published as unknown is not detected, but it is not silent.
+            named = [not name.startswith("unknown") for name in tracker.parts.ids]
+            found = tracker.parts.position[named]
+            ids = [name for name, kept in zip(tracker.parts.ids, named, strict=True) if kept]
             reach = np.array([part.reach_m for part in one.types]) if one.types else None
             i, j, gap = paired(
                 found, one.position, one.rig.parts.radius_m if reach is None else reach

@@ -168,7 +168,7 @@ class DetectorOptions:
         "margin_px": (0.0, 10.0),
     }
     radius_px: float = 8.0
-    radius_tolerance: float = 0.2
+    radius_tolerance: float = 0.25
     threshold: float = 0.97
     class_threshold: float = 0.4
     min_plate_grey: float = 60.0

@@ -13,6 +13,7 @@ from itertools import product
 
 import cv2
 import numpy as np
+from scipy.optimize import minimize
 
 from .camera import Calibration
 from .discs import Silhouettes, fit_discs, to_image
@@ -42,12 +43,15 @@ DARKNESS = np.linspace(0.1, 0.8, 6)
 EDGES_PX = (1.0, 2.5, 4.5)
 """Darkness and half widths of the edge [px] that are tried."""
 
-FINE = (-0.05, -0.025, 0.025, 0.05)
-"""Changes of the darkness that are tried at the end."""
+SIMPLEX = 0.5 * np.vstack([-np.ones(4), np.eye(4) * 3 - 1])
+TRIES = 40
+DARKEST, EDGE_RANGE_PX = (0.05, 0.9), (0.5, 8.0)
+"""Where the last search begins, around what was found: changes of the way [mm], of the darkness
+[0.1] and of the edge [px]; how many shadows it tries, and within which darkness and edges [px]."""
 
-GOOD_FIT, BETTER = 0.08, 0.75
-"""Largest mean misfit with a shadow; and relative to that without one, and with one to the other
-side: else it is not known to which side the shadows are."""
+GOOD_FIT, BETTER, SURE = 0.11, 0.75, 0.9
+"""Largest mean misfit with a shadow; relative to that without one; and relative to that with one to
+the other side: else it is not known to which side the shadows fall."""
 
 WORST = 0.4
 """A thing that is no part counts for the mean with this misfit."""
@@ -95,14 +99,31 @@ def find_shadow(
         best = min(tried, key=misfit)
         return _measured(contrast, best, fitted(best), parts)
 
-    one, other = (Shadow(calibration, sense * way, 0.5, 1.0) for sense in (1, -1))
-    for _ in range(ROUNDS):
-        one, other = improved(one), improved(other)
-    best, worse = sorted((one, other), key=misfit)
-    finer = [replace(best, darkness=best.darkness + change) for change in FINE]
-    best = min([best, *finer], key=misfit)
-    left = misfit(best)
-    clear = left < BETTER * min(plain, misfit(worse))
+    def refined(shadow: Shadow) -> tuple[float, Shadow]:
+        """Return the mean misfit of the best shadow near one, and that shadow."""
+
+        def at(change: np.ndarray) -> Shadow:
+            return Shadow(
+                calibration,
+                shadow.way + 1e-3 * change[:2],
+                float(np.clip(shadow.darkness + 0.1 * change[2], *DARKEST)),
+                float(np.clip(shadow.edge_px + change[3], *EDGE_RANGE_PX)),
+            )
+
+        best = minimize(
+            lambda change: misfit(at(change)), np.zeros(4), method="Nelder-Mead",
+            options={"initial_simplex": SIMPLEX, "maxfev": TRIES},
+        )  # fmt: skip
+        return float(best.fun), at(best.x)
+
+    found = []
+    for sense in (1, -1):
+        shadow = Shadow(calibration, sense * way, 0.5, 1.0)
+        for _ in range(ROUNDS):
+            shadow = improved(shadow)
+        found.append(refined(shadow))
+    (left, best), (other, _) = sorted(found, key=lambda one: one[0])
+    clear = left < BETTER * plain and left < SURE * other
     return best if left < GOOD_FIT and clear else None
 
 
