@@ -98,7 +98,7 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     """Return the remains without specks, and with what they enclose: highlights and holes of parts
     of about a radius [px]."""
     stride = remains.grid[2]
-    odd = np.asarray(cv2.morphologyEx(remains.odd, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+    odd = remains.odd.copy()
     most = HOLE * np.pi * (radius_px / stride) ** 2
     count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - odd, connectivity=4)
     height, width = odd.shape
@@ -109,6 +109,8 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     hole[0] = False  # the things themselves
     if count > 1 and np.any(hole):
         odd[hole[labels]] = 1
+    # Specks last: else a hole next to the edge would be open.
+    odd = np.asarray(cv2.morphologyEx(odd, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
     return remains._replace(odd=odd)
 
 

@@ -53,6 +53,10 @@ GOOD_FIT, BETTER, SURE = 0.11, 0.75, 0.9
 """Largest mean misfit with a shadow; relative to that without one; and relative to that with one to
 the other side: else it is not known to which side the shadows fall."""
 
+EQUAL = 1.05
+"""A shadow whose length is measured is taken if its misfit is less than this, relative to the one
+whose length is fitted."""
+
 WORST = 0.4
 """A thing that is no part counts for the mean with this misfit."""
 
@@ -122,9 +126,14 @@ def find_shadow(
         for _ in range(ROUNDS):
             shadow = improved(shadow)
         found.append(refined(shadow))
-    (left, best), (other, _) = sorted(found, key=lambda one: one[0])
-    clear = left < BETTER * plain and left < SURE * other
-    return best if left < GOOD_FIT and clear else None
+    (left, best), (other, reverse) = sorted(found, key=lambda one: one[0])
+    one_sense = best.way @ reverse.way > 0 or left < SURE * other
+    clear = one_sense and left < BETTER * plain
+    if left > GOOD_FIT or not clear:
+        return None
+    # The contours say little of a long shadow's end, and most of a short one's.
+    measured = _measured(contrast, best, fitted(best), parts)
+    return measured if misfit(measured) < EQUAL * left else best
 
 
 def _capsules(
