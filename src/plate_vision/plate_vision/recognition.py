@@ -32,6 +32,9 @@ most."""
 SIZE_ALONE = 3.0
 """Types that differ by less than so many standard deviations, and in size alone, are named."""
 
+SAME_LENGTH = 1.8
+"""Ratio of the length of shadows by known types to that by colours; beyond it they are none."""
+
 SCALE = 1000.0
 """Of photographs of which nothing is known: a pixel is a millimetre [px/m]."""
 
@@ -90,7 +93,14 @@ def find_types(
     """Find parts of taught types on the plate: (n,) `SIGHTING`."""
     patches, lamp = segment(image, background, region, lamps=background.learned)
     conditions = Conditions(lamp, background)
-    seen, conditions = recognise_under(image, patches, catalogue, calibration, conditions)
+    seen, shown = recognise_under(image, patches, catalogue, calibration, conditions)
+    if lamp is not None and shown.lamp is not None:
+        length, first = (float(np.hypot(*one.shift_px)) for one in (shown.lamp, lamp))
+        if not 1 / SAME_LENGTH < length / first < SAME_LENGTH:  # parts that touch, or two colours
+            patches, _ = segment(image, background, region, lamps=False)
+            conditions = Conditions(background=background)
+            seen, shown = recognise_under(image, patches, catalogue, calibration, conditions)
+    conditions = shown
     return explain_groups(image, patches, seen, catalogue, calibration, conditions)
 
 

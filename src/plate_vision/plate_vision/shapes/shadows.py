@@ -69,6 +69,10 @@ ONE_LAMP = 0.85
 SPREAD = 0.35
 """Largest spread of the shadows' lengths, relative to the usual one: median deviation."""
 
+DEEP = 36.0
+"""Deviation of a shadow from the plate, at least, if it is taken off by its length [L]: a quarter
+of the light. A fainter or softer one is on all sides of a part: its softness tells it."""
+
 SHORTEST_PX = 1.0
 """Shortest shadow that is taken off as such [px]."""
 
@@ -213,7 +217,7 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
     length = reach[clear] - part[clear]
     usual = float(np.median(length))
     spread = float(np.median(np.abs(length - usual)))
-    if usual < SHORTEST_PX or spread > SPREAD * usual:
+    if usual < SHORTEST_PX or spread > SPREAD * usual or level < DEEP:
         return None
     return Lamp(level, usual * unit, 1.5 * spread)
 
