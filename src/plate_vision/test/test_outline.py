@@ -265,5 +265,5 @@ def test_an_image_of_another_time_is_measured_again():
     assert no_claim(check) == "not seen"
     check = evaluate(rig_of(view), [dark] * IMAGES)
     for k in range(IMAGES):
-        check = check.add(draw(view, BARE, 60.0), 10.0 + 0.1 * k)
+        check = check.add(draw(view, BARE, 60.0), 20.0 + 0.1 * k)
     assert check.agrees

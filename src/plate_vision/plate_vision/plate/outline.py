@@ -28,7 +28,7 @@ REST_M = 5e-4
 """Range of an edge's places in these images up to which the plate is taken to rest [m]. Of a plate
 at rest it is 0.1 mm, with noise of 15 grey levels."""
 
-RECHECK_S, UNSEEN_S = 1.0, 5.0
+RECHECK_S, UNSEEN_S = 1.0, 10.0
 """Least time until the next evaluation after a finding, and where the plate was not seen or moved
 [s]: an image takes 20 to 60 ms."""
 
@@ -452,10 +452,11 @@ class OutlineCheck:
         """Take in an image (H, W) or (H, W, 3) uint8, its stamp [s], and whether the plate may be
         away from home in it.
 
-        After `IMAGES` images the outline is evaluated. That is repeated from time to time until the
-        outline of a plate at rest agrees.
+        After `IMAGES` images the outline is evaluated. That is repeated from time to time, but not
+        while the plate moves, until the outline of a plate at rest agrees.
         """
-        waits = self.done and not self.measured and 0 <= stamp - self.stamp < self._wait
+        waits = self.done and not self.measured
+        waits = waits and (moving or 0 <= stamp - self.stamp < self._wait)
         if self.agrees or waits:
             return self
         measured = (*self.measured, measure_outline(image, self.grid))
