@@ -32,8 +32,9 @@ most."""
 SIZE_ALONE = 3.0
 """Types that differ by less than so many standard deviations, and in size alone, are named."""
 
-SAME_LENGTH = 1.8
-"""Ratio of the length of shadows by known types to that by colours; beyond it they are none."""
+SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
+"""Difference of the length of shadows by known types from that by colours, relative to it and [px],
+up to which they are shadows."""
 
 SCALE = 1000.0
 """Of photographs of which nothing is known: a pixel is a millimetre [px/m]."""
@@ -96,7 +97,7 @@ def find_types(
     seen, shown = recognise_under(image, patches, catalogue, calibration, conditions)
     if lamp is not None and shown.lamp is not None:
         length, first = (float(np.hypot(*one.shift_px)) for one in (shown.lamp, lamp))
-        if not 1 / SAME_LENGTH < length / first < SAME_LENGTH:  # parts that touch, or two colours
+        if abs(length - first) > max(SAME_LENGTH * first, SAME_LENGTH_PX):  # parts that touch
             patches, _ = segment(image, background, region, lamps=False)
             conditions = Conditions(background=background)
             seen, shown = recognise_under(image, patches, catalogue, calibration, conditions)

@@ -69,8 +69,8 @@ ONE_LAMP = 0.85
 SPREAD = 0.35
 """Largest spread of the shadows' lengths, relative to the usual one: median deviation."""
 
-DEEP = 36.0
-"""Deviation of a shadow from the plate, at least, if it is taken off by its length [L]: a quarter
+DEEP = 30.0
+"""Deviation of a shadow from the plate, at least, if it is taken off by its length [L]: a fifth
 of the light. A fainter or softer one is on all sides of a part: its softness tells it."""
 
 SHORTEST_PX = 1.0
