@@ -169,6 +169,9 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
         Number of the patch of each pixel, 0 outside.
     """
     count = len(sides.total)
+    large = sides.total >= LEAST_AREA_PX2
+    large[0] = False
+    fewest = max(FEWEST, AGREE * np.count_nonzero(large))
     cast = cv2.morphologyEx(sides.lit.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     places = cv2.findNonZero((away > 0).view(np.uint8))
     if places is None:
@@ -176,6 +179,9 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
     columns, rows = places.reshape(-1, 2).T
     patch, shaded = labels[rows, columns], cast[rows, columns] > 0
     own = ~sides.lit[rows, columns]
+    shade = np.bincount(patch[shaded], minlength=count)
+    if np.count_nonzero(large & (shade > LEAST_CAST[0] * sides.total)) < fewest:
+        return None
     grey = np.bincount(patch[own], minlength=count) < LEAST_PART * sides.total
     # Of a part as grey as a shadow the darker side is the part.
     bound = np.empty(count, np.float32)
@@ -189,12 +195,10 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
         np.bincount(patch[shaded], minlength=count),
         np.bincount(patch[own], minlength=count),
     )
-    large = sides.total >= LEAST_AREA_PX2
-    large[0] = False
     fraction = shade / np.maximum(sides.total, 1)
     clear = large & (fraction > LEAST_CAST[0]) & (fraction < LEAST_CAST[1])
     clear &= body > LEAST_PART * sides.total
-    if np.count_nonzero(clear) < max(FEWEST, AGREE * np.count_nonzero(large)):
+    if np.count_nonzero(clear) < fewest:
         return None
     at = np.stack([columns, rows]).astype(float)
     middles = [
