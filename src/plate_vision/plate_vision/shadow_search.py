@@ -49,7 +49,7 @@ DARKEST, EDGE_RANGE_PX = (0.05, 0.9), (0.5, 8.0)
 """Where the last search begins, around what was found: changes of the way [mm], of the darkness
 [0.1] and of the edge [px]; how many shadows it tries, and within which darkness and edges [px]."""
 
-GOOD_FIT, BETTER, SURE = 0.11, 0.75, 0.9
+GOOD_FIT, BETTER, SURE = 0.1, 0.75, 0.9
 """Largest mean misfit with a shadow; relative to that without one; and relative to that with one to
 the other side: else it is not known to which side the shadows fall."""
 
@@ -65,6 +65,9 @@ ROUNDS = 2
 
 RATIOS = np.linspace(0, 4, 81)
 """Lengths of capsules [radii] for which the flatness is known."""
+
+INNER_PX = 2.0
+"""Distance from the edge of the disc from which on its shadow is dark [px]."""
 
 PROFILE_PX = 0.5
 """Step of the places at which the end of a shadow is looked for [px]."""
@@ -92,7 +95,20 @@ def find_shadow(
         return fit_discs(contrast, seeds, parts, shadow)
 
     def misfit(shadow: Shadow) -> float:
+        """Return the mean misfit of the contours."""
         return float(np.mean(np.minimum(fitted(shadow)["misfit"], WORST)))
+
+    def whole_misfit(shadow: Shadow) -> float:
+        """Return the same with that of the darkness along shadows so long that a part could be
+        taken for one."""
+        discs = fitted(shadow)
+        steps, levels = _along(contrast, shadow, discs, parts)
+        length = _length(shadow, discs, parts)
+        inner = (steps > INNER_PX) & (steps < length - shadow.edge_px)
+        if length < np.median(parts["radius_px"]) or not np.any(inner):
+            return misfit(shadow)
+        odd = np.median(np.abs(levels[:, inner] - shadow.darkness), axis=1)
+        return float(np.mean(np.minimum(discs["misfit"] + odd, WORST)))
 
     def improved(shadow: Shadow) -> Shadow:
         """Try darkness and edges; then measure the length."""
@@ -104,7 +120,7 @@ def find_shadow(
         return _measured(contrast, best, fitted(best), parts)
 
     def refined(shadow: Shadow) -> tuple[float, Shadow]:
-        """Return the mean misfit of the best shadow near one, and that shadow."""
+        """Return the misfit of the best shadow near one, and that shadow."""
 
         def at(change: np.ndarray) -> Shadow:
             return Shadow(
@@ -118,18 +134,19 @@ def find_shadow(
             lambda change: misfit(at(change)), np.zeros(4), method="Nelder-Mead",
             options={"initial_simplex": SIMPLEX, "maxfev": TRIES},
         )  # fmt: skip
-        return float(best.fun), at(best.x)
+        there = at(best.x)
+        return whole_misfit(_measured(contrast, there, fitted(there), parts)), there
 
-    found = []
+    refinements = []
     for sense in (1, -1):
         shadow = Shadow(calibration, sense * way, 0.5, 1.0)
         for _ in range(ROUNDS):
             shadow = improved(shadow)
-        found.append(refined(shadow))
-    (left, best), (other, reverse) = sorted(found, key=lambda one: one[0])
-    one_sense = best.way @ reverse.way > 0 or left < SURE * other
-    clear = one_sense and left < BETTER * plain
-    if left > GOOD_FIT or not clear:
+        refinements.append(refined(shadow))
+    (whole, best), (other, reverse) = sorted(refinements, key=lambda one: one[0])
+    left = misfit(best)
+    one_sense = best.way @ reverse.way > 0 or whole < SURE * other
+    if not one_sense or left > GOOD_FIT or left > BETTER * plain:
         return None
     # The contours say little of a long shadow's end, and most of a short one's.
     measured = _measured(contrast, best, fitted(best), parts)
@@ -179,21 +196,40 @@ def _capsules(
 
 
 def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> Shadow:
-    """Return the shadow with its length: from the ends of discs (n,) DISC the image has half of its
-    darkness at the end of the shadow, in the median over the discs."""
-    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
-    ends = to_image(parts, shadow.cast(centre, parts))
-    length = np.hypot(*ends.T)
+    """Return the shadow with its length: the image has half of its darkness at its end, in the
+    median over the discs (n,) DISC."""
+    steps, levels = _along(contrast, shadow, discs, parts)
+    light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
+    end = steps[light[0]] if len(light) else steps[-1]
+    return replace(shadow, way=shadow.way * max(end, 1.0) / _length(shadow, discs, parts))
+
+
+def _along(
+    contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the darkness (n, k) of the image along the shadows of discs (n,) DISC, at steps (k,)
+    [px] from the edges of the discs."""
+    centre, ends = _ends(shadow, discs, parts)
+    length = np.maximum(np.hypot(*ends.T), 1e-6)
     radius = float(np.median(discs["radius_px"]))
-    steps = np.arange(radius, RATIOS[-1] * radius, PROFILE_PX)
-    place = centre[:, None] + steps[:, None] * (ends / length[:, None])[:, None]
+    steps = np.arange(0, (RATIOS[-1] - 1) * radius, PROFILE_PX)
+    place = centre[:, None] + (radius + steps[:, None]) * (ends / length[:, None])[:, None]
     height, width = contrast.grey.shape
     column, row = np.rint(place).astype(int).transpose(2, 0, 1)
     levels = contrast.grey[row.clip(0, height - 1), column.clip(0, width - 1)]
-    profile = np.median(1 - levels / contrast.light[0], axis=0)
-    light = np.flatnonzero(profile < 0.5 * shadow.darkness)
-    end = PROFILE_PX * (light[0] if len(light) else len(steps))
-    return replace(shadow, way=shadow.way * max(end, 1.0) / float(np.median(length)))
+    return steps, 1 - levels / contrast.light[0]
+
+
+def _length(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> float:
+    """Return the median length of shadows in the image [px]."""
+    _, ends = _ends(shadow, discs, parts)
+    return max(float(np.median(np.hypot(*ends.T))), 1e-6)
+
+
+def _ends(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centres (n, 2) of discs, and the ends of their shadows from there [px]."""
+    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
+    return centre, to_image(parts, shadow.cast(centre, parts))
 
 
 def _flatness(length: np.ndarray) -> np.ndarray:
