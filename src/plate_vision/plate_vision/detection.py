@@ -90,6 +90,17 @@ those with a height that the rig file does not know up to 0.2. To it this multip
 noise over the part's contrast is added: it remains when the mean noise of 50 pixels is
 subtracted."""
 
+WORST_NOISE = 0.12
+"""Largest noise, relative to the plate's brightness, that makes up for a misfit: more is a texture
+of the plate."""
+
+APART = 1.4
+"""Least distance of two parts, in radii of the larger one: touching ones have 2. Of two that are
+nearer the one that looks less like a part is none."""
+
+BETTER = 2.0
+"""A disc that overlaps one with this multiple of its misfit and more is surely the part."""
+
 GOOD_MISFIT = 0.06
 """Misfit that light, noise and the edges of pixels explain. What is beyond, times the radius, is
 about the error of the place: parts 10 mm high that are taken for flat have a misfit of 0.18, and
@@ -265,12 +276,15 @@ class Discs(NamedTuple):
         Things on the plate that are not taken for parts; their places in plate_home are not set.
     shadow : Shadow, optional
         That all parts cast.
+    doubtful : bool
+        Whether many things look like no part, or only roughly.
     """
 
     found: np.ndarray
     parts: np.ndarray
     overlooked: np.ndarray
     shadow: Shadow | None = None
+    doubtful: bool = False
 
     @property
     def places(self) -> np.ndarray:
@@ -288,13 +302,15 @@ def find_discs(
     options: DetectorOptions,
     view: PartView,
     shadow: Shadow | None = None,
+    search: bool = True,
 ) -> Discs:
     """Find parts of a known radius, as `detect` does, in an image (H, W) or (H, W, 3).
 
     First those that are clearly darker than the plate, in grey levels. If there is anything else on
     the plate, then also those that differ from it otherwise, by `plate.contrast`: fainter or
     brighter ones, those of another colour, or with highlights or holes. If many do not look like
-    parts, a shadow is looked for that all of them cast; `shadow` is that of the image before.
+    parts, a shadow is looked for that all of them cast; `shadow` is that of the image before, and
+    with `search` another one is looked for, which takes long.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
@@ -310,7 +326,8 @@ def find_discs(
     )
     if remains is not None:
         discs = _with_others(scene, discs, remains)
-    if view.calibration is None or not _doubtful(discs):
+    discs = discs._replace(doubtful=_doubtful(discs))
+    if view.calibration is None or not (discs.doubtful and search):
         return discs
     every = find_remains(
         scene.channels, region, scene.limit, view.least_px, NO_DISCS.places, NO_DISCS.parts
@@ -362,7 +379,7 @@ def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
     remains = without(remains, others.places, others.parts)
     things = overlooked_things(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
     found = np.concatenate([discs.found, others.found])
-    return Discs(found, np.concatenate([discs.parts, others.parts]), things)
+    return _apart(Discs(found, np.concatenate([discs.parts, others.parts]), things))
 
 
 def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
@@ -378,7 +395,27 @@ def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
     remains = without(remains, discs.places, discs.parts)
     remains = without(remains, discs.places, shadow.drawn(discs.places, discs.parts))
     things = overlooked_things(remains, scene.region, radius_px, FAINT * scene.limit, contrast)
-    return discs._replace(overlooked=things, shadow=shadow)
+    return _apart(discs._replace(overlooked=things, shadow=shadow))
+
+
+def _apart(discs: Discs) -> Discs:
+    """Return discs without those that overlap a better one. If that fits hardly better, either may
+    be the part: then the place of the better one is as uncertain as both are apart."""
+    place, radius = discs.places, discs.parts["radius_px"]
+    if not np.any(crowded(place, APART * float(np.max(radius, initial=0)))):
+        return discs
+    found, misfit = discs.found.copy(), discs.found["misfit"]
+    kept: list[int] = []
+    for k in np.argsort(misfit, kind="stable").tolist():
+        gap = np.hypot(*(place[kept] - place[k]).T)
+        near = gap < APART * np.maximum(radius[kept], radius[k])
+        for j, far in zip(np.array(kept, int)[near].tolist(), gap[near].tolist(), strict=True):
+            if misfit[k] < BETTER * misfit[j] + GOOD_MISFIT:
+                found["scatter_px"][j] = max(found["scatter_px"][j], far)
+        if not np.any(near):
+            kept.append(k)
+    kept.sort()
+    return discs._replace(found=found[kept], parts=discs.parts[kept])
 
 
 def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view: PartView) -> Discs:
@@ -458,6 +495,7 @@ def _accepted(
     found["angle_rad"] = mark_angles(marks, tops(centre, parts))
     found["label"] = np.where(light < options.class_threshold, *CLASSES)
     found["label"][light > 1 + EQUAL] = BRIGHT
+    noise = min(noise, WORST_NOISE)
     most = MAX_MISFIT + NOISE_MISFIT * noise / np.maximum(discs["darkness"], noise)
     found["confidence"] = np.clip(1 - discs["misfit"] / most, 0, 1)
     found["method"] = method

@@ -27,6 +27,9 @@ FEWEST = 3
 MOST_THINGS = 10
 """Things by which a shadow is chosen: more make it slower, and hardly better."""
 
+PIXELS = 3000.0
+"""The same in pixels of the things, over pi: large parts need fewer."""
+
 SIZE = 1.05, 4.0
 """Area of a part with its shadow, relative to the part's."""
 
@@ -52,6 +55,10 @@ DARKEST, EDGE_RANGE_PX = (0.05, 0.9), (0.5, 8.0)
 GOOD_FIT, BETTER, SURE = 0.1, 0.75, 0.9
 """Largest mean misfit with a shadow; relative to that without one; and relative to that with one to
 the other side: else it is not known to which side the shadows fall."""
+
+UNLIKE, UNLIKE_FRACTION = 0.15, 0.3
+"""Difference in darkness of a part and its shadow by which they are told apart, and the fraction of
+the parts that must have it."""
 
 EQUAL = 1.05
 """A shadow whose length is measured is taken if its misfit is less than this, relative to the one
@@ -148,6 +155,10 @@ def find_shadow(
     one_sense = best.way @ reverse.way > 0 or whole < SURE * other
     if not one_sense or left > GOOD_FIT or left > BETTER * plain:
         return None
+    # Which end is the part cannot be seen if all parts are about as dark as their shadows.
+    unlike = np.abs(fitted(best)["darkness"] - best.darkness) > UNLIKE
+    if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
+        return None
     # The contours say little of a long shadow's end, and most of a short one's.
     measured = _measured(contrast, best, fitted(best), parts)
     return measured if misfit(measured) < EQUAL * left else best
@@ -170,7 +181,8 @@ def _capsules(
     size = stats[:, cv2.CC_STAT_AREA] * stride**2 / (np.pi * radius**2)
     usual = ~at_edge & (size > SIZE[0]) & (size < SIZE[1])
     usual[0] = False
-    rows = np.flatnonzero(usual)[:MOST_THINGS]
+    most = PIXELS / float(np.median(size[usual] * radius[usual] ** 2)) if np.any(usual) else 0
+    rows = np.flatnonzero(usual)[: int(np.clip(most, FEWEST, MOST_THINGS))]
     if len(rows) < FEWEST:
         return None
     flat = np.empty((len(rows), 2))

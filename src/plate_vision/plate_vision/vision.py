@@ -45,6 +45,9 @@ has the figures."""
 UNKNOWN_PX = 0.3
 """Scatter of the centre of what is of no type [px]: its outline is all that is known of it."""
 
+UNKNOWN_RADII = 0.3
+"""The same of what may be a round part, in radii: of a part with a shadow all of it is seen."""
+
 SPECK = 0.3
 """What is of no type, and smaller than this fraction of the smallest type, is no part [-]."""
 
@@ -180,7 +183,9 @@ def observe(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow)
+    # In vain a shadow is looked for in the 1st, 2nd, 4th, 8th... doubtful image.
+    search = tracker.doubtful & (tracker.doubtful + 1) == 0
+    discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow, search)
     found = discs.found
     ring_px = discs.places[:, None] + outlines(discs.parts, found["radius_px"])
     centre = vision.calibration.disc_centres(ring_px)
@@ -198,12 +203,15 @@ def observe(
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
         label = np.concatenate([label, np.full(len(more), UNKNOWN, label.dtype)])
         angle = np.concatenate([angle, none])
-        doubt = np.column_stack([UNKNOWN_PX / scale[unknown], none + ANY_ANGLE, none])
+        doubt = np.column_stack([none + UNKNOWN_RADII * vision.radius, none + ANY_ANGLE, none])
         quality = np.vstack([quality, doubt])
-    tracker = update(
+    after = update(
         tracker, stamp, centre, label, angle, quality, expected=expected, overlooked=things
     )
-    return tracker if tracker.shadow is discs.shadow else replace(tracker, shadow=discs.shadow)
+    if after is tracker:  # the same image again
+        return tracker
+    doubtful = tracker.doubtful + 1 if discs.doubtful and discs.shadow is None else 0
+    return replace(after, shadow=discs.shadow, doubtful=doubtful)
 
 
 def _observe_types(

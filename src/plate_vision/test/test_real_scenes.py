@@ -136,3 +136,38 @@ def test_what_is_no_part_is_listed_with_its_reason(reason, rng):
     assert things["reason"].tolist() == [reason] * len(position)
     gap = np.hypot(things["x"] - position[:, :1], things["y"] - position[:, 1:])
     assert gap.min(axis=1).max() < 1e-3
+
+
+def test_parts_as_dark_as_their_shadows_are_not_taken_for_them(rng):
+    """Which end of the dark thing is the part cannot be seen: nothing is reported as sure."""
+    position = scattered(rng)
+    image = cast(Look(), position, np.full(24, 130.0), rng, shadow=(0.007, 0.006, 0.43))
+    tracker = seen(Look().rig(), image)
+    found, scatter = tracker.parts.position, tracker.quality[:, 0]
+    gap = np.linalg.norm(found[:, None] - position, axis=2).min(axis=1)
+    assert np.all((gap < 2.5e-4) | (scatter > 5e-4))
+
+
+def test_no_part_overlaps_another(rng):
+    """Shadows of a crowd look like parts of their own."""
+    places = np.linspace(-0.17, 0.17, 18)
+    position = np.stack(np.meshgrid(places, places[5:13] - 0.01), axis=2).reshape(-1, 2)
+    image = cast(
+        Look(), position, np.full(len(position), 60.0), rng, radius=0.004, shadow=(0.004, 0.0, 0.3)
+    )
+    found = seen(Look().rig(radius=0.004), image).parts.position
+    gap = np.linalg.norm(found[:, None] - found, axis=2) + np.eye(len(found))
+    assert gap.min() > 1.3 * 0.004
+
+
+def test_a_shadow_is_looked_for_in_fewer_and_fewer_images(rng, monkeypatch):
+    """Where none explains the image, as with things of other shapes."""
+    calls = []
+    monkeypatch.setattr(
+        "plate_vision.detection.find_shadow", lambda *given: calls.append(len(given))
+    )
+    image = cast(Look(), GRID, np.full(24, 40.0), rng, radius=0.012)
+    vision, tracker = make_vision(Look().rig(), DetectorOptions()), Tracker()
+    for k in range(16):
+        tracker = observe(vision, tracker, image, 1 + 0.1 * k)
+    assert len(calls) == 5

@@ -180,14 +180,24 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
     std::fill_n(seen, size, 1.f);
     for (int j : neighbours) {
         const Contour contour(discs[j], parts[j]);
-        const float side = discs[j][SIDE], more = discs[j][TOP] - discs[j][SIDE];
+        const float side = discs[j][SIDE], flat = discs[j][TOP], more = flat - side;
+        if (!parts[j].is_high()) {
 #pragma omp simd
-        for (int i = 0; i < size; i++) {
-            float wx, wy;
-            const float cover = cover_at(within(contour.depth(x[i], y[i], wx, wy)));
-            const float top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
-            rest[i] -= side * cover + more * top;
-            seen[i] *= 1 - cover;
+            for (int i = 0; i < size; i++) {
+                float wx, wy;
+                const float cover = cover_at(within(contour.depth(x[i], y[i], wx, wy)));
+                rest[i] -= flat * cover;
+                seen[i] *= 1 - cover;
+            }
+        } else {
+#pragma omp simd
+            for (int i = 0; i < size; i++) {
+                float wx, wy;
+                const float cover = cover_at(within(contour.depth(x[i], y[i], wx, wy)));
+                const float top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
+                rest[i] -= side * cover + more * top;
+                seen[i] *= 1 - cover;
+            }
         }
         if (!shadows.any()) continue;
         const Contour shadow = shadows.contour(discs[j], parts[j], j);
@@ -205,14 +215,14 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
 // The misfit is the root mean square error at the contour, less the noise, relative to the
 // darkness. `noise` is a standard deviation, as darkness. With SHADOW the plate beside the disc is
 // darker by `shade` within `cast`.
-template <bool SHADOW>
+template <bool SHADOW, bool HIGH>
 PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
                               std::vector<Slopes>& slopes,
                               double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS],
                               Disc& out) {
     const Contour contour(disc, part);
-    const float side = disc[SIDE], more = disc[TOP] - disc[SIDE];
+    const float side = disc[SIDE], flat = disc[TOP], more = flat - side;
     const float steep = 0.75 / disc[EDGE];
     const float near = 1 + CONTOUR_PX / disc[EDGE];
     const float dark = std::max(std::max(disc[SIDE], disc[TOP]), MIN_DARKNESS);
@@ -228,8 +238,11 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
         float wx, wy;
         const float depth = contour.depth(x[i], y[i], wx, wy), u = within(depth);
         const float cover = cover_at(u);
-        const float top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
-        const float level = side + more * (top / std::max(cover, 1e-6f));
+        float top = cover, level = flat;
+        if constexpr (HIGH) {
+            top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
+            level = side + more * (top / std::max(cover, 1e-6f));
+        }
         // The disc hides its own part of the shadow.
         float beside = 0, under = 0;
         if constexpr (SHADOW) {
@@ -336,13 +349,17 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
             }
             if (!stale) continue;
             without_others(windows[k], fits, parts, shadows, neighbours);
+            const auto add = [&](auto kernel) {
+                const Contour cast = shadows.any() ? shadows.contour(fits[k], parts[k], k)
+                                                   : Contour(fits[k], parts[k]);
+                kernel(windows[k], fits[k], parts[k], cast, shadows.darkness, noise, slopes, normal,
+                       right, discs[k]);
+            };
+            const bool high = parts[k].is_high();
             if (shadows.any())
-                sum_up<true>(windows[k], fits[k], parts[k],
-                             shadows.contour(fits[k], parts[k], k), shadows.darkness, noise, slopes,
-                             normal, right, discs[k]);
+                high ? add(sum_up<true, true>) : add(sum_up<true, false>);
             else
-                sum_up<false>(windows[k], fits[k], parts[k], Contour(fits[k], parts[k]), 0, noise,
-                              slopes, normal, right, discs[k]);
+                high ? add(sum_up<false, true>) : add(sum_up<false, false>);
             if (improve(fits[k], normal, right, parts[k].radius_px) >= SETTLED_PX) {
                 moves[k] = true;
                 still = false;

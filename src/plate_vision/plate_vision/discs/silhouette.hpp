@@ -30,6 +30,7 @@ struct Silhouette {
         const double xx = d * d + b * b, yy = a * a + c * c, xy = -(c * d + a * b);
         return {(xx - yy) / (xx + yy), 2 * xy / (xx + yy)};
     }
+    bool is_high() const { return growth != 1 || lean_px[0] != 0 || lean_px[1] != 0; }
     double lean_length() const { return std::hypot(lean_px[0], lean_px[1]); }
 
     // Largest length [px of the image] of what has a length of 1 px in the disc's frame.

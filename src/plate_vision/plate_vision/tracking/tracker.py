@@ -78,6 +78,8 @@ class Tracker:
         Things in the last image that are not taken for parts.
     shadow : Shadow, optional
         That all parts cast in the last image.
+    doubtful : int
+        Images in a row in which many things looked like no part, and no shadow explained it.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
@@ -88,6 +90,7 @@ class Tracker:
     renamed: tuple[tuple[str, str], ...] = ()
     overlooked: np.ndarray = field(default_factory=lambda: NONE_OVERLOOKED)
     shadow: Shadow | None = None
+    doubtful: int = 0
 
     @property
     def found(self) -> tuple[Track, ...]:
