@@ -363,9 +363,10 @@ class Scene:
 
 def _doubtful(discs: Discs) -> bool:
     """Whether many things look like no part, or only roughly: as parts with shadows do."""
-    rough = np.count_nonzero(discs.found["misfit"] > GOOD_MISFIT)
-    odd = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
-    doubtful = rough + np.count_nonzero(odd)
+    doubtful = np.count_nonzero(discs.found["misfit"] > GOOD_MISFIT)
+    if len(discs.overlooked):
+        odd = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
+        doubtful += np.count_nonzero(odd)
     return bool(doubtful >= FEWEST and doubtful > ROUGH * len(discs.found))
 
 

@@ -131,13 +131,18 @@ struct Contour {
 
     // Place of a pixel in the disc's frame, from the nearest point of the way of the lean; the
     // depth inside the contour, over the edge's half width.
-    [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy) const {
+    template <bool LEANS>
+    [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy, float& far) const {
         const float dx = x - cx, dy = y - cy;
         wx = ax * dx + bx * dy, wy = ay * dx + by * dy;
-        const float way = std::min(std::max((wx * lx + wy * ly) * over, 0.f), 1.f);
-        wx -= way * lx, wy -= way * ly;
-        const float r = radius * (1 + more * way);
-        return (r - std::sqrt(wx * wx + wy * wy)) * scale;
+        float r = radius;
+        if constexpr (LEANS) {
+            const float way = std::min(std::max((wx * lx + wy * ly) * over, 0.f), 1.f);
+            wx -= way * lx, wy -= way * ly;
+            r *= 1 + more * way;
+        }
+        far = std::sqrt(wx * wx + wy * wy);
+        return (r - far) * scale;
     }
     // The depth inside the top's contour.
     [[gnu::always_inline]] float top_depth(float x, float y) const {
@@ -184,16 +189,17 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
         if (!parts[j].is_high()) {
 #pragma omp simd
             for (int i = 0; i < size; i++) {
-                float wx, wy;
-                const float cover = cover_at(within(contour.depth(x[i], y[i], wx, wy)));
+                float wx, wy, far;
+                const float cover =
+                    cover_at(within(contour.depth<false>(x[i], y[i], wx, wy, far)));
                 rest[i] -= flat * cover;
                 seen[i] *= 1 - cover;
             }
         } else {
 #pragma omp simd
             for (int i = 0; i < size; i++) {
-                float wx, wy;
-                const float cover = cover_at(within(contour.depth(x[i], y[i], wx, wy)));
+                float wx, wy, far;
+                const float cover = cover_at(within(contour.depth<true>(x[i], y[i], wx, wy, far)));
                 const float top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
                 rest[i] -= side * cover + more * top;
                 seen[i] *= 1 - cover;
@@ -203,8 +209,8 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
         const Contour shadow = shadows.contour(discs[j], parts[j], j);
 #pragma omp simd
         for (int i = 0; i < size; i++) {
-            float wx, wy;
-            seen[i] *= 1 - cover_at(within(shadow.depth(x[i], y[i], wx, wy)));
+            float wx, wy, far;
+            seen[i] *= 1 - cover_at(within(shadow.depth<true>(x[i], y[i], wx, wy, far)));
         }
     }
 }
@@ -216,7 +222,7 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
 // darkness. `noise` is a standard deviation, as darkness. With SHADOW the plate beside the disc is
 // darker by `shade` within `cast`.
 template <bool SHADOW, bool HIGH>
-PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, const Silhouette& part,
+[[gnu::always_inline]] inline void sum_up(const DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
                               std::vector<Slopes>& slopes,
                               double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS],
@@ -235,8 +241,8 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
     float weights = 0, pixels = 0;
 #pragma omp simd reduction(+ : weights, pixels)
     for (int i = 0; i < window.size; i++) {
-        float wx, wy;
-        const float depth = contour.depth(x[i], y[i], wx, wy), u = within(depth);
+        float wx, wy, far;
+        const float depth = contour.depth<HIGH>(x[i], y[i], wx, wy, far), u = within(depth);
         const float cover = cover_at(u);
         float top = cover, level = flat;
         if constexpr (HIGH) {
@@ -246,15 +252,16 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
         // The disc hides its own part of the shadow.
         float beside = 0, under = 0;
         if constexpr (SHADOW) {
-            float sx, sy;
-            beside = std::max(cover_at(within(cast.depth(x[i], y[i], sx, sy))) - cover, 0.f);
+            float sx, sy, beyond;
+            const float shadow = cast.depth<true>(x[i], y[i], sx, sy, beyond);
+            beside = std::max(cover_at(within(shadow)) - cover, 0.f);
             under = beside > 0 ? shade : 0;
         }
         const float gap = rest[i] - level * cover - shade * beside;
         const float kept = depth > 1 && std::abs(gap) > odd ? 0.f : 1.f, weight = seen[i] * kept;
         const float error = gap * weight, gr = (level - under) * steep * (1 - u * u) * weight;
         const float rim = std::abs(depth) < near ? seen[i] : 0.f;
-        const float inverse = 1 / std::sqrt(wx * wx + wy * wy + 1e-6f);
+        const float inverse = 1 / std::max(far, 1e-3f);
         weights += rim;
         pixels += std::abs(depth) < near ? 1.f : 0.f;
         slope[i].of[X] = gr * (contour.ax * wx + contour.ay * wy) * inverse;
@@ -287,6 +294,21 @@ PLATE_WIDE inline void sum_up(const DiscWindow& window, const DiscFit& disc, con
     const double slopes_xy = 0.5 * (sum[X][int{X}] + sum[Y][int{Y}]);
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
+
+// Each kind of disc by a function of its own: a template is not compiled for several widths.
+#define PLATE_SUM_UP(name, SHADOW, HIGH)                                                         \
+    PLATE_WIDE inline void name(const DiscWindow& window, const DiscFit& disc,                   \
+                                const Silhouette& part, const Contour& cast, float shade,        \
+                                double noise, std::vector<Slopes>& slopes,                       \
+                                double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS], \
+                                Disc& out) {                                                     \
+        sum_up<SHADOW, HIGH>(window, disc, part, cast, shade, noise, slopes, normal, right, out); \
+    }
+PLATE_SUM_UP(sum_up_flat, false, false)
+PLATE_SUM_UP(sum_up_high, false, true)
+PLATE_SUM_UP(sum_up_shadowed, true, false)
+PLATE_SUM_UP(sum_up_high_shadowed, true, true)
+#undef PLATE_SUM_UP
 
 // Make one step of a disc by its normal equations; return the change [px].
 inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
@@ -349,17 +371,13 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
             }
             if (!stale) continue;
             without_others(windows[k], fits, parts, shadows, neighbours);
-            const auto add = [&](auto kernel) {
-                const Contour cast = shadows.any() ? shadows.contour(fits[k], parts[k], k)
-                                                   : Contour(fits[k], parts[k]);
-                kernel(windows[k], fits[k], parts[k], cast, shadows.darkness, noise, slopes, normal,
-                       right, discs[k]);
-            };
             const bool high = parts[k].is_high();
-            if (shadows.any())
-                high ? add(sum_up<true, true>) : add(sum_up<true, false>);
-            else
-                high ? add(sum_up<false, true>) : add(sum_up<false, false>);
+            const Contour cast = shadows.any() ? shadows.contour(fits[k], parts[k], k)
+                                               : Contour(fits[k], parts[k]);
+            const auto add = shadows.any() ? (high ? sum_up_high_shadowed : sum_up_shadowed)
+                                           : (high ? sum_up_high : sum_up_flat);
+            add(windows[k], fits[k], parts[k], cast, shadows.darkness, noise, slopes, normal, right,
+                discs[k]);
             if (improve(fits[k], normal, right, parts[k].radius_px) >= SETTLED_PX) {
                 moves[k] = true;
                 still = false;

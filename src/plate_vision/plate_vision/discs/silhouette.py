@@ -106,7 +106,9 @@ def tops(places_px: np.ndarray, parts: np.ndarray) -> np.ndarray:
 def longest(parts: np.ndarray) -> np.ndarray:
     """Return the distances (n,) [px of the image] from the places of parts within which their
     silhouettes are."""
-    half = 0.5 * np.sum(parts["across"] ** 2, axis=(1, 2))
+    half = 0.5 * np.einsum("nij,nij->n", parts["across"], parts["across"])
     stretch = np.sqrt(half + np.sqrt(np.maximum(half * half - 1, 0)))
-    lean = np.hypot(*parts["lean_px"].T)
-    return np.asarray((np.maximum(parts["growth"], 1) * parts["radius_px"] + lean) * stretch)
+    reach = parts["growth"] * parts["radius_px"]
+    if np.any(parts["lean_px"]):
+        reach = reach + np.hypot(*parts["lean_px"].T)
+    return np.asarray(reach * stretch)
