@@ -13,9 +13,12 @@ from plate_core.rig import PartType, load_part_types
 from plate_vision import make_vision
 from plate_vision.errors import TeachError
 from plate_vision.recognition import calibrate_by_scale, find_parts
-from plate_vision.shapes.part_files import save_part_types
+from plate_vision.shapes import learn_plate
+from plate_vision.shapes.part_files import add_type, save_part_types
 from plate_vision.shapes.teach_parts import main
 from plate_vision.shapes.teaching import Example, apart, check_alike, learn_type, merged, teach
+
+from .raycast import Look, cast
 
 TYPES = load_part_types(config_path("parts.yaml"))
 SIZE_PX = (240, 160)
@@ -288,3 +291,21 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, words, message):
     said = capsys.readouterr().err.splitlines()
     assert message in said[-1]
     assert "error: " in said[-1]
+
+
+def test_side_faces_are_not_learned_and_the_height_stays(rng, tmp_path):
+    """A cylinder away from the place below the camera."""
+    look, radius, height = Look(distance=0.43, focal_px=430.0), 0.012, 0.02
+    vision = make_vision(look.rig(radius=radius, height=height))
+    bare = learn_plate(np.stack([cast(look, np.empty((0, 2)), np.empty(0), rng)]))
+    place = np.array([[0.13, 0.05]])
+    image = cast(look, place, np.array([60.0]), rng, radius=radius, height=height)
+    file, given = tmp_path / "parts.yaml", (vision.calibration, bare, vision.region)
+    shown = [Example(image)]
+    taught = add_type(file, "post", shown, *given, height).part
+    assert np.sqrt(taught.area_m2 / np.pi) == pytest.approx(radius, rel=0.02)
+    again = add_type(file, "post", shown, *given).part
+    assert again.height_m == load_part_types(file)["post"].height_m == height
+    flat = add_type(file, "post", shown, *given, 0.0).part
+    assert flat.area_m2 > 1.2 * taught.area_m2
+    assert flat.height_m == 0

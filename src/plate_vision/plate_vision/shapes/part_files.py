@@ -71,9 +71,10 @@ def add_type(
     calibration: Calibration,
     background: Background | None,
     region: Region | None,
+    height: float | None = None,
 ) -> Lesson:
     """Learn a type and write it, and its picture, into a file of types, in place of one of that
-    name.
+    name, whose mass, friction and height stay; another height [m] may be given.
 
     Raises
     ------
@@ -81,10 +82,12 @@ def add_type(
         As `learn_type` and `check_alike`, or if a file cannot be written.
     """
     types = dict(load_part_types(path)) if path.exists() else {}
-    lesson = learn_type(name, examples, calibration, background, region)
+    known = types.get(name)
+    if height is None:
+        height = 0.0 if known is None else known.height_m
+    lesson = learn_type(name, examples, calibration, background, region, height)
     check_alike(lesson.part, types, calibration)
-    if name in types:
-        known = types[name]
+    if known is not None:
         part = replace(lesson.part, mass_kg=known.mass_kg, mu=known.mu)
         lesson = replace(lesson, part=part)
     types[name] = lesson.part

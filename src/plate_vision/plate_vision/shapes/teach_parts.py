@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from plate_core import PlateError, load_rig, piped
-from plate_core.rig import PartType, load_part_types
+from plate_core.rig import MAX_HEIGHT_M, PartType, load_part_types
 
 from ..camera import read_pictures, rig_of_picture
 from ..errors import TeachError, check_size
@@ -29,6 +29,11 @@ COMMANDS = ("list", "merge", "rename", "delete")
 BOX = (
     "only the part in this box of the picture, from its left upper corner [px]; up to five, each "
     "after a --box (all parts in the picture)"
+)
+
+HEIGHT = (
+    "height of the part [m]: side faces are not learned (that of the type in the file, or 0); the "
+    "camera's place must be known"
 )
 
 SCALE = (
@@ -68,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--bare", type=Path, help="picture of the bare plate, or a folder of them")
     add("--box", type=_box, action="append", default=[], metavar="X,Y,WIDTH,HEIGHT", help=BOX)
     add("--scale", type=_scale, metavar="PX_PER_MM", help=SCALE)
+    add("--height", type=_height, metavar="M", help=HEIGHT)
     add("--out", type=Path, default=OUT, help="file of types, written or added to (parts.yaml)")
     parser.set_defaults(run=_teach)
     return parser
@@ -112,6 +118,16 @@ def _scale(text: str) -> float:
     return scale
 
 
+def _height(text: str) -> float:
+    try:
+        height = float(text)
+    except ValueError:
+        height = float("nan")
+    if not 0 <= height <= MAX_HEIGHT_M:
+        raise argparse.ArgumentTypeError(f"height is {text!r}, allowed: 0 to {MAX_HEIGHT_M:g} m")
+    return height
+
+
 def _teach(args: argparse.Namespace) -> None:
     pictures = [named for path in args.pictures for named in read_pictures(path)]
     if args.box and len(pictures) > 1:
@@ -150,7 +166,7 @@ def _teach(args: argparse.Namespace) -> None:
         ]
     else:
         examples = [Example(pixels, name=other) for other, pixels in pictures]
-    lesson = add_type(args.out, args.name, examples, calibration, bare, region)
+    lesson = add_type(args.out, args.name, examples, calibration, bare, region, args.height)
     for problem in lesson.unused:
         print(f"warning: not used: {problem}", file=sys.stderr)
     for doubt in lesson.doubts:

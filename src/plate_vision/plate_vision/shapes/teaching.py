@@ -29,6 +29,7 @@ from .classes import (
     SIZE_PX,
     SIZE_REACH,
     colour_distance,
+    footprints,
     measure_patches,
 )
 from .outlines import Outline, distances, make_outline
@@ -182,8 +183,12 @@ def learn_type(
     calibration: Calibration,
     background: Background | None = None,
     region: Region | None = None,
+    height: float = 0.0,
 ) -> Lesson:
-    """Learn one type of part; arguments as those of `teach`.
+    """Learn one type of part of a height [m]; the other arguments are those of `teach`.
+
+    If the camera's place is known, the outline is that of the part's base: its side faces, and the
+    shift of its top, are taken off.
 
     Raises
     ------
@@ -203,6 +208,9 @@ def learn_type(
             unused.append(str(error))
     if not shown:
         raise TeachError(unused[0])
+    if height > 0:
+        bases = footprints([one.outline for one in shown], calibration, height)
+        shown = [replace(one, outline=base) for one, base in zip(shown, bases, strict=True)]
     scale = float(np.median(calibration.scale(np.array([one.outline.centre for one in shown]))))
     shown = _agreeing(name, shown, scale, unused)
     outlines = [one.outline for one in shown]
@@ -214,6 +222,7 @@ def learn_type(
         part,
         colour_lab=(float(colour[0]), float(colour[1]), float(colour[2])),
         scatter_m=scatter,
+        height_m=height,
         picture=drawn_name(name),
     )
     size = 2 * np.sqrt(np.array([o.area for o in outlines]) / np.pi)
