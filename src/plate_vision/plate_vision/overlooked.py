@@ -63,6 +63,10 @@ EDGE_REASONS = ("at the edge", "beyond the plate")
 """Things of these reasons do not count either: a plate that is away from home shows its own edge
 there, as in images of a camera that runs free."""
 
+COVER_RADII = 8.0
+"""Things larger than this, relative to the largest part's radius [-], cover the plate: a hand, a
+cable, a lamp's reflection. The strip beside a plate that is 10 mm away from home is smaller."""
+
 REMEDIES = {
     "too faint": "more light, or parts that differ more from the plate",
     "at the edge": "move them inwards; or it is the edge of a plate that is not at home",
@@ -225,6 +229,14 @@ class OverlookedTally:
         verb = "is not taken for a part" if total == 1 else "are not taken for parts"
         counts = (radius >= SPECK_RADIUS * expected.smallest) & ~np.isin(reason, EDGE_REASONS)
         large = np.count_nonzero(counts)
+        cover = float(np.max(radius, initial=0))
+        if cover > COVER_RADII * expected.largest:
+            mm = round(1e3 * cover)
+            return Finding(
+                Level.WARN,
+                f"a thing as large as a disc of {mm} mm radius covers the plate, parts under it "
+                f"are not seen: take it away, or check corners_px and the light; {of} {verb}: {why}",
+            )
         many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
 

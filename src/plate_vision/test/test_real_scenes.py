@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from plate_core.status import Level
 from plate_vision import DetectorOptions, Tracker, make_vision, observe
+from plate_vision.overlooked import Expected, OverlookedTally
 
 from .raycast import Look, cast
 
@@ -171,3 +173,17 @@ def test_a_shadow_is_looked_for_in_fewer_and_fewer_images(rng, monkeypatch):
     for k in range(16):
         tracker = observe(vision, tracker, image, 1 + 0.1 * k)
     assert len(calls) == 5
+
+
+@pytest.mark.parametrize("grey", [10, 120])
+def test_what_covers_half_of_the_plate_is_named(grey, rng):
+    image = cast(Look(), GRID, GREYS, rng)
+    image[:, : image.shape[1] // 2] = grey
+    look, tally = Look(), OverlookedTally()
+    tracker = seen(look.rig(), image)
+    things = tracker.overlooked
+    assert 10 <= sum(not name.startswith("unknown") for name in tracker.parts.ids) <= 12
+    tally.add(len(tracker.parts.ids), things, things["radius_px"] / 1111)
+    found = tally.finding(Expected(0.008, 0.008))
+    assert found.level == Level.WARN
+    assert "covers the plate" in found.message

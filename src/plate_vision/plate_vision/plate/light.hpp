@@ -26,8 +26,8 @@ constexpr double RIDGE = 1e-9;
 // Least fraction of the pixels looked at that must be plate.
 constexpr double MIN_FRACTION = 0.1;
 
-// Standard deviation of a normal distribution, over the median of its absolute values.
-constexpr double SIGMA_OF_MEDIAN = 1.4826;
+// Standard deviation of a normal distribution, over the lower quartile of its absolute values.
+constexpr double SIGMA_OF_QUARTILE = 3.1383;
 
 // Minimum noise of an image [grey levels]: that of its quantisation.
 constexpr double LEAST_NOISE = 0.3;
@@ -127,14 +127,14 @@ inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int6
         }
     }
     if (*std::min_element(fitted.begin(), fitted.end()) < 0.5 * min_grey) return {};
-    // The noise, from the median deviation: parts on less than half of the plate do not count.
+    // The noise, from the lower quartile of deviations: what covers half of the plate does not count.
     double level = 0;
     for (int i = 0; i < count; i++) {
         level += fitted[i] / count;
         fitted[i] = std::abs(samples[i].value - fitted[i]);
     }
-    std::nth_element(fitted.begin(), fitted.begin() + count / 2, fitted.end());
-    const double noise = std::max(SIGMA_OF_MEDIAN * fitted[count / 2], LEAST_NOISE);
+    std::nth_element(fitted.begin(), fitted.begin() + count / 4, fitted.end());
+    const double noise = std::max(SIGMA_OF_QUARTILE * fitted[count / 4], LEAST_NOISE);
     std::vector<float> surface(right, right + TERMS);
     surface.push_back(noise / level);
     return surface;
