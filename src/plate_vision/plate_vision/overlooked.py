@@ -235,7 +235,7 @@ class OverlookedTally:
             return Finding(
                 Level.WARN,
                 f"a thing as large as a disc of {mm} mm radius covers the plate, parts under it "
-                f"are not seen: take it away, or check corners_px and the light; {of} {verb}: {why}",
+                f"are not seen: take it away, or check corners_px and light; {of} {verb}: {why}",
             )
         many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
