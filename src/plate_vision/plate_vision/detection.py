@@ -19,9 +19,9 @@ from .camera import Calibration, grey_levels
 from .discs import (
     RIM_PX,
     SILHOUETTE,
+    EvenDiscs,
     Silhouettes,
     crowded,
-    even_discs,
     find_seeds,
     fit_discs,
     longest,
@@ -210,7 +210,7 @@ class PartView:
     @classmethod
     def even(cls, radius_px: float) -> PartView:
         """Return a view in which a part is the same flat disc at all places."""
-        return cls(even_discs(radius_px), radius_px)
+        return cls(EvenDiscs(radius_px), radius_px)
 
 
 def detect(

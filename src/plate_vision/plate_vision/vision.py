@@ -12,7 +12,7 @@ from plate_core.rig import to_home
 
 from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, PartView, find_discs
-from .discs import outlines, seen_by
+from .discs import SeenDiscs, outlines
 from .errors import check_size
 from .overlooked import PLAUSIBLE_AREA, may_be_parts, unnamed_things
 from .plate.home import PlateLocation, locate_plate
@@ -143,7 +143,7 @@ def make_vision(
         make_region((rig.camera.width_px, rig.camera.height_px), outline_px),
         replace(options or DetectorOptions(), radius_px=radius_px),
         PartView(
-            seen_by(calibration, rig.parts.radius_m, rig.parts.height_m),
+            SeenDiscs(calibration, rig.parts.radius_m, rig.parts.height_m),
             float(seen.min()),
             calibration,
         ),

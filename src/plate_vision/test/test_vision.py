@@ -1,5 +1,6 @@
 """The whole stage without ROS: frames drawn here, parts in metres."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -140,3 +141,10 @@ def test_a_thing_that_may_be_a_part_is_published_as_unknown(draw, rng):
     assert len(tracker.overlooked) == 1
     spread, _, confidence = tracker.quality[1]
     assert (spread > 1e-4, confidence) == (True, 0.0)
+
+
+def test_a_vision_is_sent_to_other_processes():
+    vision = make_vision(load_rig())
+    there = pickle.loads(pickle.dumps(vision))
+    point_px = np.array([[100.0, 200.0], [400.0, 250.0]])
+    assert np.array_equal(there.view.silhouettes(point_px), vision.view.silhouettes(point_px))

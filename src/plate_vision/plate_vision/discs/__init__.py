@@ -9,11 +9,11 @@ from .measure import RIM_PX, crowded, measure_alone
 from .seeds import COARSE_RADIUS_PX, find_seeds, seeds_of
 from .silhouette import (
     SILHOUETTE,
+    EvenDiscs,
+    SeenDiscs,
     Silhouettes,
-    even_discs,
     longest,
     outlines,
-    seen_by,
     to_image,
     tops,
 )
@@ -22,9 +22,10 @@ __all__ = [
     "COARSE_RADIUS_PX",
     "RIM_PX",
     "SILHOUETTE",
+    "EvenDiscs",
+    "SeenDiscs",
     "Silhouettes",
     "crowded",
-    "even_discs",
     "find_seeds",
     "fit_discs",
     "longest",
@@ -33,7 +34,6 @@ __all__ = [
     "outlines",
     "paint_over",
     "seeds_of",
-    "seen_by",
     "to_image",
     "tops",
 ]

@@ -9,6 +9,7 @@ the camera above the plate.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,30 +29,37 @@ Silhouettes = Callable[[np.ndarray], np.ndarray]
 """Returns the silhouettes (n,) SILHOUETTE of a part at image points (n, 2) [px]."""
 
 
-def even_discs(radius_px: float) -> Silhouettes:
-    """Return silhouettes that are the same flat disc of a radius [px] at all places."""
+@dataclass(frozen=True)
+class EvenDiscs:
+    """Silhouettes that are the same flat disc of a radius [px] at all places."""
 
-    def silhouettes(point_px: np.ndarray) -> np.ndarray:
+    radius_px: float
+
+    def __call__(self, point_px: np.ndarray) -> np.ndarray:
+        """Return the silhouettes (n,) SILHOUETTE at image points (n, 2) [px]."""
         found = np.zeros(len(point_px), SILHOUETTE)
         found["across"] = np.eye(2)
-        found["radius_px"] = radius_px
+        found["radius_px"] = self.radius_px
         found["growth"] = 1
         return found
 
-    return silhouettes
 
-
-def seen_by(calibration: Calibration, radius: float, height: float) -> Silhouettes:
-    """Return the silhouettes of a part of a radius and a height [m] in a camera's images.
+@dataclass(frozen=True, eq=False)
+class SeenDiscs:
+    """Silhouettes of a part of a radius and a height [m] in a camera's images.
 
     With J the derivative of plate_home in the image, J = Q S with Q orthogonal and S symmetric:
     `across` is S / sqrt(det S). The height counts if the camera's place is known.
     """
 
-    place = calibration.place if height else None
+    calibration: Calibration
+    radius: float
+    height: float
 
-    def silhouettes(point_px: np.ndarray) -> np.ndarray:
-        slopes = calibration.slopes(point_px)
+    def __call__(self, point_px: np.ndarray) -> np.ndarray:
+        """Return the silhouettes (n,) SILHOUETTE at image points (n, 2) [px]."""
+        place = self.calibration.place if self.height else None
+        slopes = self.calibration.slopes(point_px)
         (a, b), (c, d) = np.moveaxis(slopes, 0, 2)
         area = np.abs(a * d - b * c)  # sqrt(det J'J) [m2/px2]
         found = np.zeros(len(slopes), SILHOUETTE)
@@ -60,19 +68,21 @@ def seen_by(calibration: Calibration, radius: float, height: float) -> Silhouett
         # S = (J'J + sqrt(det) 1) / sqrt(trace of that)
         across = square / np.sqrt((square[0, 0] + square[1, 1]) * area)
         found["across"] = np.moveaxis(across, 2, 0)
-        found["radius_px"] = radius / np.sqrt(area)
+        found["radius_px"] = self.radius / np.sqrt(area)
         found["growth"] = 1
         if place is not None:
-            x, y = (calibration.to_home(point_px) - place[:2]).T * height / (place[2] - height)
+            x, y = (
+                (self.calibration.to_home(point_px) - place[:2]).T
+                * self.height
+                / (place[2] - self.height)
+            )
             # Q' l = S^-1 J' l, over the size of a pixel
             right, down = (a * x + c * y) / area, (b * x + d * y) / area
             (p, q), (r, s) = across
             found["lean_px"][:, 0] = s * right - q * down
             found["lean_px"][:, 1] = p * down - r * right
-            found["growth"] = place[2] / (place[2] - height)
+            found["growth"] = place[2] / (place[2] - self.height)
         return found
-
-    return silhouettes
 
 
 def numbers(parts: np.ndarray) -> np.ndarray:
