@@ -485,7 +485,7 @@ def test_wrong_parameters_are_refused_at_start(name, value):
 def camera_info(d=(), model="plumb_bob", width=640):
     msg = CameraInfo(width=width, height=480, distortion_model=model)
     msg.k = [600.0, 0.0, 320.0, 0.0, 600.0, 240.0, 0.0, 0.0, 1.0]
-    msg.d = list(d)
+    msg.d = [float(value) for value in d]
     return msg
 
 

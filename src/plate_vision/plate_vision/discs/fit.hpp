@@ -102,6 +102,14 @@ struct Slopes {
 };
 static_assert(sizeof(Slopes) == sizeof(Eight));
 
+// Numbers of all pixels of a window: their slopes; 1 at the contour, and how much is seen there.
+struct PixelSums {
+    std::vector<Slopes> slopes;
+    std::vector<float> near, rim;
+
+    void resize(int size) { slopes.resize(size), near.resize(size), rim.resize(size); }
+};
+
 inline double first_darkness(const DiscWindow& window, double x, double y, double radius) {
     std::vector<float> inner;
     for (int i = 0; i < window.size; i++) {
@@ -224,7 +232,7 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
 template <bool SHADOW, bool HIGH>
 [[gnu::always_inline]] inline void sum_up(const DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
-                              std::vector<Slopes>& slopes,
+                              PixelSums& pixels,
                               double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS],
                               Disc& out) {
     const Contour contour(disc, part);
@@ -236,10 +244,10 @@ template <bool SHADOW, bool HIGH>
     const float worst = WORST_FRACTION * dark;
     const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
     const float *__restrict rest = window.rest.data(), *__restrict seen = window.seen.data();
-    slopes.resize(window.size);
-    Slopes* __restrict slope = slopes.data();
-    float weights = 0, pixels = 0;
-#pragma omp simd reduction(+ : weights, pixels)
+    pixels.resize(window.size);
+    Slopes* __restrict slope = pixels.slopes.data();
+    float *__restrict near_by = pixels.near.data(), *__restrict rims = pixels.rim.data();
+#pragma omp simd
     for (int i = 0; i < window.size; i++) {
         float wx, wy, far;
         const float depth = contour.depth<HIGH>(x[i], y[i], wx, wy, far), u = within(depth);
@@ -262,8 +270,8 @@ template <bool SHADOW, bool HIGH>
         const float error = gap * weight, gr = (level - under) * steep * (1 - u * u) * weight;
         const float rim = std::abs(depth) < near ? seen[i] : 0.f;
         const float inverse = 1 / std::max(far, 1e-3f);
-        weights += rim;
-        pixels += std::abs(depth) < near ? 1.f : 0.f;
+        near_by[i] = std::abs(depth) < near ? 1.f : 0.f;
+        rims[i] = rim;
         slope[i].of[X] = gr * (contour.ax * wx + contour.ay * wy) * inverse;
         slope[i].of[Y] = gr * (contour.bx * wx + contour.by * wy) * inverse;
         slope[i].of[RADIUS] = gr;
@@ -275,20 +283,23 @@ template <bool SHADOW, bool HIGH>
         slope[i].of[SQUARE] = rim * known * known;
     }
     Eight sum[UNKNOWNS] = {};
-    double square = 0;
-    for (const Slopes& pixel : slopes) {
+    double square = 0, weights = 0, count = 0;
+    for (int i = 0; i < window.size; i++) {
+        const Slopes& pixel = slope[i];
         Eight all;
         load(all, pixel.of);
         for (int a = 0; a < UNKNOWNS; a++) sum[a] += pixel.of[a] * all;
         square += pixel.of[SQUARE];
+        weights += rims[i];
+        count += near_by[i];
     }
     for (int a = 0; a < UNKNOWNS; a++) {
         for (int b = 0; b <= a; b++) normal[a][b] = sum[a][b];
         right[a] = sum[a][int{ERROR}];
     }
-    square /= std::max(weights, 1.f);
+    square /= std::max(weights, 1.0);
     out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
-    const double whole = std::max<double>(pixels, 1) * std::max(window.all, 1.0) / window.size;
+    const double whole = std::max(count, 1.0) * std::max(window.all, 1.0) / window.size;
     out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
     // Each coordinate is seen on half of the contour.
     const double slopes_xy = 0.5 * (sum[X][int{X}] + sum[Y][int{Y}]);
@@ -299,10 +310,10 @@ template <bool SHADOW, bool HIGH>
 #define PLATE_SUM_UP(name, SHADOW, HIGH)                                                         \
     PLATE_WIDE inline void name(const DiscWindow& window, const DiscFit& disc,                   \
                                 const Silhouette& part, const Contour& cast, float shade,        \
-                                double noise, std::vector<Slopes>& slopes,                       \
+                                double noise, PixelSums& pixels,                                 \
                                 double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS], \
                                 Disc& out) {                                                     \
-        sum_up<SHADOW, HIGH>(window, disc, part, cast, shade, noise, slopes, normal, right, out); \
+        sum_up<SHADOW, HIGH>(window, disc, part, cast, shade, noise, pixels, normal, right, out); \
     }
 PLATE_SUM_UP(sum_up_flat, false, false)
 PLATE_SUM_UP(sum_up_high, false, true)
@@ -353,7 +364,7 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
     }
     std::vector<char> moved(count, true), moves(count);
     std::vector<int> neighbours;
-    std::vector<Slopes> slopes;
+    PixelSums pixels;
     double normal[UNKNOWNS][UNKNOWNS], right[UNKNOWNS];
     for (int iteration = 0; iteration < MAX_ITERATIONS; iteration++) {
         bool still = true;
@@ -376,7 +387,7 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
                                                : Contour(fits[k], parts[k]);
             const auto add = shadows.any() ? (high ? sum_up_high_shadowed : sum_up_shadowed)
                                            : (high ? sum_up_high : sum_up_flat);
-            add(windows[k], fits[k], parts[k], cast, shadows.darkness, noise, slopes, normal, right,
+            add(windows[k], fits[k], parts[k], cast, shadows.darkness, noise, pixels, normal, right,
                 discs[k]);
             if (improve(fits[k], normal, right, parts[k].radius_px) >= SETTLED_PX) {
                 moves[k] = true;
