@@ -171,10 +171,10 @@ def camera_place(rig: Rig) -> np.ndarray | None:
     - Only the camera's height z is known (`camera: height_m`), and the principal point is taken to
       be in the middle of the image. Let p be the point of the plate seen there, and let the third
       row of the homography be (h, 1), h in 1/m: points with h x + 1 = 0 are as far ahead of the
-      camera as its own centre. The plate is D = (h p + 1) / norm(h) from there to p. A camera that is
-      tilted by theta from straight above has D = z (tan theta + cot theta) = 2 z / sin(2 theta),
-      and is above p - z tan(theta) h / norm(h). Without perspective h = 0: it is above p. Tilts of more
-      than 45 degrees are taken for 45.
+      camera as its own centre. The plate is D = (h p + 1) / norm(h) from there to p. A camera
+      that is tilted by theta from straight above has D = z (tan theta + cot theta)
+      = 2 z / sin(2 theta), and is above p - z tan(theta) h / norm(h). Without perspective h = 0:
+      it is above p. Tilts of more than 45 degrees are taken for 45.
     - Neither is known: square pixels and the same principal point leave the focal length f, by
       least squares in the two equations of `_focal_px`, and f gives the place as in the first case.
 
