@@ -392,7 +392,7 @@ def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
 
 
 def row_of(kind: Kind, count: int, before: Mapping[str, float | None]) -> dict[str, Any]:
-    """Measure one kind of scene in so many layouts."""
+    """Measure one kind of scene in a number of layouts."""
     gaps: list[float] = []
     true = false = right = lost = told = 0
     times = []

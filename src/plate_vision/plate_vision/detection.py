@@ -129,7 +129,7 @@ ROUGH = 0.25
 for."""
 
 FAINT = 2.0
-"""Things with less than so many times the least contrast are too faint."""
+"""Contrast below which a thing is too faint, relative to the least contrast of a part."""
 
 ROUND = 1.2
 """Largest reach of a silhouette, relative to its radius, that counts as round: seen at 34 degrees
@@ -258,12 +258,6 @@ def detect(
     return find_discs(image, region, options, view or PartView.even(options.radius_px)).found
 
 
-def round_patches(image: np.ndarray, region: Region) -> np.ndarray:
-    """Return the discs (n,) `OUTLINE` of any size on the plate, darker or brighter than it."""
-    found = _outlines(image, region)
-    return found[found["round"] & ~found["group"]]
-
-
 class Discs(NamedTuple):
     """What `find_discs` finds.
 
@@ -371,7 +365,7 @@ def _doubtful(discs: Discs) -> bool:
 
 
 def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
-    """Return discs with those found by their contrast among the remains, and what is left."""
+    """Return discs with those found among the remains by contrast, and the things overlooked."""
     contrast, radius_px = scene.contrast, scene.options.radius_px
     if contrast is None:
         return discs

@@ -187,7 +187,7 @@ class OverlookedTally:
     radii: list[np.ndarray] = field(default_factory=list)
 
     def add(self, taken: int, things: np.ndarray, radius: np.ndarray) -> None:
-        """Count an image with so many parts, and things (n,) OVERLOOKED of radii (n,) [m]."""
+        """Count an image: its number of parts, and its things (n,) OVERLOOKED of radii (n,) [m]."""
         self.images += 1
         self.taken += taken
         self.things.append(things)

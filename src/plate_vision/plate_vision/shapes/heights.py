@@ -49,7 +49,7 @@ def magnified(place: np.ndarray, height: float) -> float:
 
 
 def seen_shift(place: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
-    """Return by how much (n, 2) [m] points at a height [m] seem to be shifted, if those below them
+    """Return the shifts (n, 2) [m] with which points at a height [m] are seen, if those below them
     on the plate are (n, 2) [m]."""
     return np.asarray((point - place[:2]) * (magnified(place, height) - 1))
 
