@@ -17,17 +17,17 @@ from plate_core.rig import PART_PX
 
 from .camera import Calibration, grey_levels
 from .discs import (
-    RIM_PX,
+    GOOD_MISFIT,
+    NUMBERS,
     SILHOUETTE,
     EvenDiscs,
     Silhouettes,
     crowded,
+    find_marks,
     find_seeds,
     fit_discs,
-    longest,
-    mark_angles,
-    measure_alone,
-    paint_over,
+    judge,
+    measure_dark,
     seeds_of,
     tops,
 )
@@ -35,7 +35,6 @@ from .discs.shadow import Shadow
 from .errors import OptionError, check_ranges, check_size
 from .overlooked import NONE_OVERLOOKED
 from .plate import (
-    SEAM_PX,
     LitPlate,
     Region,
     brightness,
@@ -66,6 +65,9 @@ METHODS = ("moments", "fit", "outline", "group")
 dark; by a fit of its contour; by its outline, if nothing was known of it; as a group, if it seems
 to be several parts."""
 
+LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
+"""The labels of parts, and how they were measured: not by moments, by moments."""
+
 DETECTION = np.dtype(
     [
         ("x_px", "f8"),
@@ -84,37 +86,12 @@ seen: of its longest side with x, 0 to pi; of a disc that of its mark, 0 without
 confidence, 0 to 1; how it was measured; standard deviation of the centre along each axis [px], as
 far as noise and misfit cause it; deviation from the silhouette of a part, 0 for none."""
 
-MAX_MISFIT, NOISE_MISFIT = 0.2, 0.5
-"""Largest deviation of a part from its silhouette, at the contour: drawn ones have 0.02 to 0.05,
-those with a height that the rig file does not know up to 0.2. To it this multiple of the image's
-noise over the part's contrast is added: it remains when the mean noise of 50 pixels is
-subtracted."""
-
-WORST_NOISE = 0.12
-"""Largest noise, relative to the plate's brightness, that makes up for a misfit: more is a texture
-of the plate."""
-
 APART = 1.4
 """Least distance of two parts, in radii of the larger one: touching ones have 2. Of two that are
 nearer the one that looks less like a part is none."""
 
 BETTER = 2.0
 """A disc that overlaps one with this multiple of its misfit and more is surely the part."""
-
-GOOD_MISFIT = 0.06
-"""Misfit that light, noise and the edges of pixels explain. What is beyond, times the radius, is
-about the error of the place: parts 10 mm high that are taken for flat have a misfit of 0.18, and
-are off by 0.15 to 0.2 radii."""
-
-EVEN_MISFIT = 0.06
-"""Largest misfit of a part that is measured by moments: with more it is not evenly dark."""
-
-LEAST_SEEN = 0.3
-"""Least fraction of a part's contour that is seen: of less the place is not sure."""
-
-EQUAL = 0.02
-"""Brightness relative to the plate within which a part is neither darker nor brighter: its colour
-is another."""
 
 CLEARLY_DARK = 0.8
 """Fraction of the plate's brightness below which pixels belong to parts for the quick first
@@ -130,13 +107,6 @@ for."""
 
 FAINT = 2.0
 """Contrast below which a thing is too faint, relative to the least contrast of a part."""
-
-ROUND = 1.2
-"""Largest reach of a silhouette, relative to its radius, that counts as round: seen at 34 degrees
-from above."""
-
-BLUR_PX = 1.5
-"""Reach [px] of a part's blurred edge: how near a neighbour's pixels may come to a window."""
 
 MIN_ALIKE = 3
 """Parts of like size from which on their size is taken as known."""
@@ -283,7 +253,13 @@ class Discs(NamedTuple):
     @property
     def places(self) -> np.ndarray:
         """Where they are (n, 2) [px]."""
-        return np.stack([self.found["x_px"], self.found["y_px"]], axis=1)
+        return _places(self.found)
+
+
+def _places(found: np.ndarray) -> np.ndarray:
+    places = np.empty((len(found), 2))
+    places[:, 0], places[:, 1] = found["x_px"], found["y_px"]
+    return places
 
 
 NO_DISCS = Discs(np.empty(0, DETECTION), np.empty(0, SILHOUETTE), NONE_OVERLOOKED)
@@ -414,28 +390,14 @@ def _apart(discs: Discs) -> Discs:
 
 
 def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view: PartView) -> Discs:
-    """Find parts that are clearly darker than the plate, each measured in the cheapest way.
-
-    One that stands alone is measured by moments, the others by a fit of their contours that knows
-    of their neighbours.
-    """
+    """Find parts that are clearly darker than the plate, each measured in the cheapest way."""
     threshold = min(options.threshold, CLEARLY_DARK)
-    seeds, parts = find_seeds(plate, region.box, threshold, view.least_px, view.silhouettes)
+    seeds, parts = find_seeds(plate, region, threshold, view.least_px, view.silhouettes)
     if not len(seeds):
         return NO_DISCS
-    plate, marks = paint_over(plate, tops(seeds, parts), parts["growth"] * parts["radius_px"])
-    reach = longest(parts)
-    alone = ~crowded(seeds, 2 * float(np.max(reach)) + RIM_PX + BLUR_PX)
-    alone &= region.depth(*seeds.T) - SEAM_PX >= reach + RIM_PX + 1
-    alone &= (parts["growth"] == 1) & (reach < ROUND * parts["radius_px"])
-    discs, clear = measure_alone(plate, seeds, parts, alone)
-    alone &= clear & (discs["misfit"] < EVEN_MISFIT)
-    if not np.all(alone):
-        discs[~alone] = fit_discs(plate, seeds[~alone], parts[~alone])
-    method = np.where(alone, METHODS[0], METHODS[1])
-    return _accepted(
-        discs, parts, marks, 1 - discs["darkness"], method, plate.noise, region, options
-    )
+    discs, marks, alone = measure_dark(plate, region, seeds, parts)
+    light = 1 - discs["darkness"]
+    return _accepted(discs, parts, marks, light, alone, plate.noise, region, options)
 
 
 def _other_discs(
@@ -457,16 +419,15 @@ def _other_discs(
         return NO_DISCS
     if shadow is not None:
         parts = silhouettes(seeds)
-    top_px, radii_px = tops(seeds, parts), parts["growth"] * parts["radius_px"]
-    _, marks = paint_over(scene.plate, top_px, radii_px)
+    marks = find_marks(scene.plate, seeds, parts)
     every = np.concatenate([seeds, known.places])
     discs = fit_discs(contrast, every, np.concatenate([parts, known.parts]), shadow)[: len(seeds)]
     discs["misfit"][discs["darkness"] < scene.limit] = np.inf
-    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
-    light = brightness(scene.channels, centre + top_px - seeds, radii_px)
-    return _accepted(
-        discs, parts, marks, light, METHODS[1], contrast.noise, scene.region, scene.options
-    )
+    centre = _places(discs)
+    radii_px = parts["growth"] * parts["radius_px"]
+    light = brightness(scene.channels, tops(centre, parts), radii_px)
+    alone = np.zeros(len(discs), np.bool_)
+    return _accepted(discs, parts, marks, light, alone, contrast.noise, scene.region, scene.options)
 
 
 def _accepted(
@@ -474,33 +435,25 @@ def _accepted(
     parts: np.ndarray,
     marks: np.ndarray,
     light: np.ndarray,
-    method: np.ndarray | str,
+    alone: np.ndarray,
     noise: float,
     region: Region,
     options: DetectorOptions,
 ) -> Discs:
     """Return those of the measured discs (n,) DISC that are parts: by their silhouettes (n,), marks
-    (n, 2) [px], and brightness (n,) relative to the plate."""
-    found = np.zeros(len(discs), DETECTION)
-    for name in ("x_px", "y_px", "radius_px", "misfit"):
-        found[name] = discs[name]
-    odd_px = np.maximum(discs["misfit"] - GOOD_MISFIT, 0) * discs["radius_px"]
-    found["scatter_px"] = np.hypot(discs["scatter_px"], odd_px)
-    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
-    found["angle_rad"] = mark_angles(marks, tops(centre, parts))
-    found["label"] = np.where(light < options.class_threshold, *CLASSES)
-    found["label"][light > 1 + EQUAL] = BRIGHT
-    noise = min(noise, WORST_NOISE)
-    most = MAX_MISFIT + NOISE_MISFIT * noise / np.maximum(discs["darkness"], noise)
-    found["confidence"] = np.clip(1 - discs["misfit"] / most, 0, 1)
-    found["method"] = method
-    is_part = (
-        (np.abs(discs["radius_px"] / parts["radius_px"] - 1) <= options.radius_tolerance)
-        & (discs["misfit"] < most)
-        & (discs["seen"] > LEAST_SEEN)
-        & (region.depth(*centre.T) >= -options.margin_px)
-    )
-    return Discs(found[is_part], parts[is_part], NONE_OVERLOOKED)
+    (n, 2) [px], and brightness (n,) relative to the plate; (n,) are measured by moments."""
+    kept, labels, numbers = judge(
+        discs, parts, marks, light, region, noise, options.radius_tolerance,
+        options.class_threshold, options.margin_px,
+    )  # fmt: skip
+    found = np.zeros(len(kept), DETECTION)
+    for name, column in zip(NUMBERS, numbers.T, strict=True):
+        found[name] = column
+    found["label"] = LABELS[labels]
+    if len(kept) < len(discs):
+        parts, alone = parts[kept], alone[kept]
+    found["method"] = MEASURED[alone.view(np.uint8)]
+    return Discs(found, parts, NONE_OVERLOOKED)
 
 
 def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from . import _kernels
-from .discs import COARSE_RADIUS_PX, longest, tops
+from .discs import COARSE_RADIUS_PX
+from .discs.silhouette import numbers
 from .overlooked import NONE_OVERLOOKED, OVERLOOKED
 from .plate import LitPlate, Region
 from .plate.contrast import Channels, find_odd
@@ -21,9 +22,6 @@ from .plate.contrast import Channels, find_odd
 LOOK = 2
 """The first look is at every second row and column of the grid: four neighbours that differ there
 are less than the smallest thing that counts."""
-
-CLEAR_PX = 2.5
-"""Width of the border around a part that counts as seen with it: its blurred edge."""
 
 LEAST_AREA = 0.1
 """Smallest thing that is looked at, relative to a part's area: less is dust."""
@@ -64,34 +62,28 @@ def find_remains(
     """Return what is on the plate beside parts at places (n, 2) [px] with silhouettes (n,)
     SILHOUETTE; None if there is nothing. Pixels count whose contrast is above a limit; `least_px`
     is the smallest radius of a part."""
-    x0, y0, x1, y1 = region.box
+    x0, y0 = region.box[:2]
     stride = max(1, int(least_px / COARSE_RADIUS_PX))
-    lines = _lines(centre, parts)
+    shapes = numbers(parts)
     coarse, counts = (x0, y0, LOOK * stride), _deep(region, LOOK * stride, least_px)
     if counts.size == 0:
         return None
-    odd = find_odd(channels, limit, coarse, counts.shape)
-    if not _kernels.any_odd(odd, counts, coarse, *lines):
+    lit = channels.image, channels.lights
+    if not _kernels.any_odd(*lit, limit, counts, coarse, centre, shapes):
         return None
-    outside = ~region.usable[y0:y1:stride, x0:x1:stride]
+    outside = region.outside(stride)
     grid = (x0, y0, stride)
     odd = find_odd(channels, limit, grid, outside.shape)
     odd[outside] = 0
-    _kernels.clear_lines(odd, grid, *lines)
+    _kernels.clear_parts(odd, grid, centre, shapes)
     return Remains(odd, outside, grid)
 
 
 def without(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
     """Return the remains beside parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE."""
     odd = remains.odd.copy()
-    _kernels.clear_lines(odd, remains.grid, *_lines(centre, parts))
+    _kernels.clear_parts(odd, remains.grid, centre, numbers(parts))
     return remains._replace(odd=odd)
-
-
-def _lines(centre: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return lines that cover parts: begin and end (n, 2) [px], and half their width (n,) [px]."""
-    end, width = tops(centre, parts), longest(parts) + CLEAR_PX
-    return centre, end, width if end is centre else width - np.hypot(*(end - centre).T)
 
 
 def solid(remains: Remains, radius_px: float) -> Remains:

@@ -10,6 +10,7 @@ LIGHT = np.float32([200, 0, 0, 0, 0, 0, 15, 10, 0.1])
 PLATE = GREY, LIGHT, USABLE
 EIGHTS = np.full(4, 8.0)
 DISCS = np.tile([1.0, 0, 0, 1, 8, 0, 0, 1], (4, 1))
+WHOLE = np.zeros((0, 3)), np.zeros((0, 8))
 NO_SHADOW = np.empty((0, 2)), 0.0, 1.0
 LABELS = np.full((20, 30), 3, np.int32)
 FIELD = np.zeros((20, 30), np.float32)
@@ -37,9 +38,35 @@ WRONG = {
     "a grid beyond the colours": lambda: _kernels.find_odd(
         GREY[..., None], LIGHT[None], 0.1, (0, 0, 2), np.zeros((20, 30), np.uint8)
     ),
-    "lines without a width": lambda: _kernels.clear_lines(GREY, (0, 0, 1), PAIRS, PAIRS, THREE),
-    "odd pixels of another size": lambda: _kernels.any_odd(
-        GREY, USABLE[1:], (0, 0, 1), PAIRS, PAIRS, EIGHTS
+    "parts that are not drawn": lambda: _kernels.clear_parts(GREY, (0, 0, 1), PAIRS, DISCS[1:]),
+    "more pixels to look at than there are": lambda: _kernels.any_odd(
+        GREY[..., None], LIGHT[None], 0.1, USABLE, (0, 1, 1), PAIRS, DISCS
+    ),
+    "silhouettes of other parts": lambda: _kernels.any_odd(
+        GREY[..., None], LIGHT[None], 0.1, USABLE, (0, 0, 1), PAIRS, DISCS[1:]
+    ),
+    "no place for marks": lambda: _kernels.measure_dark(
+        *PLATE, 0.01, *WHOLE, PAIRS, DISCS, np.zeros((4, 7)), PAIRS[1:], np.zeros(4, bool)
+    ),
+    "dark parts without a silhouette": lambda: _kernels.measure_dark(
+        *PLATE, 0.01, *WHOLE, PAIRS, DISCS[1:], np.zeros((4, 7)), 0 * PAIRS, np.zeros(4, bool)
+    ),
+    "dark parts beside two edges with one bow": lambda: _kernels.measure_dark(
+        *PLATE,
+        0.01,
+        np.zeros((2, 3)),
+        np.zeros((1, 8)),
+        PAIRS,
+        DISCS,
+        np.zeros((4, 7)),
+        0 * PAIRS,
+        np.zeros(4, bool),
+    ),
+    "discs of six numbers": lambda: _kernels.judge(
+        np.zeros((4, 6)), DISCS, PAIRS, EIGHTS, *WHOLE, 0.01, 0.2, 0.4, 1.0
+    ),
+    "discs without a brightness": lambda: _kernels.judge(
+        np.zeros((4, 7)), DISCS, PAIRS, THREE, *WHOLE, 0.01, 0.2, 0.4, 1.0
     ),
     "brightness without radii": lambda: _kernels.find_brightness(
         GREY[..., None], LIGHT[None], PAIRS, THREE, 0.6
@@ -76,9 +103,10 @@ WRONG = {
     "a shadow without an edge": lambda: _kernels.fit_discs(
         *PLATE, PAIRS, DISCS, PAIRS, 0.5, 0.0, 0.01, np.zeros((4, 7))
     ),
-    "no radius for a seed": lambda: _kernels.find_marks(*PLATE, PAIRS, EIGHTS[1:], 0.01),
-    "a radius of nothing": lambda: _kernels.find_marks(*PLATE, PAIRS, 0 * EIGHTS, 0.01),
-    "marks without levels": lambda: _kernels.paint_marks(GREY, PAIRS, PAIRS[:3], EIGHTS),
+    "no silhouette for a seed": lambda: _kernels.find_marks(*PLATE, 0.01, PAIRS, DISCS[1:]),
+    "a radius of nothing": lambda: _kernels.find_marks(
+        *PLATE, 0.01, PAIRS, DISCS * [1, 1, 1, 1, 0, 1, 1, 1]
+    ),
     "a box beyond the image": lambda: _kernels.relight(
         GREY[..., None], np.zeros((6, 1), np.float32), LIGHT[6:], (0, 0, 31, 20), GREY[..., None]
     ),

@@ -1,18 +1,20 @@
-"""Round parts of a known radius, the fast path: seeds, marks, then measurement by moments or a fit.
+"""Round parts of a known radius, the fast path: seeds, then measurement by moments or a fit, then
+which of them are parts.
 
 `detection` calls them in this order; nothing else does.
 """
 
+from .dark import measure_dark
 from .fit import fit_discs
-from .marks import mark_angles, paint_over
-from .measure import RIM_PX, crowded, measure_alone
+from .judge import GOOD_MISFIT, NUMBERS, judge
+from .marks import find_marks
+from .measure import crowded
 from .seeds import COARSE_RADIUS_PX, find_seeds, seeds_of
 from .silhouette import (
     SILHOUETTE,
     EvenDiscs,
     SeenDiscs,
     Silhouettes,
-    longest,
     outlines,
     to_image,
     tops,
@@ -20,19 +22,19 @@ from .silhouette import (
 
 __all__ = [
     "COARSE_RADIUS_PX",
-    "RIM_PX",
+    "GOOD_MISFIT",
+    "NUMBERS",
     "SILHOUETTE",
     "EvenDiscs",
     "SeenDiscs",
     "Silhouettes",
     "crowded",
+    "find_marks",
     "find_seeds",
     "fit_discs",
-    "longest",
-    "mark_angles",
-    "measure_alone",
+    "judge",
+    "measure_dark",
     "outlines",
-    "paint_over",
     "seeds_of",
     "to_image",
     "tops",

@@ -51,70 +51,147 @@ constexpr double SIDE_RANGE[] = {0.3, 3.0};
 // edge is no reason to drop a disc.
 constexpr double WORST_FRACTION = 0.4;
 
-// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the side faces, and
-// that of the top; both are one unless the part has a height.
-enum Unknown { X, Y, RADIUS, EDGE, SIDE, TOP, UNKNOWNS };
+// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top, and that of
+// the side faces; both are one, and the last one is not looked for, unless the part has a height.
+enum Unknown { X, Y, RADIUS, EDGE, TOP, SIDE, UNKNOWNS };
+constexpr int FLAT_UNKNOWNS = SIDE;
 using DiscFit = std::array<double, UNKNOWNS>;
 
-// The usable pixels around a disc: their places [px], their darkness, that less the neighbours',
-// and the fraction of each that these do not cover.
+// The usable pixels around a disc, row by row: their places [px], their darkness, that less the
+// neighbours', and the fraction of each that these do not cover.
 struct DiscWindow {
-    std::vector<float> x, y, dark, rest, seen;
-    int size = 0;
+    int size = 0, most;
     double all = 0;  // pixels of the window, those that cannot be used among them
+    std::vector<float> numbers;
+
+    float* x() { return numbers.data(); }
+    float* y() { return x() + most; }
+    float* dark() { return x() + 2 * most; }
+    float* rest() { return x() + 3 * most; }
+    float* seen() { return x() + 4 * most; }
 
     DiscWindow(const LitPlate& plate, double x_px, double y_px, const Silhouette& part) {
         const int x0 = std::rint(x_px), y0 = std::rint(y_px);
         const double rim = rim_of(part);
         const int reach = std::ceil(part.reach() + rim);
         const double square = part.lean_px[0] * part.lean_px[0] + part.lean_px[1] * part.lean_px[1];
-        const int most = (2 * reach + 1) * (2 * reach + 1);
-        for (auto* list : {&x, &y, &dark, &rest, &seen}) list->resize(most);
-        for (int row = y0 - reach; row <= y0 + reach; row++)
-            for (int column = x0 - reach; column <= x0 + reach; column++) {
-                const double across = column - x0, along = row - y0;
-                double wx = part.across[0][0] * across + part.across[0][1] * along;
-                double wy = part.across[1][0] * across + part.across[1][1] * along;
-                double way = 0;
-                if (square > 0) {
-                    way = (wx * part.lean_px[0] + wy * part.lean_px[1]) / square;
-                    way = std::clamp(way, 0.0, 1.0);
-                }
-                wx -= way * part.lean_px[0], wy -= way * part.lean_px[1];
-                const double far = (1 + (part.growth - 1) * way) * part.radius_px + rim;
-                if (wx * wx + wy * wy > far * far) continue;
-                all++;
-                if (row < 0 || column < 0 || row >= plate.height() || column >= plate.width() ||
-                    !plate.usable(row, column))
-                    continue;
-                x[size] = column, y[size] = row;
-                dark[size] = 1 - plate.grey(row, column) / bare(plate.light.data, column, row);
-                size++;
+        most = (2 * reach + 1) * (2 * reach + 1);
+        numbers.resize(5 * static_cast<size_t>(most));
+        const auto is_inside = [&](int column, int row) {
+            const double across = column - x0, along = row - y0;
+            double wx = part.across[0][0] * across + part.across[0][1] * along;
+            double wy = part.across[1][0] * across + part.across[1][1] * along;
+            double way = 0;
+            if (square > 0) {
+                way = (wx * part.lean_px[0] + wy * part.lean_px[1]) / square;
+                way = std::clamp(way, 0.0, 1.0);
             }
+            wx -= way * part.lean_px[0], wy -= way * part.lean_px[1];
+            const double far = (1 + (part.growth - 1) * way) * part.radius_px + rim;
+            return wx * wx + wy * wy <= far * far;
+        };
+        float *xs = x(), *ys = y(), *levels = dark();
+        for (int row = y0 - reach; row <= y0 + reach; row++) {
+            // The window has no hole: of a row it has what is between its first and last pixel.
+            int first = x0 - reach, last = x0 + reach;
+            while (first <= last && !is_inside(first, row)) first++;
+            while (last > first && !is_inside(last, row)) last--;
+            all += last - first + 1;
+            if (row < 0 || row >= plate.height()) continue;
+            const int end = std::min(last, plate.width() - 1);
+            const bool* usable = plate.usable[row];
+            const uint8_t* grey = plate.grey[row];
+            for (int column = std::max(first, 0); column <= end; column++) {
+                xs[size] = column, ys[size] = row, levels[size] = grey[column];
+                size += usable[column];
+            }
+        }
+        to_darkness(plate.light.data);
+    }
+
+    // Put darkness in the place of grey levels.
+    void to_darkness(const float* light);
+
+    // The pixels, first and last + 1, of rows within a distance [px] of one.
+    std::array<int, 2> rows(double y_px, double distance) {
+        const float *begin = y(), *end = begin + size;
+        const auto first = std::lower_bound(begin, end, static_cast<float>(y_px - distance));
+        const auto last = std::upper_bound(first, end, static_cast<float>(y_px + distance));
+        return {static_cast<int>(first - begin), static_cast<int>(last - begin)};
     }
 };
 
-// What is added up of a pixel is the products of its numbers, those of the first six with all: the
-// slopes of the disc's darkness in its unknowns; the error; the square of the error at the contour.
-enum Product { ERROR = UNKNOWNS, SQUARE, PRODUCTS };
-struct Slopes {
-    float of[PRODUCTS];
+PLATE_WIDE inline void levels_to_darkness(const float* __restrict x, const float* __restrict y,
+                                          const float* light, int size, float* __restrict dark) {
+#pragma omp simd
+    for (int i = 0; i < size; i++) dark[i] = 1 - dark[i] / bare(light, x[i], y[i]);
+}
+
+inline void DiscWindow::to_darkness(const float* light) {
+    levels_to_darkness(x(), y(), light, size, dark());
+}
+
+// What is added up of a pixel is the products of its numbers: the slopes of the disc's darkness in
+// its unknowns; the error; its square, if the pixel is at the contour; whether it is there, and how
+// much of it is seen.
+enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
+
+// These numbers of all pixels of a window, eight pixels at once; the last ones are 0.
+struct PixelNumbers {
+    std::vector<float> numbers;
+    int size = 0;
+
+    void resize(int pixels) {
+        size = (pixels + 7) / 8 * 8;
+        if (numbers.size() < static_cast<size_t>(NUMBERS) * size) numbers.resize(NUMBERS * size);
+        for (int k = 0; k < NUMBERS; k++) std::fill(of(k) + pixels, of(k) + size, 0.f);
+    }
+    float* of(int number) { return numbers.data() + static_cast<size_t>(number) * size; }
+    const float* of(int number) const {
+        return numbers.data() + static_cast<size_t>(number) * size;
+    }
 };
-static_assert(sizeof(Slopes) == sizeof(Eight));
 
-// Numbers of all pixels of a window: their slopes; 1 at the contour, and how much is seen there.
-struct PixelSums {
-    std::vector<Slopes> slopes;
-    std::vector<float> near, rim;
+// Sum of eight numbers.
+[[gnu::always_inline]] inline double total(const Eight& sum) {
+    return ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
+}
 
-    void resize(int size) { slopes.resize(size), near.resize(size), rim.resize(size); }
-};
+// Add up the normal equations of unknowns FIRST to LAST - 1 in rows of the lower half.
+template <int FIRST, int LAST>
+[[gnu::always_inline]] inline void add_products(const PixelNumbers& pixels,
+                                                double (&normal)[UNKNOWNS][UNKNOWNS],
+                                                double (&right)[UNKNOWNS]) {
+    Eight sum[LAST - FIRST][LAST + 1] = {};
+    const float* of[LAST];
+    for (int a = 0; a < LAST; a++) of[a] = pixels.of(a);
+    const float* errors = pixels.of(ERROR);
+    for (int i = 0; i < pixels.size; i += 8) {
+        Eight slope[LAST], error;
+        load(error, errors + i);
+#pragma GCC unroll 8
+        for (int a = 0; a < LAST; a++) load(slope[a], of[a] + i);
+#pragma GCC unroll 8
+        for (int a = FIRST; a < LAST; a++) {
+#pragma GCC unroll 8
+            for (int b = 0; b <= a; b++) sum[a - FIRST][b] += slope[a] * slope[b];
+            sum[a - FIRST][LAST] += slope[a] * error;
+        }
+    }
+    for (int a = FIRST; a < LAST; a++) {
+        for (int b = 0; b <= a; b++) normal[a][b] = total(sum[a - FIRST][b]);
+        right[a] = total(sum[a - FIRST][LAST]);
+    }
+}
 
-inline double first_darkness(const DiscWindow& window, double x, double y, double radius) {
-    std::vector<float> inner;
-    for (int i = 0; i < window.size; i++) {
-        const double dx = window.x[i] - x, dy = window.y[i] - y;
-        if (dx * dx + dy * dy < CORE * radius * (CORE * radius)) inner.push_back(window.dark[i]);
+inline double first_darkness(DiscWindow& window, double x, double y, double radius,
+                             std::vector<float>& inner) {
+    inner.clear();
+    const float *xs = window.x(), *ys = window.y(), *dark = window.dark();
+    const auto [begin, end] = window.rows(y, CORE * radius);
+    for (int i = begin; i < end; i++) {
+        const double dx = xs[i] - x, dy = ys[i] - y;
+        if (dx * dx + dy * dy < CORE * radius * (CORE * radius)) inner.push_back(dark[i]);
     }
     if (inner.empty()) return MIN_DARKNESS;
     const auto middle = inner.begin() + inner.size() / 2;
@@ -182,21 +259,27 @@ struct Shadows {
     }
 };
 
-// Subtract the neighbours' darkness from a window; pixels in their shadows do not count.
+// Room for errors of rounding [px] where pixels are left out as no disc reaches them.
+constexpr double SAFE_PX = 0.1;
+
+// Subtract the neighbours' darkness from a window; pixels in their shadows do not count. `stretch`
+// (n,) are those of the discs.
 PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<DiscFit>& discs,
-                                      const Silhouette* parts, const Shadows& shadows,
-                                      const std::vector<int>& neighbours) {
+                                      const Silhouette* parts, const std::vector<double>& stretch,
+                                      const Shadows& shadows, const std::vector<int>& neighbours) {
     const int size = window.size;
-    const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
-    float *__restrict rest = window.rest.data(), *__restrict seen = window.seen.data();
-    std::copy_n(window.dark.data(), size, rest);
+    const float *__restrict x = window.x(), *__restrict y = window.y();
+    float *__restrict rest = window.rest(), *__restrict seen = window.seen();
+    std::copy_n(window.dark(), size, rest);
     std::fill_n(seen, size, 1.f);
     for (int j : neighbours) {
         const Contour contour(discs[j], parts[j]);
         const float side = discs[j][SIDE], flat = discs[j][TOP], more = flat - side;
         if (!parts[j].is_high()) {
+            const double far = (discs[j][RADIUS] + discs[j][EDGE]) * stretch[j] + SAFE_PX;
+            const auto [begin, end] = window.rows(discs[j][Y], far);
 #pragma omp simd
-            for (int i = 0; i < size; i++) {
+            for (int i = begin; i < end; i++) {
                 float wx, wy, far;
                 const float cover =
                     cover_at(within(contour.depth<false>(x[i], y[i], wx, wy, far)));
@@ -230,9 +313,9 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
 // darkness. `noise` is a standard deviation, as darkness. With SHADOW the plate beside the disc is
 // darker by `shade` within `cast`.
 template <bool SHADOW, bool HIGH>
-[[gnu::always_inline]] inline void sum_up(const DiscWindow& window, const DiscFit& disc, const Silhouette& part,
+[[gnu::always_inline]] inline void sum_up(DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
-                              PixelSums& pixels,
+                              PixelNumbers& pixels,
                               double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS],
                               Disc& out) {
     const Contour contour(disc, part);
@@ -242,11 +325,14 @@ template <bool SHADOW, bool HIGH>
     const float dark = std::max(std::max(disc[SIDE], disc[TOP]), MIN_DARKNESS);
     const float odd = std::max<float>(ODD_FRACTION * dark, ODD_SIGMAS * noise);
     const float worst = WORST_FRACTION * dark;
-    const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
-    const float *__restrict rest = window.rest.data(), *__restrict seen = window.seen.data();
+    const float *__restrict x = window.x(), *__restrict y = window.y();
+    const float *__restrict rest = window.rest(), *__restrict seen = window.seen();
     pixels.resize(window.size);
-    Slopes* __restrict slope = pixels.slopes.data();
-    float *__restrict near_by = pixels.near.data(), *__restrict rims = pixels.rim.data();
+    float *__restrict in_x = pixels.of(X), *__restrict in_y = pixels.of(Y);
+    float *__restrict in_radius = pixels.of(RADIUS), *__restrict in_edge = pixels.of(EDGE);
+    float *__restrict in_side = pixels.of(SIDE), *__restrict in_top = pixels.of(TOP);
+    float *__restrict errors = pixels.of(ERROR), *__restrict squares = pixels.of(SQUARE);
+    float *__restrict near_by = pixels.of(NEAR), *__restrict rims = pixels.of(RIM);
 #pragma omp simd
     for (int i = 0; i < window.size; i++) {
         float wx, wy, far;
@@ -272,45 +358,45 @@ template <bool SHADOW, bool HIGH>
         const float inverse = 1 / std::max(far, 1e-3f);
         near_by[i] = std::abs(depth) < near ? 1.f : 0.f;
         rims[i] = rim;
-        slope[i].of[X] = gr * (contour.ax * wx + contour.ay * wy) * inverse;
-        slope[i].of[Y] = gr * (contour.bx * wx + contour.by * wy) * inverse;
-        slope[i].of[RADIUS] = gr;
-        slope[i].of[EDGE] = -gr * u;
-        slope[i].of[SIDE] = (cover - top) * weight;
-        slope[i].of[TOP] = top * weight;
-        slope[i].of[ERROR] = error;
+        in_x[i] = gr * (contour.ax * wx + contour.ay * wy) * inverse;
+        in_y[i] = gr * (contour.bx * wx + contour.by * wy) * inverse;
+        in_radius[i] = gr;
+        in_edge[i] = -gr * u;
+        in_top[i] = top * weight;
+        if constexpr (HIGH) in_side[i] = (cover - top) * weight;
+        errors[i] = error;
         const float known = std::min(std::abs(gap), worst);
-        slope[i].of[SQUARE] = rim * known * known;
+        squares[i] = rim * known * known;
     }
-    Eight sum[UNKNOWNS] = {};
-    double square = 0, weights = 0, count = 0;
-    for (int i = 0; i < window.size; i++) {
-        const Slopes& pixel = slope[i];
-        Eight all;
-        load(all, pixel.of);
-        for (int a = 0; a < UNKNOWNS; a++) sum[a] += pixel.of[a] * all;
-        square += pixel.of[SQUARE];
-        weights += rims[i];
-        count += near_by[i];
+    add_products<0, EDGE>(pixels, normal, right);
+    add_products<EDGE, HIGH ? int{UNKNOWNS} : FLAT_UNKNOWNS>(pixels, normal, right);
+    if constexpr (!HIGH) {
+        std::fill_n(normal[SIDE], UNKNOWNS, 0);
+        right[SIDE] = 0;
     }
-    for (int a = 0; a < UNKNOWNS; a++) {
-        for (int b = 0; b <= a; b++) normal[a][b] = sum[a][b];
-        right[a] = sum[a][int{ERROR}];
+    Eight all_square = {}, all_rim = {}, all_near = {};
+    for (int i = 0; i < pixels.size; i += 8) {
+        Eight eight;
+        load(eight, squares + i), all_square += eight;
+        load(eight, rims + i), all_rim += eight;
+        load(eight, near_by + i), all_near += eight;
     }
+    double square = total(all_square);
+    const double weights = total(all_rim), count = total(all_near);
     square /= std::max(weights, 1.0);
     out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
     const double whole = std::max(count, 1.0) * std::max(window.all, 1.0) / window.size;
     out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
     // Each coordinate is seen on half of the contour.
-    const double slopes_xy = 0.5 * (sum[X][int{X}] + sum[Y][int{Y}]);
+    const double slopes_xy = 0.5 * (normal[X][X] + normal[Y][Y]);
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
 
 // Each kind of disc by a function of its own: a template is not compiled for several widths.
 #define PLATE_SUM_UP(name, SHADOW, HIGH)                                                         \
-    PLATE_WIDE inline void name(const DiscWindow& window, const DiscFit& disc,                   \
+    PLATE_WIDE inline void name(DiscWindow& window, const DiscFit& disc,                         \
                                 const Silhouette& part, const Contour& cast, float shade,        \
-                                double noise, PixelSums& pixels,                                 \
+                                double noise, PixelNumbers& pixels,                              \
                                 double (&normal)[UNKNOWNS][UNKNOWNS], double (&right)[UNKNOWNS], \
                                 Disc& out) {                                                     \
         sum_up<SHADOW, HIGH>(window, disc, part, cast, shade, noise, pixels, normal, right, out); \
@@ -348,40 +434,42 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
     const int count = seeds.size(0);
     std::vector<DiscWindow> windows;
     std::vector<DiscFit> fits;
-    std::vector<double> reach;
+    std::vector<double> reach, stretch;
+    std::vector<float> inner;
+    windows.reserve(count);
     for (int k = 0; k < count; k++) {
         const double x = seeds(k, 0), y = seeds(k, 1), radius = parts[k].radius_px;
         double to_x, to_y;
         parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], to_x, to_y);
         windows.emplace_back(plate, x, y, parts[k]);
-        const double dark = first_darkness(windows[k], x + 0.5 * to_x, y + 0.5 * to_y, radius);
+        const double dark =
+            first_darkness(windows[k], x + 0.5 * to_x, y + 0.5 * to_y, radius, inner);
         fits.push_back({x, y, radius, EDGE_PX[1], dark, dark});
-        const double cast = shadows.any() ? parts[k].stretch() * std::hypot(shadows.cast[2 * k],
-                                                                            shadows.cast[2 * k + 1])
-                                          : 0;
-        reach.push_back(parts[k].reach() + cast + rim_of(parts[k]));
+        stretch.push_back(parts[k].stretch());
+        const double cast =
+            shadows.any() ? std::hypot(shadows.cast[2 * k], shadows.cast[2 * k + 1]) : 0;
+        reach.push_back(parts[k].reach() + stretch[k] * cast + rim_of(parts[k]));
         discs[k].misfit = 1;
     }
+    std::vector<std::vector<int>> neighbours(count);
+    for (int k = 0; k < count; k++)
+        for (int j = 0; j < k; j++) {
+            const double dx = seeds(k, 0) - seeds(j, 0), dy = seeds(k, 1) - seeds(j, 1);
+            const double near = reach[k] + reach[j];
+            if (dx * dx + dy * dy < near * near)
+                neighbours[k].push_back(j), neighbours[j].push_back(k);
+        }
     std::vector<char> moved(count, true), moves(count);
-    std::vector<int> neighbours;
-    PixelSums pixels;
+    PixelNumbers pixels;
     double normal[UNKNOWNS][UNKNOWNS], right[UNKNOWNS];
     for (int iteration = 0; iteration < MAX_ITERATIONS; iteration++) {
         bool still = true;
         std::fill(moves.begin(), moves.end(), false);
         for (int k = 0; k < count; k++) {
             bool stale = moved[k];
-            neighbours.clear();
-            for (int j = 0; j < count; j++) {
-                const double dx = seeds(k, 0) - seeds(j, 0), dy = seeds(k, 1) - seeds(j, 1);
-                const double near = reach[k] + reach[j];
-                if (j != k && dx * dx + dy * dy < near * near) {
-                    neighbours.push_back(j);
-                    stale |= moved[j];
-                }
-            }
+            for (int j : neighbours[k]) stale |= moved[j];
             if (!stale) continue;
-            without_others(windows[k], fits, parts, shadows, neighbours);
+            without_others(windows[k], fits, parts, stretch, shadows, neighbours[k]);
             const bool high = parts[k].is_high();
             const Contour cast = shadows.any() ? shadows.contour(fits[k], parts[k], k)
                                                : Contour(fits[k], parts[k]);

@@ -1,12 +1,15 @@
 // Bindings of the chapter `discs`.
 #include <nanobind/stl/array.h>
 
+#include "discs/dark.hpp"
 #include "discs/fit.hpp"
+#include "discs/judge.hpp"
 #include "discs/marks.hpp"
 #include "discs/measure.hpp"
 #include "discs/seeds.hpp"
 #include "discs/silhouette.hpp"
 #include "plate/binding.hpp"
+#include "remains.hpp"
 
 namespace plate {
 
@@ -17,12 +20,6 @@ using nb::arg;
 constexpr double MOST_RADIUS_PX = 1e4;
 
 bool is_radius(double radius) { return radius > 0 && radius <= MOST_RADIUS_PX; }
-
-void require_radii(const In<double, 1>& radii, size_t count) {
-    require(radii.shape(0) == count, "shape: radii (n,)");
-    for (size_t k = 0; k < count; k++)
-        require(is_radius(radii(k)), "radii: allowed: more than 0, up to 1e4 px");
-}
 
 // Rows of numbers that are silhouettes.
 const Silhouette* as_silhouettes(const In<double, 2>& rows, size_t count) {
@@ -37,12 +34,16 @@ const Silhouette* as_silhouettes(const In<double, 2>& rows, size_t count) {
     return parts;
 }
 
-bool are_pairs(const In<double, 2>& places) { return places.shape(1) == 2; }
+template <class Rows>
+bool are_pairs(const Rows& places) {
+    return places.shape(1) == 2;
+}
+
+constexpr size_t DISC_NUMBERS = sizeof(Disc) / sizeof(double);
 
 // Rows of numbers that are discs.
 Disc* as_discs(const Array<double, 2>& rows, size_t count) {
-    require(rows.shape(0) == count && rows.shape(1) == sizeof(Disc) / sizeof(double),
-            "shape: discs (n, 7)");
+    require(rows.shape(0) == count && rows.shape(1) == DISC_NUMBERS, "shape: discs (n, 7)");
     return reinterpret_cast<Disc*>(rows.data());
 }
 
@@ -54,20 +55,51 @@ Grid as_grid(const std::array<int, 3>& grid) {
 }  // namespace
 
 void bind_discs(nb::module_& m) {
-    m.attr("RIM_PX") = RIM_PX;
+    m.attr("GOOD_MISFIT") = GOOD_MISFIT;
 
-    m.def("measure_alone", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                              In<int64_t, 2> seeds, In<double, 2> parts, In<bool, 1> alone,
-                              Array<double, 2> discs, Array<double, 1> dirt) {
+    m.def("measure_dark", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
+                             double noise, In<double, 2> edges, In<double, 2> bows,
+                             In<double, 2> seeds, In<double, 2> parts, Array<double, 2> discs,
+                             Array<double, 2> marks, Array<bool, 1> alone) {
         const LitPlate plate = lit_plate(grey, light, usable);
         const size_t count = seeds.shape(0);
-        require(seeds.shape(1) == 2 && alone.shape(0) == count && dirt.shape(0) == count,
-                "shapes: seeds (n, 2), alone and dirt (n,)");
+        require(count > 0 && are_pairs(seeds) && are_pairs(marks) && marks.shape(0) == count &&
+                    alone.shape(0) == count,
+                "shapes: seeds and marks (n, 2), alone (n,), n >= 1");
+        require_edges(edges, bows);
         Disc* out = as_discs(discs, count);
         const Silhouette* shapes = as_silhouettes(parts, count);
         nb::gil_scoped_release others_may_run;
-        measure_alone(plate, view(seeds), shapes, alone.data(), out, dirt.data());
-    }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert(), arg().noconvert());
+        measure_dark(plate, noise, view(edges), view(bows), view(seeds), shapes, out, view(marks),
+                     alone.data());
+    }, arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert(),
+       arg().noconvert(), arg().noconvert());
+    m.def("judge", [](In<double, 2> discs, In<double, 2> parts, In<double, 2> marks,
+                      In<double, 1> light, In<double, 2> edges, In<double, 2> bows, double noise,
+                      double tolerance, double class_threshold, double margin_px) {
+        const size_t count = discs.shape(0);
+        require(discs.shape(1) == DISC_NUMBERS && are_pairs(marks) && marks.shape(0) == count &&
+                    light.shape(0) == count,
+                "shapes: discs (n, 7), marks (n, 2), light (n,)");
+        require_edges(edges, bows);
+        const auto* measured = reinterpret_cast<const Disc*>(discs.data());
+        const Silhouette* shapes = as_silhouettes(parts, count);
+        Parts kept;
+        {
+            nb::gil_scoped_release others_may_run;
+            const std::vector<double> depth = depths(view(edges), view(bows), view(discs));
+            kept = judge(measured, shapes, view(marks), light.data(), depth.data(),
+                         {noise, tolerance, class_threshold, margin_px});
+        }
+        constexpr size_t NUMBERS = sizeof(Judged) / sizeof(double);
+        const size_t found = kept.found.size();
+        std::vector<double> numbers(NUMBERS * found);
+        std::copy_n(reinterpret_cast<const double*>(kept.found.data()), numbers.size(),
+                    numbers.data());
+        return nb::make_tuple(to_numpy<1>(std::move(kept.rows), {found}),
+                              to_numpy<1>(std::move(kept.labels), {found}),
+                              to_numpy<2>(std::move(numbers), {found, NUMBERS}));
+    });
     m.def("crowded", [](In<double, 2> centre, double distance_px, Array<bool, 1> near) {
         require(are_pairs(centre) && near.shape(0) == centre.shape(0),
                 "shapes: centre (n, 2), near (n,)");
@@ -91,28 +123,19 @@ void bind_discs(nb::module_& m) {
         fit_discs(plate, view(seeds), shapes, {cast.data(), shade, edge_px}, noise, out);
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_marks", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
-                           In<double, 2> seeds, In<double, 1> radii, double noise) {
+                           double noise, In<double, 2> seeds, In<double, 2> parts) {
         const LitPlate plate = lit_plate(grey, light, usable);
-        require(are_pairs(seeds), "shape: seeds (n, 2)");
-        require_radii(radii, seeds.shape(0));
         const size_t count = seeds.shape(0);
-        const std::array<int, 2> shape{static_cast<int>(count), 2};
-        std::vector<double> found(2 * count), level(2 * count);
+        require(are_pairs(seeds), "shape: seeds (n, 2)");
+        const Silhouette* shapes = as_silhouettes(parts, count);
+        std::vector<double> marks(2 * count);
         {
             nb::gil_scoped_release others_may_run;
-            find_marks(plate, view(seeds), radii.data(), noise, {found.data(), shape}, {level.data(), shape});
+            without_marks(plate, noise, view(seeds), shapes,
+                          {marks.data(), {static_cast<int>(count), 2}});
         }
-        return nb::make_tuple(to_numpy<2>(std::move(found), {count, 2}),
-                              to_numpy<2>(std::move(level), {count, 2}));
+        return to_numpy<2>(std::move(marks), {count, 2});
     });
-    m.def("paint_marks", [](Array<uint8_t, 2> grey, In<double, 2> centre, In<double, 2> level,
-                            In<double, 1> radii) {
-        require(are_pairs(centre) && are_pairs(level) && level.shape(0) == centre.shape(0),
-                "shapes: centre and level (n, 2)");
-        require_radii(radii, centre.shape(0));
-        nb::gil_scoped_release others_may_run;
-        paint_marks(view(grey), view(centre), view(level), radii.data());
-    }, arg().noconvert(), arg(), arg(), arg());
     m.def("find_dark", [](In<uint8_t, 2> grey, In<float, 1> light, In<bool, 2> usable,
                           double threshold, std::array<int, 3> corner, In<bool, 2> outside,
                           Array<uint8_t, 2> dark) {
@@ -126,6 +149,23 @@ void bind_discs(nb::module_& m) {
         nb::gil_scoped_release others_may_run;
         find_dark(plate, threshold, grid, view(outside), view(dark));
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
+    m.def("clear_parts", [](Array<uint8_t, 2> odd, std::array<int, 3> grid, In<double, 2> places,
+                            In<double, 2> parts) {
+        require(are_pairs(places) && grid[2] > 0, "shape: places (n, 2), grid: allowed: a step");
+        const Silhouette* shapes = as_silhouettes(parts, places.shape(0));
+        nb::gil_scoped_release others_may_run;
+        clear_parts(view(odd), grid, view(places), shapes);
+    }, arg().noconvert(), arg(), arg(), arg());
+    m.def("any_odd", [](In<uint8_t, 3> image, In<float, 2> lights, double limit,
+                        In<bool, 2> counts, std::array<int, 3> grid, In<double, 2> places,
+                        In<double, 2> parts) {
+        require_lights(image, lights);
+        require_grid(grid, counts.shape(0), counts.shape(1), image);
+        require(are_pairs(places), "shape: places (n, 2)");
+        const Silhouette* shapes = as_silhouettes(parts, places.shape(0));
+        nb::gil_scoped_release others_may_run;
+        return any_odd(view(image), view(lights), limit, view(counts), grid, view(places), shapes);
+    });
     m.def("find_blobs", [](Array<bool, 2> core, Array<int32_t, 2> number) {
         require(same_pixels(core, number), "shapes: core and number (h, w)");
         std::vector<Blob> found;

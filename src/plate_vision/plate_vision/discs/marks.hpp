@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "discs/measure.hpp"
+#include "discs/silhouette.hpp"
 
 namespace plate {
 
@@ -32,6 +33,9 @@ constexpr double MARK_SIGMAS = 6;
 
 // Fraction of the contrast that may be noise: five deviations of a noise of 2 levels.
 constexpr double MARK_NOISE = 0.25;
+
+// Brightness relative to the bare plate from which on a spot is a highlight: marks are darker.
+constexpr double SHINE = 0.85;
 
 // Times that the centre is taken again, in the window round the last one.
 constexpr int ROUNDS = 4;
@@ -111,20 +115,44 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
     }
 }
 
-// Give what stands out round the marks (n, 2) [px] the grey of their parts.
-inline void paint_marks(View<uint8_t, 2> grey, View<const double, 2> centre,
-                        View<const double, 2> level, const double* radii) {
-    for (int i = 0; i < centre.size(0); i++) {
-        const double reach = MARK_REACH * MARK_RADIUS * radii[i];
-        const double x = centre(i, 0), y = centre(i, 1), part = level(i, 0);
-        const Box box({grey.data, grey.shape}, x, y, reach);
-        for (int r = box.top; r < box.bottom; r++)
-            for (int c = box.left; c < box.right; c++) {
-                const bool beside = (c - x) * (c - x) + (r - y) * (r - y) > reach * reach;
-                if (!beside && (grey(r, c) - part) / level(i, 1) > 0)
-                    grey(r, c) = static_cast<uint8_t>(part);
-            }
+// Give what stands out round a mark [px] the grey of its part; `level` is that, and the contrast.
+inline void paint_mark(View<uint8_t, 2> grey, double x, double y, const double* level,
+                       double radius) {
+    const double reach = MARK_REACH * MARK_RADIUS * radius;
+    const Box box({grey.data, grey.shape}, x, y, reach);
+    for (int r = box.top; r < box.bottom; r++)
+        for (int c = box.left; c < box.right; c++) {
+            const bool beside = (c - x) * (c - x) + (r - y) * (r - y) > reach * reach;
+            if (!beside && (grey(r, c) - level[0]) / level[1] > 0)
+                grey(r, c) = static_cast<uint8_t>(level[0]);
+        }
+}
+
+// Find marks (n, 2) [px] on the tops of parts at seeds (n, 2) [px]; return the image as if they had
+// none, empty if they have none. Highlights, as bright as the plate or brighter, are painted over
+// too, but are no marks: NaN.
+inline std::vector<uint8_t> without_marks(const LitPlate& plate, double noise,
+                                          View<const double, 2> seeds, const Silhouette* parts,
+                                          View<double, 2> marks) {
+    const int count = seeds.size(0);
+    std::vector<double> tops(2 * count), radii(count), levels(2 * count);
+    for (int k = 0; k < count; k++) {
+        parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], tops[2 * k], tops[2 * k + 1]);
+        tops[2 * k] += seeds(k, 0), tops[2 * k + 1] += seeds(k, 1);
+        radii[k] = parts[k].growth * parts[k].radius_px;
     }
+    const View<double, 2> level{levels.data(), {count, 2}};
+    find_marks(plate, {tops.data(), {count, 2}}, radii.data(), noise, marks, level);
+    std::vector<uint8_t> painted;
+    for (int k = 0; k < count; k++) {
+        if (std::isnan(marks(k, 0))) continue;
+        if (painted.empty())
+            painted.assign(plate.grey.data, plate.grey.data + plate.height() * plate.width());
+        paint_mark({painted.data(), plate.grey.shape}, marks(k, 0), marks(k, 1), level[k], radii[k]);
+        const double light = bare(plate.light.data, marks(k, 0), marks(k, 1));
+        if (level(k, 0) + level(k, 1) > SHINE * light) marks(k, 0) = marks(k, 1) = NAN;
+    }
+    return painted;
 }
 
 }  // namespace plate

@@ -84,7 +84,7 @@ constexpr double WINDOW_STEP_PX = 0.5;
 // Measure discs (n,) that are `alone` from round windows at seeds (n, 2) where silhouettes are (n,),
 // and the dark area (n,) [px2] in the rims of the windows; those at the image's border stay as they
 // are.
-inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds,
+inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
                           const Silhouette* parts, const bool* alone, Disc* discs, double* dirt) {
     std::map<int, RoundWindow> windows;
     std::vector<float> level, darkness;
@@ -93,7 +93,8 @@ inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds,
         const int size = std::rint(parts[k].radius_px / WINDOW_STEP_PX);
         const RoundWindow& window =
             windows.try_emplace(size, size * WINDOW_STEP_PX, plate.width()).first->second;
-        const int64_t x0 = seeds(k, 0), y0 = seeds(k, 1), reach = window.reach;
+        const int64_t x0 = std::rint(seeds(k, 0)), y0 = std::rint(seeds(k, 1));
+        const int64_t reach = window.reach;
         if (x0 < reach || y0 < reach || x0 >= plate.width() - reach || y0 >= plate.height() - reach)
             continue;
         level.resize(window.x.size()), darkness.resize(window.x.size());

@@ -39,19 +39,22 @@ PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid g
     std::copy_n(plate.light.data, 9, light);
     for (int term = 0; term < TERMS; term++) light[term] *= static_cast<float>(threshold);
     const int columns = dark.size(1);
-    std::vector<uint8_t> levels(columns);
+    std::vector<float> levels(columns), places(columns);
+    std::vector<int> found(columns);
+    float *__restrict level = levels.data(), *__restrict x = places.data();
+    int* __restrict is_dark = found.data();
+    for (int column = 0; column < columns; column++) x[column] = grid.x + column * grid.step;
     for (int row = 0; row < dark.size(0); row++) {
         const int y = grid.y + row * grid.step;
         const uint8_t* grey = plate.grey[y] + grid.x;
-        for (int column = 0; column < columns; column++) levels[column] = grey[column * grid.step];
-        const uint8_t* __restrict level = levels.data();
-        const bool* __restrict no_plate = outside[row];
-        uint8_t* __restrict out = dark[row];
+        for (int column = 0; column < columns; column++) level[column] = grey[column * grid.step];
+        const bool* no_plate = outside[row];
+        uint8_t* out = dark[row];
 #pragma omp simd
-        for (int column = 0; column < columns; column++) {
-            const int x = grid.x + column * grid.step;
-            out[column] = level[column] < bare(light, x, y) ? 1 : no_plate[column];
-        }
+        for (int column = 0; column < columns; column++)
+            is_dark[column] = level[column] < bare(light, x[column], y);
+        for (int column = 0; column < columns; column++)
+            out[column] = is_dark[column] | static_cast<int>(no_plate[column]);
     }
 }
 

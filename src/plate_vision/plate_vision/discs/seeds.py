@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import _kernels
 from ..plate.light import LitPlate
+from ..plate.region import Region
 from .silhouette import SILHOUETTE, Silhouettes, longest, numbers, to_image
 
 COARSE_RADIUS_PX = 3.5
@@ -35,7 +36,7 @@ SPREAD = 0.2
 
 def find_seeds(
     plate: LitPlate,
-    box: tuple[int, int, int, int],
+    region: Region,
     threshold: float,
     radius_px: float,
     silhouettes: Silhouettes,
@@ -46,8 +47,8 @@ def find_seeds(
     Parameters
     ----------
     plate : LitPlate
-    box : (int, int, int, int)
-        Pixels x0, y0, x1, y1, half open, that hold the plate.
+    region : Region
+        Where the plate is.
     threshold : float
         Fraction of the plate's brightness below which a pixel is dark.
     radius_px : float
@@ -57,11 +58,11 @@ def find_seeds(
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
     # What is outside counts as dark while eroding: a part is not eroded from the plate's edge.
-    outside = ~plate.usable[box[1] : box[3] : stride, box[0] : box[2] : stride]
+    outside = region.outside(stride)
     if outside.size == 0:
         return np.empty((0, 2)), np.empty(0, SILHOUETTE)
     dark = np.empty(outside.shape, np.uint8)
-    grid = (box[0], box[1], stride)
+    grid = (*region.box[:2], stride)
     _kernels.find_dark(*plate.pixels, threshold, grid, outside, dark)
     return seeds_of(plate, dark, outside, grid, radius_px, silhouettes)
 
@@ -88,16 +89,19 @@ def seeds_of(
         return np.empty((0, 2)), np.empty(0, SILHOUETTE)
     middle = blobs[:, :2] * stride + (x0, y0)
     parts = silhouettes(middle)
-    lean = np.hypot(*parts["lean_px"].T)
+    lean = parts["lean_px"]
+    leans = np.any(lean)
     inner = parts["radius_px"] - EROSION * radius_px
-    whole = (np.pi * inner**2 + 2 * inner * lean) / stride**2
-    size = blobs[:, 2] / whole
-    single = (size >= MIN_CORE) & (size <= MAX_CORE)
+    whole = np.pi * inner**2
+    if leans:
+        whole += 2 * inner * np.hypot(*lean.T)
+    size = blobs[:, 2] / (whole / stride**2)
+    large = size > MAX_CORE
+    single = (size >= MIN_CORE) & ~large
     # The middle of a part that leans is half way to its top.
     seeds = middle[single]
-    if np.any(lean):
-        seeds = seeds - 0.5 * to_image(parts[single], parts["lean_px"][single])
-    large = size > MAX_CORE
+    if leans:
+        seeds = seeds - 0.5 * to_image(parts[single], lean[single])
     if not np.any(large):
         return seeds, parts[single]
     # Around a core is what was eroded, with the edges that vote.

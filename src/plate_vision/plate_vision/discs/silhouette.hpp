@@ -53,7 +53,7 @@ struct Silhouette {
         // Normals change by the inverse transpose, up to length.
         double wx = across[1][1] * nx - across[1][0] * ny;
         double wy = across[0][0] * ny - across[0][1] * nx;
-        const double length = std::max(std::hypot(wx, wy), 1e-12);
+        const double length = std::max(std::sqrt(wx * wx + wy * wy), 1e-12);
         wx /= length, wy /= length;
         const bool top = wx * lean_px[0] + wy * lean_px[1] > 0;
         const double radius = top ? growth * radius_px : radius_px;

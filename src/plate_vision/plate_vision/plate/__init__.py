@@ -7,10 +7,9 @@ from .contrast import brightness, channels_of, contrast_image
 from .home import PlateLocation, find_home, locate_plate
 from .light import LitPlate, fit_light, light_problem
 from .outline import OutlineCheck
-from .region import SEAM_PX, Region, make_region
+from .region import Region, make_region
 
 __all__ = [
-    "SEAM_PX",
     "LitPlate",
     "OutlineCheck",
     "PlateLocation",

@@ -36,76 +36,41 @@ inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> li
     }
 }
 
-// Write 0 within a width [px] of the line between two places [px], on a grid (h, w).
-inline void clear_line(View<uint8_t, 2> odd, const std::array<int, 3>& grid, const double* begin,
-                       const double* end, double width) {
-    const double dx = end[0] - begin[0], dy = end[1] - begin[1];
-    const double over = 1 / std::max(dx * dx + dy * dy, 1e-9);
-    const auto index = [&](double place, int axis, int last) {
-        return std::clamp<int>(std::ceil((place - grid[axis]) / grid[2]), 0, last);
-    };
-    const int top = index(std::min(begin[1], end[1]) - width, 1, odd.size(0));
-    const int bottom = index(std::max(begin[1], end[1]) + width, 1, odd.size(0));
-    const int left = index(std::min(begin[0], end[0]) - width, 0, odd.size(1));
-    const int right = index(std::max(begin[0], end[0]) + width, 0, odd.size(1));
-    for (int row = top; row < bottom; row++) {
-        const double y = grid[1] + row * grid[2] - begin[1];
-        for (int column = left; column < right; column++) {
-            const double x = grid[0] + column * grid[2] - begin[0];
-            const double way = std::clamp((x * dx + y * dy) * over, 0.0, 1.0);
-            const double gap_x = x - way * dx, gap_y = y - way * dy;
-            if (gap_x * gap_x + gap_y * gap_y <= width * width) odd(row, column) = 0;
-        }
-    }
-}
-
 // Write 1 where pixels deviate by more than a limit, 0 elsewhere, on a grid (h, w): of the mean of
 // each pixel and its neighbours to the right and below, as the noise of that is half as large.
 PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 2> lights,
                                 double limit, const std::array<int, 3>& grid,
                                 View<uint8_t, 2> out) {
     const int height = image.size(0), width = image.size(1), channels = image.size(2);
-    const int columns = out.size(1), step = grid[2];
+    const int columns = out.size(1), stride = channels * grid[2];
     const float low = 1 - limit, high = 1 + limit;
-    std::vector<float> means(columns);
+    // The image's last column has no neighbour.
+    const int whole = grid[0] + (columns - 1) * grid[2] + 1 < width ? columns : columns - 1;
+    std::vector<float> means(columns), places(columns);
+    std::vector<int> found(columns);
+    float *__restrict mean = means.data(), *__restrict x = places.data();
+    int* __restrict odd = found.data();
+    for (int column = 0; column < columns; column++) x[column] = grid[0] + column * grid[2];
     for (int row = 0; row < out.size(0); row++) {
-        const int y = grid[1] + row * step, below = std::min(y + 1, height - 1);
-        uint8_t* __restrict odd = out[row];
+        const int y = grid[1] + row * grid[2];
         std::fill_n(odd, columns, 0);
         for (int c = 0; c < channels; c++) {
-            const uint8_t *here = image[y] + c, *under = image[below] + c;
-            for (int column = 0; column < columns; column++) {
-                const int x = channels * (grid[0] + column * step);
-                const int right = std::min(x + channels, channels * (width - 1));
-                means[column] = 0.25f * (here[x] + here[right] + under[x] + under[right]);
-            }
-            const float *__restrict mean = means.data(), *__restrict light = lights[c];
+            const uint8_t* here = image[y] + channels * grid[0] + c;
+            const uint8_t* under = y + 1 < height ? here + channels * width : here;
+            for (int column = 0, at = 0; column < whole; column++, at += stride)
+                mean[column] =
+                    0.25f * (here[at] + here[at + channels] + under[at] + under[at + channels]);
+            if (whole < columns)
+                mean[whole] = 0.5f * (here[stride * whole] + under[stride * whole]);
+            const float* light = lights[c];
 #pragma omp simd
             for (int column = 0; column < columns; column++) {
-                const float empty = bare(light, grid[0] + column * step, y);
-                const bool darker = mean[column] < low * empty;
-                const bool brighter = mean[column] > high * empty;
-                odd[column] |= darker | brighter;
+                const float empty = bare(light, x[column], y);
+                odd[column] |= (mean[column] < low * empty) | (mean[column] > high * empty);
             }
         }
+        std::copy_n(odd, columns, out[row]);
     }
-}
-
-// Whether four neighbours of a grid (h, w) deviate, all of which may count, and none of which is
-// within a width (n,) [px] of the lines between `begin` and `end` (n, 2) [px].
-inline bool any_odd(View<uint8_t, 2> odd, View<const bool, 2> counts, const std::array<int, 3>& grid,
-                    View<const double, 2> begin, View<const double, 2> end, const double* width) {
-    for (int k = 0; k < begin.size(0); k++) clear_line(odd, grid, begin[k], end[k], width[k]);
-    for (int row = 1; row < odd.size(0); row++) {
-        const uint8_t *above = odd[row - 1], *here = odd[row];
-        const bool *counts_above = counts[row - 1], *counts_here = counts[row];
-        int found = 0;
-        for (int column = 1; column < odd.size(1); column++)
-            found |= above[column - 1] & above[column] & here[column - 1] & here[column] &
-                     counts_above[column] & counts_here[column];
-        if (found) return true;
-    }
-    return false;
 }
 
 // Write the median brightness (n,) of the inner parts of discs at places (n, 2) [px] of radii (n,)

@@ -7,31 +7,14 @@
 
 namespace plate {
 
-namespace {
-
-// Whether there is a light (9,) for each channel of an image (h, w, c).
-void require_lights(const In<uint8_t, 3>& image, const In<float, 2>& lights) {
-    require(lights.shape(0) == image.shape(2) && lights.shape(1) == 9 && image.shape(0) > 0 &&
-                image.shape(1) > 0,
-            "shapes: image (h, w, c), lights (c, 9)");
-}
-
-void require_lines(const In<double, 2>& begin, const In<double, 2>& end,
-                   const In<double, 1>& width) {
-    require(begin.shape(1) == 2 && end.shape(1) == 2 && begin.shape(0) == end.shape(0) &&
-                begin.shape(0) == width.shape(0),
-            "shapes: begin and end (n, 2), width (n,)");
-}
-
-}  // namespace
-
 void bind_plate(nb::module_& m) {
+    m.attr("SEAM_PX") = SEAM_PX;
+
     m.def("region_depth", [](In<double, 2> edges, In<double, 2> bows, In<double, 1> x,
                              In<double, 1> y) {
         const size_t count = x.shape(0);
-        require(edges.shape(1) == 3 && y.shape(0) == count &&
-                    (bows.shape(0) == 0 || bows.shape(0) == edges.shape(0)) && bows.shape(1) >= 3,
-                "shapes: edges (n, 3), bows (n, >= 3) or none, x and y (m,)");
+        require_edges(edges, bows);
+        require(y.shape(0) == count, "shapes: x and y (m,)");
         std::vector<double> depth(count);
         {
             nb::gil_scoped_release others_may_run;
@@ -71,28 +54,10 @@ void bind_plate(nb::module_& m) {
     m.def("find_odd", [](In<uint8_t, 3> image, In<float, 2> lights, double limit,
                          std::array<int, 3> grid, Array<uint8_t, 2> out) {
         require_lights(image, lights);
-        const int64_t rows = out.shape(0), columns = out.shape(1);
-        require(grid[0] >= 0 && grid[1] >= 0 && grid[2] > 0 && rows > 0 && columns > 0 &&
-                    grid[0] + (columns - 1) * grid[2] < static_cast<int64_t>(image.shape(1)) &&
-                    grid[1] + (rows - 1) * grid[2] < static_cast<int64_t>(image.shape(0)),
-                "the grid leaves the image");
+        require_grid(grid, out.shape(0), out.shape(1), image);
         nb::gil_scoped_release others_may_run;
         find_odd(view(image), view(lights), limit, grid, view(out));
     }, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert());
-    m.def("clear_lines", [](Array<uint8_t, 2> odd, std::array<int, 3> grid, In<double, 2> begin,
-                            In<double, 2> end, In<double, 1> width) {
-        require_lines(begin, end, width);
-        nb::gil_scoped_release others_may_run;
-        for (size_t k = 0; k < width.shape(0); k++)
-            clear_line(view(odd), grid, &begin(k, 0), &end(k, 0), width(k));
-    }, nb::arg().noconvert(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
-    m.def("any_odd", [](Array<uint8_t, 2> odd, In<bool, 2> counts, std::array<int, 3> grid,
-                        In<double, 2> begin, In<double, 2> end, In<double, 1> width) {
-        require_lines(begin, end, width);
-        require(same_pixels(odd, counts), "shapes: odd and counts (h, w)");
-        nb::gil_scoped_release others_may_run;
-        return any_odd(view(odd), view(counts), grid, view(begin), view(end), width.data());
-    }, nb::arg().noconvert(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
     m.def("find_brightness", [](In<uint8_t, 3> image, In<float, 2> lights, In<double, 2> places,
                                 In<double, 1> radii, double inner) {
         require_lights(image, lights);

@@ -8,6 +8,9 @@
 
 namespace plate {
 
+// Pixels nearer than this [px] to the plate's edge mix plate and background: they are not used.
+constexpr double SEAM_PX = 1;
+
 // How far beyond its ends, in half lengths, a bent edge is followed.
 constexpr double BOW_REACH = 1.05;
 

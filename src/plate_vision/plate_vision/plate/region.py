@@ -16,7 +16,7 @@ from .. import _kernels
 from ..camera.lens import check_quadrilateral, cross
 from ..errors import ImageError
 
-SEAM_PX = 1.0
+SEAM_PX: float = _kernels.SEAM_PX
 """Pixels nearer than this [px] to the plate's edge mix plate and background: they are not used."""
 
 BOW_DEGREE = 4
@@ -88,6 +88,19 @@ class Region:
         columns, rows = np.arange(x0, x1)[None, :], np.arange(y0, y1)[:, None]
         usable[y0:y1, x0:x1] = self.depth(columns, rows) >= SEAM_PX
         return usable
+
+    def outside(self, step: int) -> np.ndarray:
+        """Which pixels of every `step`-th row and column of the box show no plate: bool, made
+        once."""
+        known = self._outside
+        if step not in known:
+            x0, y0, x1, y1 = self.box
+            known[step] = ~self.usable[y0:y1:step, x0:x1:step]
+        return known[step]
+
+    @cached_property
+    def _outside(self) -> dict[int, np.ndarray]:
+        return {}
 
     @cached_property
     def samples(self) -> Samples:

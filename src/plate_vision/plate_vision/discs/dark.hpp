@@ -1,0 +1,73 @@
+// Parts that are clearly darker than the plate, each measured in the cheapest way: see dark.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "discs/fit.hpp"
+#include "discs/marks.hpp"
+#include "discs/measure.hpp"
+#include "plate/region.hpp"
+
+namespace plate {
+
+// Reach [px] of a part's blurred edge: how near a neighbour's pixels may come to a window.
+constexpr double BLUR_PX = 1.5;
+
+// Largest reach of a silhouette, relative to its radius, that counts as round: seen at 34 degrees
+// from above.
+constexpr double ROUND = 1.2;
+
+// Dark area [px2] in the rim of a window from which on there is something beside the part; twice as
+// much would shift the moments of a part of 8 px radius by 0.05 px.
+constexpr double RIM_DIRT_PX2 = 0.5;
+
+// Largest misfit of a part that is measured by moments: with more it is not evenly dark.
+constexpr double EVEN_MISFIT = 0.06;
+
+// Distances (n,) [px] of places (n, >= 2) [px] from the plate's edge, negative outside.
+inline std::vector<double> depths(View<const double, 2> edges, View<const double, 2> bows,
+                                  View<const double, 2> places) {
+    const int count = places.size(0);
+    std::vector<double> x(count), y(count), depth(count);
+    for (int k = 0; k < count; k++) x[k] = places(k, 0), y[k] = places(k, 1);
+    region_depth(edges, bows, x.data(), y.data(), count, depth.data());
+    return depth;
+}
+
+// Measure discs (n,) from first guesses of their places (n, 2) [px] and their silhouettes (n,)
+// there; tell which were measured by moments (n,), and the places of marks (n, 2) [px]. `noise` is
+// that of the image, relative to the bare plate.
+inline void measure_dark(LitPlate plate, double noise, View<const double, 2> edges,
+                         View<const double, 2> bows, View<const double, 2> seeds,
+                         const Silhouette* parts, Disc* discs, View<double, 2> marks, bool* alone) {
+    const int count = seeds.size(0);
+    const std::vector<uint8_t> painted = without_marks(plate, noise, seeds, parts, marks);
+    if (!painted.empty()) plate.grey.data = painted.data();
+    std::vector<double> reach(count), dirt(count, std::numeric_limits<double>::infinity());
+    for (int k = 0; k < count; k++) reach[k] = parts[k].reach();
+    const double near = 2 * *std::max_element(reach.begin(), reach.end()) + RIM_PX + BLUR_PX;
+    crowded(seeds, near, alone);
+    const std::vector<double> depth = depths(edges, bows, seeds);
+    for (int k = 0; k < count; k++)
+        alone[k] = !alone[k] && depth[k] - SEAM_PX >= reach[k] + RIM_PX + 1 &&
+                   parts[k].growth == 1 && reach[k] < ROUND * parts[k].radius_px;
+    measure_alone(plate, seeds, parts, alone, discs, dirt.data());
+    std::vector<int> others;
+    std::vector<double> places;
+    std::vector<Silhouette> shapes;
+    for (int k = 0; k < count; k++) {
+        alone[k] &= dirt[k] <= RIM_DIRT_PX2 * discs[k].darkness && discs[k].misfit < EVEN_MISFIT;
+        if (alone[k]) continue;
+        others.push_back(k);
+        places.insert(places.end(), {seeds(k, 0), seeds(k, 1)});
+        shapes.push_back(parts[k]);
+    }
+    const int rest = others.size();
+    std::vector<Disc> fitted(rest);
+    fit_discs(plate, {places.data(), {rest, 2}}, shapes.data(), {}, noise, fitted.data());
+    for (int i = 0; i < rest; i++) discs[others[i]] = fitted[i];
+}
+
+}  // namespace plate

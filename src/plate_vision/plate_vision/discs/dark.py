@@ -1,0 +1,47 @@
+"""Parts that are clearly darker than the plate, each measured in the cheapest way.
+
+One that stands alone is measured by moments of its darkness, to a hundredth of a pixel: with m the
+darkness and d the distance from the centre, a disc of radius r has sum(m d2) / sum(m) = r2 / 2. The
+misfit is the relative difference from the radius by area, or from the silhouette's second moments,
+whichever is larger. The others are measured by `fit`, which knows of their neighbours.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import _kernels
+from ..plate.light import LitPlate
+from ..plate.region import Region
+from . import silhouette
+from .measure import DISC, numbers
+
+
+def measure_dark(
+    plate: LitPlate, region: Region, seeds: np.ndarray, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Measure dark discs.
+
+    Parameters
+    ----------
+    plate : LitPlate
+    region : Region
+        Where the plate is.
+    seeds, parts : (n, 2), (n,) SILHOUETTE
+        First guesses of the places [px], n >= 1, and the silhouettes of parts there.
+
+    Returns
+    -------
+    (n,) DISC
+    (n, 2)
+        The centres of marks [px], NaN for a part without one.
+    (n,) bool
+        Which were measured by moments.
+    """
+    discs, marks = np.zeros(len(seeds), DISC), np.empty((len(seeds), 2))
+    alone = np.empty(len(seeds), np.bool_)
+    _kernels.measure_dark(
+        *plate, region.edges, region.bows, seeds, silhouette.numbers(parts), numbers(discs), marks,
+        alone,
+    )  # fmt: skip
+    return discs, marks, alone

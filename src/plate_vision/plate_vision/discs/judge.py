@@ -1,0 +1,59 @@
+"""Which measured discs are parts, and what is told of them: angle, label, confidence, scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import _kernels
+from ..plate.region import Region
+from . import silhouette
+from .measure import numbers
+
+GOOD_MISFIT: float = _kernels.GOOD_MISFIT
+"""Misfit that light, noise and the edges of pixels explain. What is beyond, times the radius, is
+about the error of the place."""
+
+NUMBERS = ("x_px", "y_px", "radius_px", "angle_rad", "confidence", "scatter_px", "misfit")
+"""Of a part: see `detection.DETECTION`."""
+
+
+def judge(
+    discs: np.ndarray,
+    parts: np.ndarray,
+    marks: np.ndarray,
+    light: np.ndarray,
+    region: Region,
+    noise: float,
+    tolerance: float,
+    class_threshold: float,
+    margin_px: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Tell which measured discs are parts.
+
+    Parameters
+    ----------
+    discs, parts : (n,) DISC, (n,) SILHOUETTE
+    marks : (n, 2)
+        The centres of marks [px], NaN for a part without one.
+    light : (n,)
+        Brightness relative to the plate.
+    region : Region
+        Where the plate is.
+    noise : float
+        Of the image, relative to the plate's brightness.
+    tolerance, class_threshold, margin_px : float
+        As in `DetectorOptions`.
+
+    Returns
+    -------
+    (m,) int64
+        Which are parts.
+    (m,) int64
+        Their labels: 0 black, 1 grey, 2 brighter than the plate.
+    (m, 7)
+        Their `NUMBERS`.
+    """
+    return _kernels.judge(
+        numbers(discs), silhouette.numbers(parts), marks, light, region.edges, region.bows, noise,
+        tolerance, class_threshold, margin_px,
+    )  # fmt: skip
