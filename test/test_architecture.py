@@ -26,7 +26,7 @@ LIBRARIES = {
     "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }
-BY_PIP = {"can", "gymnasium"}
+BY_PIP = {"can", "gymnasium", "harvesters"}
 """What pip alone installs: by rosdep's key pip would change the system's Python, which refuses."""
 TESTED_WITH = {"hypothesis": "python3-hypothesis", "pytest": "python3-pytest"}
 

@@ -27,6 +27,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"detector = {NAME}.node:main",
+            f"camera = {NAME}.cameras.node:main",
             f"calibrate = {NAME}.camera.calibrate_camera:main",
             f"teach = {NAME}.shapes.teach_parts:main",
         ]

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -51,7 +51,6 @@ from .camera import (
     is_wide,
     is_wide_file,
     load_lens,
-    read_pictures,
     rig_lens,
     rig_of_picture,
 )
@@ -73,9 +72,6 @@ WARN_PERIOD_S = 2.0
 FAINT_PERIOD_S = 2.0
 """Least time between two searches for faint patches, by the images' stamps [s]: one takes 10 ms."""
 
-SOURCES = ("topic", "file")
-"""Where images come from."""
-
 TRAIL = 100
 """Images that a part's trail goes back in `markers`."""
 
@@ -92,9 +88,15 @@ def _option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text:
 class DetectorParameters(NodeOptions):
     """Parameters of the node."""
 
-    source: str = parameter("topic", "Images come from a topic or from a file", choices=SOURCES)
-    path: str = parameter("", "With source file: a folder of pictures, a picture or a video")
-    rate: float = parameter(5.0, "With source file: images a second", 0.1, 1000.0)
+    MOVED: ClassVar[dict[str, str]] = dict.fromkeys(
+        ("source", "path", "rate"),
+        "pictures and films come from the node camera: "
+        "ros2 run plate_vision camera --ros-args -p device:=PATH -p rate:=2.0",
+    )
+
+    photographs: bool = parameter(
+        False, "Each image is a photograph of its own: the log says what it holds"
+    )
     camera_file: str = parameter("", "Lens: camera_info YAML; empty: camera_info or the rig file")
     image_transport: str = parameter(
         "raw", "Images come on image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
@@ -205,11 +207,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
         self._lens_problem = ""  # until a camera_info is accepted
-        if values.source == "file":
-            self._open(values)
         for doubt in doubts(self._rig, "camera", "parts"):
-            if doubt.impossible:  # of a picture: a rig file's would have been refused
-                raise ImageError(doubt.text)
             self.get_logger().warning(doubt.text)
         if values.camera_file:
             size = self._rig.camera
@@ -233,14 +231,12 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._cameras = self.managed_publisher(TFMessage, "/tf_static", LATCHED)
         self._drawings = self.managed_publisher(Image, "detections_image", IMAGE)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
-        if values.source == "file":
-            self.managed_timer(1 / values.rate, self._on_timer)
-        elif values.image_transport == "raw":
+        if values.image_transport == "raw":
             self.managed_subscription(Image, "image_raw", self._on_image, CAMERA)
         else:
             topic = "image_raw/compressed"
             self.managed_subscription(CompressedImage, topic, self._on_file, CAMERA)
-        if values.source == "topic" and not values.camera_file:
+        if not (values.camera_file or values.photographs):
             self.managed_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
         self.managed_subscription(PartForces, "part_forces", self._on_forces, DATA)
         self.managed_service(Trigger, "~/reset", self._on_reset)
@@ -294,31 +290,24 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             is_wide_file(msg.data),
         )
 
-    def _open(self, values: DetectorParameters) -> None:
-        """Take pictures for a camera."""
-        self._pictures = read_pictures(Path(values.path), self.get_logger().warning)
-        name, image = first = next(self._pictures)
-        self._picture: tuple[str, np.ndarray] | None = first
-        self._rig, text = rig_of_picture(self._rig, image.shape[1::-1])
-        if text:
-            self.get_logger().warning(f"{name}: {text}")
+    def _suit(self, size_px: tuple[int, int]) -> None:
+        """Take the first photograph, of another size than the rig's, for a view of the whole plate.
 
-    def _on_timer(self) -> None:
-        if self._picture is None:
+        Raises
+        ------
+        ImageError
+            If parts are too small or too large in it.
+        """
+        rig, text = rig_of_picture(self._rig, size_px)
+        if not text:
             return
-        name, image = self._picture
-        if Path(self.options.path).is_dir():  # photographs, each by itself
-            self._tracker, self._expected = Tracker(self._tracker.options), None
-        if self._answer(name, self.get_clock().now().to_msg(), lambda: image):
-            self._tell(name)
-        try:
-            self._picture = next(self._pictures, None)
-        except PlateError as error:
-            self._warn(f"no more pictures: {error}")
-            self._picture = None
-        if self._picture is None:
-            refused = f", {self._refused} ignored" if self._refused else ""
-            self.get_logger().info(f"that was the last picture of {self._images}{refused}")
+        for doubt in doubts(rig, "camera", "parts"):
+            if doubt.impossible:
+                raise ImageError(doubt.text)
+        self._rig, self._lens = rig, None
+        self._vision = make_vision(rig, self.options.detector(), None)
+        self._location = self._unknown_location()
+        self._warn(text)
 
     def _tell(self, name: str) -> None:
         """Say what a picture held, and what in it is not taken for parts."""
@@ -331,14 +320,21 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _answer(
         self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
-    ) -> bool:
-        """Find the parts of one image, and publish them; False if it cannot be used. Wide: the
-        parameter bits says which of its 16 bits are used."""
+    ) -> None:
+        """Find the parts of one image, and publish them. Wide: the parameter bits says which of
+        its 16 bits are used."""
         self._input = self._input.heard(time.monotonic())
         self._tally.images += 1
         self._images += 1
+        alone = self.options.photographs
+        if alone:
+            source = f"image {self._images}"
         try:
             came = image = unpack()
+            if alone:
+                self._tracker, self._expected = Tracker(self._tracker.options), None
+                if self._images == 1 + self._refused:
+                    self._suit(image.shape[1::-1])
             began = time.perf_counter()
             self._check_stamp(came, seconds(stamp))
             if self._location is not None:
@@ -353,7 +349,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._tally.refused += 1
             self._tally.why = str(error)
             self._refused += 1
-            return False
+            return
         self._came = came
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
         if self._tracker is not before:
@@ -378,7 +374,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._check_outline(came, seconds(stamp))
         if not 0 <= seconds(stamp) - self._faint_at < FAINT_PERIOD_S:
             self._look_for_faint(image, seconds(stamp))
-        return True
+        if alone:
+            self._tell(source)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
         """Refuse another image with the stamp of the one before, which would be answered with what
@@ -475,7 +472,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         radius_px = vision.options.radius_px
         margin_px = self._rig.limits.stroke_m * radius_px / vision.radius
         found, contrast = faint_patches(image, vision.region, radius_px, known_px, margin_px)
-        alone = self.options.source == "file"
+        alone = self.options.photographs
         count = len(found) if alone else min(len(found), self._faint_count)
         self._faint = faint_finding(count, contrast, taken)
         self._faint_count, self._faint_at = len(found), stamp
@@ -589,12 +586,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             findings.append(self._outline.finding)
         findings.append(self._faint)
         findings.append(tally.overlooked_lately.finding(expected_parts(self._rig)))
-        if self.options.source == "topic":
-            findings.append(self._input.gone(now))
-            if self._input.came is None:
-                return worst(findings, f"waiting for images on {self._input.topic}")
-        elif self._picture is None:
-            return worst(findings, "that was the last picture")
+        findings.append(self._input.gone(now))
+        if self._input.came is None:
+            return worst(findings, f"waiting for images on {self._input.topic}")
         return worst(findings, "all images used")
 
     def _values(self) -> Mapping[str, object]:
@@ -620,10 +614,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._tally, self._reported_at = tally, time.monotonic()
 
     def _warn(self, text: str) -> None:
-        if self.options.source == "topic":
-            self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+        if self.options.photographs:
+            self.get_logger().warning(text)  # of each of them
         else:
-            self.get_logger().warning(text)  # of every picture
+            self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
         content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))

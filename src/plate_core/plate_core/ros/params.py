@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -91,15 +91,18 @@ def declare(node: Node, kind: type[Options]) -> Options:
         values[item.name] = value = _checked(item.name, value, item.default, spec)
         descriptor = _descriptor(item.default, spec, isinstance(node, LifecycleNode))
         node.declare_parameter(item.name, value, descriptor, ignore_override=True)
-    _refuse_unknown(node, tuple(values))
+    _refuse_unknown(node, tuple(values), getattr(kind, "MOVED", {}))
     node.add_pre_set_parameters_callback(lambda new: [_widened(node, item) for item in new])
     return kind(**values)
 
 
-def _refuse_unknown(node: Node, known: Sequence[str]) -> None:
-    """Refuse parameters that were given at start and that nobody declares: spelling mistakes."""
+def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) -> None:
+    """Refuse parameters that were given at start and that nobody declares: spelling mistakes, and
+    those of earlier versions; `moved` says by name where the latter are now."""
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith(OF_RCLPY):
+            if name in moved:
+                raise PlateError(f"parameter {name} of {node.get_name()} is gone: {moved[name]}")
             raise PlateError(
                 f"parameter {name} is not one of {node.get_name()}{did_you_mean(name, known)}, "
                 f"allowed: {', '.join(known)}"

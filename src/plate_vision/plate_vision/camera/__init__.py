@@ -5,7 +5,7 @@ Others use the names below; `calibrate_camera` is the program `calibrate`.
 
 from .boards import Board, LensFit, draw_board, find_corners, fit_lens
 from .encodings import bits_hint, decode, decode_file, grey_levels, is_wide, is_wide_file
-from .files import load_lens, read_pictures, rig_of_picture, save_lens, write_picture
+from .files import Pictures, load_lens, read_pictures, rig_of_picture, save_lens, write_picture
 from .lens import (
     Calibration,
     Lens,
@@ -21,6 +21,7 @@ __all__ = [
     "Calibration",
     "Lens",
     "LensFit",
+    "Pictures",
     "bits_hint",
     "calibrate",
     "calibrate_by_matrix",

@@ -146,6 +146,8 @@ class Pictures:
         How many there are; of a video as its file says, which may be wrong or 0.
     place : int
         How many have been read or left out.
+    rate : float
+        Images a second of a video as its file says, which may be wrong or 0; else 0.
     """
 
     def __init__(self, path: Path, files: Sequence[Path], warn: Callable[[str], None]) -> None:
@@ -153,9 +155,10 @@ class Pictures:
         self.place = 0
         self._warned = False
         self._film: cv2.VideoCapture | None = None if files else _open_film(path)
-        self.is_film, self.count = self._film is not None, len(files)
+        self.is_film, self.count, self.rate = self._film is not None, len(files), 0.0
         if self._film is not None:
             self.count = max(0, int(self._film.get(cv2.CAP_PROP_FRAME_COUNT)))
+            self.rate = float(self._film.get(cv2.CAP_PROP_FPS))
             turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
             if turn in (90, 180, 270):  # -1: it does not know
                 self._tell(

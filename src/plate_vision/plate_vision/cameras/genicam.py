@@ -1,0 +1,226 @@
+"""A GenICam camera, by harvesters and the GenTL file of its maker.
+
+No such camera has been tried yet.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from ..errors import ImageError
+from .source import LIVE_RATE, AbsentError, CameraError, Frame, Settings, Warn
+
+PREFIX = "genicam:"
+"""Begins the name of such a device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
+
+PIXEL_FORMATS = {"GREY": "Mono8", "Y10": "Mono10", "Y12": "Mono12"}
+"""Of `source.FORMATS`."""
+
+ENCODINGS = {
+    "Mono8": ("mono8", 0), "Mono10": ("mono16", 6), "Mono12": ("mono16", 4),
+    "Mono16": ("mono16", 0), "RGB8": ("rgb8", 0), "BGR8": ("bgr8", 0),
+    "BayerRG8": ("bayer_rggb8", 0), "BayerBG8": ("bayer_bggr8", 0),
+    "BayerGB8": ("bayer_gbrg8", 0), "BayerGR8": ("bayer_grbg8", 0),
+}  # fmt: skip
+"""Encodings of sensor_msgs/Image, and upper bits of 16 that a pixel format leaves 0."""
+
+FETCH_S = 0.5
+"""Wait for an image between two looks whether to stop [s]."""
+
+OFFSETS = 100
+"""Images over which the least delay of an image is found: the device has a clock of its own."""
+
+
+def open_producer(file: str) -> Any:
+    """Return harvesters' list of devices of a GenTL file.
+
+    Raises
+    ------
+    CameraError
+        If harvesters is not installed, or the file is none.
+    """
+    try:
+        from harvesters.core import Harvester
+    except ImportError:
+        raise CameraError(
+            "harvesters is not installed, which GenICam cameras need: pip install '.[genicam]'"
+        ) from None
+    harvester = Harvester()
+    try:
+        harvester.add_file(file, check_existence=True, check_validity=True)
+        harvester.update()
+    except Exception as error:  # of many kinds, as the maker's library raises them
+        raise CameraError(
+            f"{file}: cannot be used ({error}), allowed: a GenTL file, .cti"
+        ) from None
+    return harvester
+
+
+class GenicamSource:
+    """A GenICam camera; parameters as of `V4l2Source`, `producer` opens the GenTL file."""
+
+    live = True
+
+    def __init__(
+        self,
+        settings: Settings,
+        warn: Warn,
+        producer: Callable[[str], Any] = open_producer,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.settings, self._warn, self._clock = settings, warn, clock
+        self._file, _, self._serial = settings.device.removeprefix(PREFIX).partition("#")
+        self._producer = producer
+        self._harvester: Any = None
+        self._camera: Any = None
+        self._offsets: deque[float] = deque(maxlen=OFFSETS)
+
+    @property
+    def _nodes(self) -> Any:
+        assert self._camera is not None
+        return self._camera.remote_device.node_map
+
+    def open(self) -> None:
+        """Open it, and have it take images as the settings say."""
+        self._harvester = harvester = self._producer(self._file)
+        name = self.settings.device
+        try:
+            self._camera = harvester.create({"serial_number": self._serial} if self._serial else 0)
+        except Exception as error:
+            self.close()
+            serials = ", ".join(str(info.serial_number) for info in harvester.device_info_list)
+            if not serials:
+                raise AbsentError(f"{name}: no camera is found: is it plugged in?") from None
+            raise CameraError(f"{name}: {error}; cameras that are there: {serials}") from None
+        try:
+            self._set("Width", self.settings.width)
+            self._set("Height", self.settings.height)
+            if self.settings.format:
+                pixel_format = PIXEL_FORMATS.get(self.settings.format)
+                if pixel_format is None:
+                    raise CameraError(
+                        f"{name}: format is {self.settings.format}, allowed of GenICam: "
+                        f"{', '.join(PIXEL_FORMATS)}"
+                    )
+                self._set("PixelFormat", pixel_format)
+            self._set_values()
+            self._camera.start()
+        except BaseException:
+            self.close()
+            raise
+        self._offsets.clear()
+
+    def _set_values(self) -> None:
+        values = self.settings
+        for feature, chosen in (
+            ("ExposureAuto", values.auto_exposure),
+            ("GainAuto", values.auto_gain),
+            ("BalanceWhiteAuto", values.auto_white_balance),
+        ):
+            if hasattr(self._nodes, feature):
+                self._set(feature, "Continuous" if chosen else "Off")
+        if values.exposure_us > 0:
+            self._set("ExposureTime", values.exposure_us)
+        if values.gain >= 0:
+            self._set("Gain", values.gain)
+        if hasattr(self._nodes, "AcquisitionFrameRateEnable"):
+            self._set("AcquisitionFrameRateEnable", True)
+        if hasattr(self._nodes, "AcquisitionFrameRate"):
+            self._set("AcquisitionFrameRate", values.rate or LIVE_RATE)
+
+    def _set(self, feature: str, value: object) -> None:
+        """Set a feature, or say what the device can."""
+        node = getattr(self._nodes, feature, None)
+        where = f"{self.settings.device}: {feature} is {value}"
+        if node is None:
+            raise CameraError(f"{where}, but the camera has no such feature")
+        try:
+            node.value = value
+        except Exception as error:  # of GenApi, or of the maker's library
+            ends = [getattr(node, end, None) for end in ("min", "max")]
+            symbols = getattr(node, "symbolics", None)
+            allowed = ", ".join(symbols) if symbols else " to ".join(map(str, ends))
+            raise CameraError(f"{where}, allowed by the camera: {allowed} ({error})") from None
+
+    def read(self, stop: Event) -> Frame | None:
+        """Wait for the next image."""
+        assert self._camera is not None
+        while True:
+            buffer = self._camera.try_fetch(timeout=FETCH_S)
+            arrival = self._clock()
+            if stop.is_set():
+                return None
+            if buffer is not None:
+                break
+            self._harvester_has_it()
+        with buffer:
+            component = buffer.payload.components[0]
+            kind = str(component.data_format)
+            if kind not in ENCODINGS:
+                raise ImageError(f"image: format is {kind}, allowed: {', '.join(ENCODINGS)}")
+            encoding, unused = ENCODINGS[kind]
+            shape = (int(component.height), int(component.width))
+            if shape[::-1] != self.settings.size_px:
+                raise ImageError(
+                    f"image: size is {shape[1]} x {shape[0]} px, allowed: "
+                    f"{self.settings.width} x {self.settings.height} px"
+                )
+            data = np.array(component.data)  # the buffer goes back to the camera
+            pixels = data.reshape(shape if data.size == shape[0] * shape[1] else (*shape, 3))
+            taken = 1e-9 * float(buffer.timestamp_ns)
+        # The quickest of the last images says how the clocks of camera and computer differ.
+        self._offsets.append(arrival - taken)
+        end = taken + min(self._offsets)
+        exposure_us = self.settings.exposure_us or self._exposure_us() or 0.0
+        before = 1e-6 * (exposure_us + self.settings.readout_us)
+        return Frame(pixels << unused if unused else pixels, encoding, end - before, arrival)
+
+    def _harvester_has_it(self) -> None:
+        """Refuse to wait for a camera that has gone."""
+        self._harvester.update()
+        infos = self._harvester.device_info_list
+        if not any(self._serial in ("", str(info.serial_number)) for info in infos):
+            raise CameraError(
+                f"{self.settings.device}: the camera is unplugged; images go on when it is back"
+            )
+
+    def change(self, settings: Settings) -> None:
+        """Take over exposure, gain and what is automatic."""
+        before, self.settings = self.settings, settings
+        if self._camera is None:
+            return
+        try:
+            self._set_values()
+        except CameraError:
+            self.settings = before
+            self._set_values()
+            raise
+
+    def _exposure_us(self) -> float | None:
+        node = getattr(self._nodes, "ExposureTime", None) if self._camera is not None else None
+        return None if node is None else float(node.value)
+
+    def state(self) -> Mapping[str, object]:
+        """Return exposure and gain in force."""
+        exposure_us = self._exposure_us()
+        gain = getattr(self._nodes, "Gain", None) if self._camera is not None else None
+        return {
+            "format": self.settings.format or "as the camera has it",
+            "exposure_us": "unknown" if exposure_us is None else f"{exposure_us:g}",
+            "gain": "unknown" if gain is None else gain.value,
+            "stamp": "end of exposure, by the camera's clock",
+        }
+
+    def close(self) -> None:
+        """Let go of it."""
+        if self._camera is not None:
+            self._camera.destroy()
+        if self._harvester is not None:
+            self._harvester.reset()
+        self._camera = self._harvester = None

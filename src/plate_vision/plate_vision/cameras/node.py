@@ -1,0 +1,330 @@
+"""The camera node: images of a camera, a pipe, a film or a folder as `image_raw`."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CameraInfo, Image
+
+from plate_core import PlateError, load_rig
+from plate_core.ros import (
+    IMAGE,
+    NodeOptions,
+    SafeLifecycleNode,
+    array_to_image,
+    camera_to_info,
+    parameter,
+    run_node,
+    to_time,
+)
+from plate_core.status import Finding, Level, used, worst
+
+from ..camera import load_lens
+from ..errors import ImageError
+from .source import FORMATS, AbsentError, Frame, Settings, Source, Warn
+from .sources import is_played, listing, make_source, video_devices
+from .watch import Watch
+
+RETRY_S = 0.5
+"""Between two attempts to open a camera that has gone [s]."""
+
+SILENCE_S, SILENT_IMAGES = 0.8, 5
+"""Time without an image after which a camera is silent [s]; but this many intervals at least."""
+
+WARN_PERIOD_S = 2.0
+"""Least time between two warnings of refused images [s]."""
+
+LOOK_S = 0.05
+"""Between two looks whether somebody listens, before a film begins [s]."""
+
+END_S = 2.0
+"""Wait for the reader to end [s]: OpenCV waits up to 10 s for an image; the reader ends then."""
+
+CLOCK_READS, CLOCKS_APART_NS = 5, 100_000
+"""Both clocks are read at once: again, up to so often, if there is more between the reads [ns]."""
+
+
+@dataclass(frozen=True)
+class CameraParameters(NodeOptions):
+    """Parameters of the node."""
+
+    device: str = parameter(
+        "/dev/video0",
+        "Number or path of a video device (best of /dev/v4l/by-id), genicam:FILE.cti, a pipe, a "
+        "video, a picture or a folder of pictures",
+    )
+    width: int = parameter(0, "Width of the images [px]; 0: the rig file's", 0, 16384)
+    height: int = parameter(0, "Height of the images [px]; 0: the rig file's", 0, 16384)
+    rate: float = parameter(
+        0.0, "Images a second; 0: 30, a film's own, 2 of a folder of pictures", 0.0, 1000.0
+    )
+    format: str = parameter(
+        "", "Format of the pixels; empty: the first with this size and rate", choices=("", *FORMATS)
+    )
+    camera_file: str = parameter("", "Lens for camera_info: camera.yaml; empty: not calibrated")
+    exposure_us: float = parameter(
+        0.0, "Length of the exposure [us]; 0: as the device has it", 0.0, 1e6, live=True
+    )
+    readout_us: float = parameter(
+        0.0,
+        "Time from the end of the exposure to the stamp, where the stamp is not its start [us]",
+        0.0, 1e6, live=True,
+    )  # fmt: skip
+    gain: int = parameter(
+        -1, "Gain, in the device's units; -1: as the device has it", -1, 100000, live=True
+    )
+    white_balance_k: int = parameter(
+        0, "White balance [K]; 0: as the device has it", 0, 20000, live=True
+    )
+    focus: int = parameter(
+        -1, "Focus, in the device's units; -1: as the device has it", -1, 100000, live=True
+    )
+    auto_exposure: bool = parameter(False, "The device chooses the exposure", live=True)
+    auto_gain: bool = parameter(False, "The device chooses the gain", live=True)
+    auto_white_balance: bool = parameter(False, "The device chooses the white balance", live=True)
+    auto_focus: bool = parameter(False, "The device chooses the focus", live=True)
+
+    def settings(self, size_px: tuple[int, int]) -> Settings:
+        """Return how images are taken; `size_px` are the rig's width and height."""
+        names = {item.name for item in fields(Settings)}
+        values = {name: getattr(self, name) for name in names}
+        width, height = self.width or size_px[0], self.height or size_px[1]
+        return replace(Settings(**values), width=width, height=height)
+
+
+class CameraNode(SafeLifecycleNode[CameraParameters]):
+    """Lifecycle node `camera`: publishes the images of a camera, or of what is played for one.
+
+    Publishes image_raw, camera_info, diagnostics. Each image is stamped with the start of its
+    exposure. Exposure, gain, white balance and focus are set by hand unless a parameter auto_...
+    is true.
+
+    `device` may be a V4L2 camera (number, /dev/videoN or better its path in /dev/v4l/by-id), a
+    GenICam camera (genicam:FILE.cti, the GenTL file of its maker), a named pipe of raw frames, a
+    video, a picture, or a folder of pictures. What is played begins when somebody subscribes to
+    image_raw. `camera --list` prints devices, formats, rates and controls.
+
+    A camera that is unplugged is an ERROR in diagnostics within 1 s; when it is back its images go
+    on.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("camera", CameraParameters)
+        self._thread: threading.Thread | None = None
+        self._open = False
+        self._halt = threading.Event()
+        self.report(self._find, self._values, "camera", self._begin_report)
+
+    def source(self, settings: Settings, warn: Warn) -> Source:
+        """Return the source of images; tests put their own in place."""
+        return make_source(settings, warn)
+
+    def configure(self) -> None:
+        """Open the device, so that what is wrong with it is said at once."""
+        values = self.options
+        camera = load_rig(values.rig_file).camera
+        self._size_px = (camera.width_px, camera.height_px)
+        settings = values.settings(self._size_px)
+        self._played = is_played(values.device)
+        self._source = self.source(settings, self._warn_once)
+        self._source.open()
+        self._open = True
+        size = None if self._played else settings.size_px
+        lens = load_lens(values.camera_file, size) if values.camera_file else None
+        self._lens = lens
+        self._rig_camera = replace(camera, lens=None)
+        self._image_raw = self.managed_publisher(Image, "image_raw", IMAGE)
+        self._camera_info = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
+
+    def begin(self) -> None:
+        """Begin to read."""
+        self._watch = Watch()
+        self._lock = threading.Lock()  # of what follows, between reader and reports
+        self._fault = ""
+        self._refused, self._refused_total, self._why = 0, 0, ""
+        self._ended = False
+        self._waits = self._played
+        self._last_at = self._reported_at = time.monotonic()
+        self._warned_at = -WARN_PERIOD_S
+        self._halt = threading.Event()
+        self._thread = threading.Thread(
+            target=self._work, args=(self._source, self._halt), name="camera", daemon=True
+        )
+        self._thread.start()
+
+    def rest(self) -> None:
+        """End the reader."""
+        self._halt.set()
+        if self._thread is not None:
+            self._thread.join(END_S)
+
+    def release(self) -> None:
+        """Let go of the device; a reader that waits for it does so itself."""
+        self.rest()  # where ROS has ended it has not been called
+        if not self._open or (self._thread is not None and self._thread.is_alive()):
+            return
+        self._open = False
+        self._source.close()
+
+    def retune(self) -> None:
+        """Set what may change while it runs."""
+        self._source.change(self.options.settings(self._size_px))
+
+    # The reader's thread
+
+    def _work(self, source: Source, stop: threading.Event) -> None:
+        """Read and publish until the end."""
+        while self._waits and not stop.wait(LOOK_S):
+            self._waits = not self._image_raw.get_subscription_count()
+        while not stop.is_set():
+            try:
+                if not self._open:
+                    source.open()
+                    self._open = True
+                frame = source.read(stop)
+            except ImageError as error:
+                self._refuse(str(error))
+                continue
+            except PlateError as error:
+                self._fail(error)
+                self._open = False
+                source.close()
+                stop.wait(RETRY_S)
+                continue
+            if stop.is_set():
+                break
+            if frame is None:
+                self._end()
+                break
+            self._publish(frame)
+        self._open = False
+        source.close()
+
+    def _publish(self, frame: Frame) -> None:
+        stamp = self._stamp(frame.instant)
+        height, width = frame.pixels.shape[:2]
+        if self._fault:
+            self.get_logger().info(f"{self.options.device}: images go on")
+        with self._lock:
+            self._fault, self._last_at = "", time.monotonic()
+            self._watch.add(frame.pixels, frame.instant, frame.arrival)
+            number = self._watch.total
+        image = array_to_image(frame.pixels, stamp, frame.encoding)
+        self._camera_info.publish(self._info(image, (width, height)))
+        self._image_raw.publish(image)
+        if frame.name and not self._is_film:
+            self.get_logger().info(f"image {number} is {frame.name}")
+
+    @property
+    def _is_film(self) -> bool:
+        return self._source.state().get("format") == "film"
+
+    def _stamp(self, instant: float) -> Time:
+        """Return an instant of the steady clock [s] by the node's clock."""
+        for _ in range(CLOCK_READS):
+            before_ns = time.monotonic_ns()
+            now_ns = self.get_clock().now().nanoseconds
+            apart_ns = time.monotonic_ns() - before_ns
+            if apart_ns < CLOCKS_APART_NS:  # else another process ran meanwhile
+                break
+        return to_time(now_ns - (before_ns + apart_ns // 2 - round(1e9 * instant)))
+
+    def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
+        camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
+        info = camera_to_info(camera, image.header)
+        lens = self._lens
+        if lens is not None:
+            (fx, _, cx), (_, fy, cy) = lens.matrix[:2].tolist()
+            info.distortion_model, info.d = lens.model, lens.distortion.tolist()
+            info.k = lens.matrix.ravel().tolist()
+            info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+            info.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+        return info
+
+    def _refuse(self, why: str) -> None:
+        with self._lock:
+            self._refused += 1
+            self._refused_total += 1
+            self._why = why
+            self._last_at = now = time.monotonic()
+        if now - self._warned_at >= WARN_PERIOD_S:
+            self._warned_at = now
+            self.get_logger().warning(why)
+
+    def _fail(self, error: PlateError) -> None:
+        """Note why no images come; that it is not there yet is no news."""
+        if self._fault and (isinstance(error, AbsentError) or str(error) == self._fault):
+            return
+        with self._lock:
+            self._fault = str(error)
+        self.get_logger().error(self._fault)
+
+    def _end(self) -> None:
+        with self._lock:
+            self._ended = True
+        self.get_logger().info(f"that was the last image of {self._watch.total}")
+
+    def _warn_once(self, text: str) -> None:
+        self.get_logger().warning(text)
+
+    # Diagnostics
+
+    def _find(self, now: float) -> Finding:
+        with self._lock:
+            findings: list[Finding | None] = [*self._watch.findings(self._source.live)]
+            findings.append(
+                used("images", self._watch.images + self._refused, self._refused, self._why)
+            )
+            if self._fault:
+                findings.append(Finding(Level.ERROR, self._fault))
+            elif self._source.live and self._silent(now):
+                findings.append(
+                    Finding(
+                        Level.ERROR,
+                        f"{self.options.device}: no image for {now - self._last_at:.1f} s: is the "
+                        "camera plugged in, and does it wait for a trigger?",
+                    )
+                )
+            if self._waits:
+                return worst(findings, "waiting for a subscriber of image_raw")
+            if self._ended:
+                return worst(findings, f"that was the last image of {self._watch.total}")
+        if rivals := self.rivals("image_raw"):
+            findings.append(Finding(Level.WARN, rivals))
+        return worst(findings, f"images from {self.options.device}")
+
+    def _silent(self, now: float) -> bool:
+        allowed = SILENT_IMAGES / self.options.rate if self.options.rate else 0.0
+        return now - self._last_at > max(SILENCE_S, allowed)
+
+    def _values(self) -> Mapping[str, object]:
+        now, watch = time.monotonic(), self._watch
+        return {
+            "device": self.options.device,
+            "images": watch.total,
+            "rate_hz": f"{watch.images / max(now - self._reported_at, 1e-3):.1f}",
+            "lost": watch.lost,
+            "late": watch.late,
+            "refused": self._refused_total,
+            **self._source.state(),
+        }
+
+    def _begin_report(self) -> None:
+        with self._lock:
+            self._watch.begin_report()
+            self._refused, self._reported_at = 0, time.monotonic()
+
+
+def main() -> None:
+    """Run the node, or with --list print the devices that there are."""
+    words = sys.argv[1:]
+    if words[:1] == ["--list"]:
+        for line in listing(words[1:] or video_devices()):
+            print(line)
+        return
+    run_node(CameraNode, CameraParameters)

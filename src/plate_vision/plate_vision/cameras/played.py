@@ -1,0 +1,159 @@
+"""A film, a picture or a folder of pictures in place of a camera, and a pipe of raw frames."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+
+from ..camera import Pictures, read_pictures
+from ..errors import ImageError
+from .source import FORMATS, CameraError, Frame, Settings, Warn, unpack_frame
+
+PICTURE_RATE = 2.0
+"""Pictures of a folder a second, if no rate is given."""
+
+FILM_RATE = 30.0
+"""Images a second of a film that does not tell its own rate."""
+
+FILM_RATES = (1.0, 240.0)
+"""Rates that a film's own is believed to be [1/s]."""
+
+POLL_S = 0.1
+"""Wait for bytes of a pipe between two looks whether to stop [s]."""
+
+
+class FilmSource:
+    """A film, a picture or a folder of pictures: each image comes when it is due.
+
+    The stamps are regular. If an image is not ready when it is due, all later ones are delayed, so
+    none is lost.
+    """
+
+    live = False
+
+    def __init__(
+        self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._path, self._settings = Path(settings.device), settings
+        self._warn, self._clock = warn, clock
+        self._pictures: Pictures | None = None
+        self._rate, self._due = settings.rate, 0.0
+
+    def open(self) -> None:
+        """Open it; an empty folder, or a film that OpenCV does not know, is refused."""
+        self._pictures = read_pictures(self._path, self._warn)
+        own = FILM_RATE if self._pictures.is_film else PICTURE_RATE
+        if FILM_RATES[0] <= self._pictures.rate <= FILM_RATES[1]:
+            own = self._pictures.rate
+        self._rate = self._settings.rate or own
+        self._due = 0.0
+
+    def read(self, stop: Event) -> Frame | None:
+        """Wait until the next picture is due."""
+        assert self._pictures is not None
+        try:
+            found = next(self._pictures, None)
+        except ImageError as error:
+            raise CameraError(f"no more pictures: {error}") from None
+        if found is None:
+            return None
+        name, pixels = found
+        now = self._clock()
+        self._due = max(self._due, now)
+        if stop.wait(self._due - now):
+            return None
+        frame = Frame(pixels, "bgr8", self._due, self._due, name)
+        self._due += 1 / self._rate
+        return frame
+
+    def change(self, settings: Settings) -> None:
+        """Nothing of a film can be changed."""
+
+    def state(self) -> Mapping[str, object]:
+        """Return the rate."""
+        film = self._pictures is not None and self._pictures.is_film
+        return {"format": "film" if film else "pictures", "stamp": "regular"}
+
+    def close(self) -> None:
+        """Begin with the first picture if it is opened again."""
+        self._pictures = None
+
+
+class PipeSource:
+    """A named pipe into which another program writes raw frames, one after the other.
+
+    Such as `v4l2-ctl --stream-mmap --stream-to=PIPE`, or ffmpeg with `-f rawvideo`. Of a frame
+    that arrives the end of the exposure is taken for its arrival.
+    """
+
+    live = True
+
+    def __init__(
+        self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._settings, self._clock = settings, clock
+        self._form = settings.format or "GREY"
+        self._file = -1
+        width, height = settings.size_px
+        self._bytes = width * height * FORMATS[self._form]
+
+    def open(self) -> None:
+        """Open it, whether or not a program writes already."""
+        if not self._bytes:
+            plain = ", ".join(form for form, size in FORMATS.items() if size)
+            raise CameraError(
+                f"{self._settings.device}: format is MJPG, allowed in a pipe: {plain}"
+            )
+        try:
+            self._file = os.open(self._settings.device, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise CameraError(f"{self._settings.device}: cannot be read ({error})") from None
+
+    def read(self, stop: Event) -> Frame | None:
+        """Wait for the bytes of a frame."""
+        data, have = np.empty(self._bytes, np.uint8), 0
+        room = memoryview(data.data)
+        while have < self._bytes:
+            if stop.is_set():
+                return None
+            if not select.select([self._file], [], [], POLL_S)[0]:
+                continue
+            try:
+                came = os.readv(self._file, [room[have:]])
+            except BlockingIOError:
+                continue
+            if not came:
+                raise CameraError(
+                    f"{self._settings.device}: the program that writes has ended; images go on "
+                    "when one writes again"
+                )
+            have += came
+        arrival = self._clock()
+        pixels, encoding = unpack_frame(data, self._form, self._settings.size_px)
+        return Frame(pixels, encoding, arrival - self._settings.before_stamp_s, arrival)
+
+    def change(self, settings: Settings) -> None:
+        """Take over the length of the exposure, of which the stamps depend."""
+        self._settings = settings
+
+    def state(self) -> Mapping[str, object]:
+        """Return the format."""
+        exposure_us = self._settings.exposure_us
+        return {
+            "format": self._form,
+            "exposure_us": f"{exposure_us:g}" if exposure_us else "unknown",
+            "gain": "unknown",
+            "stamp": "arrival",
+        }
+
+    def close(self) -> None:
+        """Close it."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1

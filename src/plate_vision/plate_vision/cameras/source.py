@@ -1,0 +1,194 @@
+"""The interface of every source of images: a camera, a pipe, a film, a folder of pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from threading import Event
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from plate_core import PlateError
+
+from ..camera import decode_file
+from ..errors import ImageError, check_size
+
+FORMATS = {"GREY": 1, "Y10": 2, "Y12": 2, "YUYV": 2, "UYVY": 2, "MJPG": 0}
+"""Formats in order of preference, and bytes of each pixel; 0: compressed."""
+
+ENCODINGS = {"GREY": "mono8", "Y10": "mono16", "Y12": "mono16", "YUYV": "yuv422_yuy2",
+             "UYVY": "yuv422"}  # fmt: skip
+"""Encodings of sensor_msgs/Image."""
+
+UNUSED_BITS = {"Y10": 6, "Y12": 4}
+"""Upper bits of 16 that a format leaves 0."""
+
+
+class CameraError(PlateError):
+    """A source of images cannot be opened, or gives no more images."""
+
+
+class AbsentError(CameraError):
+    """The device is not there: it may come back."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How images are taken.
+
+    Attributes
+    ----------
+    device : str
+        Number or path of a V4L2 device, genicam:FILE.cti, a pipe, a video, a picture or a folder.
+    width, height : int
+        Size of the images [px]; of a film, a picture or a folder it is their own.
+    rate : float
+        Images a second; 0: `LIVE_RATE`, or that of the film.
+    format : str
+        Key of `FORMATS`; empty: the first that has this size and rate.
+    exposure_us, readout_us : float
+        Length of the exposure, 0 leaves it as it is; time from its end to the stamp [us].
+    gain, white_balance_k, focus : int
+        In the device's units; -1 leaves them as they are (white balance: 0).
+    auto_exposure, auto_gain, auto_white_balance, auto_focus : bool
+        Whether the device chooses them.
+    """
+
+    device: str
+    width: int = 640
+    height: int = 480
+    rate: float = 0.0
+    format: str = ""
+    exposure_us: float = 0.0
+    readout_us: float = 0.0
+    gain: int = -1
+    white_balance_k: int = 0
+    focus: int = -1
+    auto_exposure: bool = False
+    auto_gain: bool = False
+    auto_white_balance: bool = False
+    auto_focus: bool = False
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self.width, self.height
+
+    @property
+    def before_stamp_s(self) -> float:
+        """Time from the start of the exposure to a stamp at the end of an image [s]."""
+        return 1e-6 * (self.exposure_us + self.readout_us)
+
+
+LIVE_RATE = 30.0
+"""Images a second if none are given."""
+
+
+class Frame(NamedTuple):
+    """An image.
+
+    Attributes
+    ----------
+    pixels : (H, W), (H, W, 2) or (H, W, 3) uint8, or (H, W) uint16
+    encoding : str
+        Of sensor_msgs/Image.
+    instant : float
+        Start of the exposure [s, steady clock].
+    arrival : float
+        When the image was here [s, steady clock].
+    name : str
+        Of a picture; empty otherwise.
+    """
+
+    pixels: np.ndarray
+    encoding: str
+    instant: float
+    arrival: float
+    name: str = ""
+
+
+class Source(Protocol):
+    """A source of images; `open` and `read` may be called again after `close`.
+
+    Attributes
+    ----------
+    live : bool
+        Whether images come by themselves; False: they are played.
+    """
+
+    live: bool
+
+    def open(self) -> None:
+        """Make ready for `read`.
+
+        Raises
+        ------
+        PlateError
+            In one sentence with the remedy.
+        """
+
+    def read(self, stop: Event) -> Frame | None:
+        """Wait for the next image; None if there are no more, or `stop` is set.
+
+        Raises
+        ------
+        ImageError
+            If this image cannot be used.
+        CameraError
+            If no more come.
+        """
+
+    def change(self, settings: Settings) -> None:
+        """Take over exposure, gain, white balance and focus.
+
+        Raises
+        ------
+        CameraError
+            If the device cannot do this: says what it can.
+        """
+
+    def state(self) -> Mapping[str, object]:
+        """Return what is in force, for diagnostics."""
+
+    def close(self) -> None:
+        """Let go of the device."""
+
+
+Warn = Callable[[str], None]
+
+
+def unpack_frame(data: np.ndarray, form: str, size_px: tuple[int, int]) -> tuple[np.ndarray, str]:
+    """Return pixels and encoding of a frame as a camera or a pipe gives it.
+
+    Parameters
+    ----------
+    data : array of bytes
+        In any shape.
+    form : str
+        Key of `FORMATS`.
+    size_px : (int, int)
+        Width and height that were agreed upon.
+
+    Raises
+    ------
+    ImageError
+        If its size is another one, or a JPEG is damaged.
+    """
+    width, height = size_px
+    plain = data.reshape(-1).view(np.uint8)
+    if form == "MJPG":
+        pixels = decode_file(plain.data, "jpeg", size_px=size_px)
+        check_size("image: size is", pixels.shape[1::-1], size_px)
+        return pixels, "mono8" if pixels.ndim == 2 else "bgr8"
+    expected = width * height * FORMATS[form]
+    if plain.size != expected:
+        raise ImageError(
+            f"image: {plain.size} bytes, allowed: {expected} ({width} x {height} px of {form}). "
+            "Did another program change the camera's format?"
+        )
+    if form in UNUSED_BITS:
+        wide = plain.view("<u2").reshape(height, width)
+        return wide << UNUSED_BITS[form], ENCODINGS[form]
+    shape = (height, width) if FORMATS[form] == 1 else (height, width, 2)
+    return plain.reshape(shape), ENCODINGS[form]

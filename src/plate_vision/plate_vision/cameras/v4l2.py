@@ -1,0 +1,301 @@
+"""A V4L2 camera: images by OpenCV, everything else by ioctl."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from threading import Event
+from typing import Any
+
+import cv2
+import numpy as np
+
+from .source import FORMATS, LIVE_RATE, CameraError, Frame, Settings, Warn, unpack_frame
+from .v4l2_device import (
+    AUTO_EXPOSURE,
+    AUTO_FOCUS,
+    AUTO_GAIN,
+    AUTO_PRIORITY,
+    AUTO_WHITE_BALANCE,
+    EXPOSURE,
+    FOCUS,
+    GAIN,
+    MANUAL,
+    WHITE_BALANCE,
+    Size,
+    V4l2Device,
+    fourcc,
+)
+
+EXPOSURE_US = 100
+"""Unit of the control of the exposure [us]."""
+
+OLDEST_S = 2.0
+"""Age from which on a stamp is not believed to be one of the monotonic clock [s]: OpenCV's four
+buffers hold less."""
+
+RATE_ERROR = 0.02
+"""Fraction by which the device's rate may differ before it is said."""
+
+
+def open_capture(path: str) -> Any:
+    """Return OpenCV's reader of a device."""
+    return cv2.VideoCapture(path, cv2.CAP_V4L2)
+
+
+class V4l2Source:
+    """A V4L2 camera.
+
+    Stamps come from the kernel: OpenCV's `CAP_PROP_POS_MSEC` is `v4l2_buffer.timestamp` (in
+    cap_v4l.cpp of 4.x and 5.x). If these are not of the monotonic clock, as the stamps of other
+    backends of OpenCV, the time of arrival counts.
+
+    Parameters
+    ----------
+    settings : Settings
+    warn : callable
+        Takes a warning.
+    device : callable
+        Opens the `V4l2Device` at a path.
+    capture : callable
+        Opens the reader of images at a path.
+    clock : callable
+        The steady clock [s].
+    """
+
+    live = True
+
+    def __init__(
+        self,
+        settings: Settings,
+        warn: Warn,
+        device: Callable[[str], V4l2Device] = V4l2Device,
+        capture: Callable[[str], Any] = open_capture,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        name = settings.device
+        self.path = f"/dev/video{name}" if name.isdigit() else name
+        self.settings, self._warn, self._clock = settings, warn, clock
+        self._make_device, self._make_capture = device, capture
+        self._device: V4l2Device | None = None
+        self._capture: Any = None
+        self._form, self._rate = "", 0.0
+        self._at_start: bool | None = None  # of the exposure; None: the time of arrival counts
+        self._stamps_known = False
+
+    def open(self) -> None:
+        """Open it, and have it take images as the settings say."""
+        try:
+            device = self._device = self._make_device(self.path)
+            device.check_free()
+            self._form = self._choose(device)
+            self._set_controls(device)
+            self._capture = self._started()
+        except BaseException:
+            self.close()
+            raise
+        self._stamps_known = False
+
+    def _choose(self, device: V4l2Device) -> str:
+        """Return the format: the given one, or the first that has size and rate."""
+        wanted, size_px = self.settings, self.settings.size_px
+        has = [form for form in FORMATS if form in device.formats()]
+        offers = {form: device.sizes(form) for form in has}
+        known = f"a format of {', '.join(FORMATS)}"
+        if wanted.format and wanted.format not in has:
+            raise CameraError(
+                f"{self.path}: format is {wanted.format}, allowed by {device.name}: "
+                f"{', '.join(has) or known}"
+            )
+        forms = [wanted.format] if wanted.format else has
+        fit = [form for form in forms if any(size.holds(size_px) for size in offers[form])]
+        if not fit:
+            sizes = "; ".join(f"{form} {_listed(offers[form])}" for form in forms)
+            raise CameraError(
+                f"{self.path}: size is {size_px[0]} x {size_px[1]} px, allowed by {device.name}: "
+                f"{sizes or known}"
+            )
+        rates = {form: device.rates(form, size_px) for form in fit}
+        rate = wanted.rate or LIVE_RATE
+        quick = [form for form in fit if not rates[form] or max(rates[form]) >= 0.99 * rate]
+        if not quick:
+            best = ", ".join(f"{max(rates[form]):.4g} with {form}" for form in fit)
+            if wanted.rate:
+                raise CameraError(
+                    f"{self.path}: rate is {rate:g} images a second at {size_px[0]} x "
+                    f"{size_px[1]} px, allowed by {device.name}: {best}"
+                )
+            quick = [max(fit, key=lambda form: max(rates[form]))]
+        form = quick[0]
+        self._rate = min(rate, max(rates[form])) if rates[form] else rate
+        return form
+
+    def _started(self) -> Any:
+        """Return OpenCV's reader, set to format, size and rate."""
+        width, height = self.settings.size_px
+        capture = self._make_capture(self.path)
+        if not capture.isOpened():
+            raise CameraError(
+                f"{self.path}: OpenCV cannot open it; try v4l2-ctl -d {self.path} --stream-mmap "
+                "--stream-count=10"
+            )
+        capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        capture.set(cv2.CAP_PROP_FOURCC, fourcc(self._form))
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
+        capture.set(cv2.CAP_PROP_FPS, round(self._rate))
+        found = tuple(
+            int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+        form = (
+            int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", "replace")
+        )
+        if found != (width, height) or form.rstrip() != self._form:
+            capture.release()
+            raise CameraError(
+                f"{self.path}: the device gives {found[0]} x {found[1]} px of {form.rstrip()}, not "
+                f"{width} x {height} px of {self._form}; camera --list shows what it can"
+            )
+        rate = capture.get(cv2.CAP_PROP_FPS)
+        if rate > 0 and abs(rate - self._rate) > RATE_ERROR * self._rate:
+            self._warn(f"{self.path}: {rate:.4g} images a second, not {self._rate:g}")
+            self._rate = rate
+        return capture
+
+    def change(self, settings: Settings) -> None:
+        """Take over exposure, gain, white balance and focus."""
+        before, self.settings = self.settings, settings
+        if self._device is None:
+            return
+        try:
+            self._set_controls(self._device)
+        except CameraError:
+            self.settings = before
+            self._set_controls(self._device)
+            raise
+
+    def _set_controls(self, device: V4l2Device) -> None:
+        values = self.settings
+        has = device.controls()
+        automatic = (
+            ("auto_exposure", AUTO_EXPOSURE, MANUAL),
+            ("auto_gain", AUTO_GAIN, 0),
+            ("auto_white_balance", AUTO_WHITE_BALANCE, 0),
+            ("auto_focus", AUTO_FOCUS, 0),
+        )
+        for name, number, off in automatic:
+            control = has.get(number)
+            if getattr(values, name):
+                if control is None:
+                    raise self._missing(name, "true")
+                done = device.set(number, control.default if control.default != off else 1 - off)
+            else:
+                done = control is None or device.set(number, off)
+            if not done:
+                self._warn(
+                    f"{self.path}: {name} cannot be switched; try v4l2-ctl -d {self.path} "
+                    "--list-ctrls-menus"
+                )
+        if AUTO_PRIORITY in has:  # it would lower the rate in the dark
+            device.set(AUTO_PRIORITY, 0)
+        given = (
+            ("exposure_us", EXPOSURE, values.exposure_us > 0, EXPOSURE_US),
+            ("gain", GAIN, values.gain >= 0, 1),
+            ("white_balance_k", WHITE_BALANCE, values.white_balance_k > 0, 1),
+            ("focus", FOCUS, values.focus >= 0, 1),
+        )
+        for name, number, wanted, unit in given:
+            if not wanted:
+                continue
+            value, control = getattr(values, name), has.get(number)
+            if control is None:
+                raise self._missing(name, f"{value:g}")
+            if not control.low * unit <= value <= control.high * unit:
+                raise CameraError(
+                    f"{self.path}: {name} is {value:g}, allowed by {device.name}: "
+                    f"{control.low * unit} to {control.high * unit}"
+                )
+            if not device.set(number, round(value / unit)):
+                raise CameraError(
+                    f"{self.path}: {name} is {value:g}, refused by {device.name}; try "
+                    f"v4l2-ctl -d {self.path} --list-ctrls"
+                )
+
+    def _missing(self, name: str, value: str) -> CameraError:
+        return CameraError(
+            f"{self.path}: {name} is {value}, but the device has no such control; "
+            f"v4l2-ctl -d {self.path} --list-ctrls shows what it has"
+        )
+
+    def read(self, stop: Event) -> Frame | None:
+        """Wait for the next image; OpenCV waits 10 s at most."""
+        if not self._capture.grab():
+            if stop.is_set():
+                return None
+            if not os.path.exists(self.path):
+                raise CameraError(
+                    f"{self.path}: the camera is unplugged; images go on when it is back"
+                )
+            raise CameraError(
+                f"{self.path}: the camera gives no images: does it wait for a trigger, or do "
+                "several cameras share one USB controller?"
+            )
+        arrival = self._clock()
+        there, data = self._capture.retrieve()
+        stamp = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
+        if not self._stamps_known:
+            self._learn_stamps(arrival - stamp)
+        if not there:
+            raise CameraError(f"{self.path}: the camera gives no images: is it unplugged?")
+        form = self._form
+        pixels, encoding = unpack_frame(np.asarray(data), form, self.settings.size_px)
+        end = arrival if self._at_start is None else stamp
+        instant = end if self._at_start else end - self._before_stamp_s()
+        return Frame(pixels, encoding, instant, arrival)
+
+    def _learn_stamps(self, age: float) -> None:
+        """Find out with the first image when the stamps of this device are taken."""
+        self._stamps_known = True
+        said = self._device.stamp_source() if self._device else None
+        monotonic, at_start = (True, False) if said is None else said
+        if monotonic and 0 <= age < OLDEST_S:
+            self._at_start = at_start
+            return
+        self._at_start = None
+        self._warn(
+            f"{self.path}: its stamps are not of the kernel's monotonic clock (OpenCV "
+            f"{cv2.__version__}): images are stamped when they arrive"
+        )
+
+    def _before_stamp_s(self) -> float:
+        exposure_us = self.settings.exposure_us or self._exposure_us() or 0.0
+        return 1e-6 * (exposure_us + self.settings.readout_us)
+
+    def _exposure_us(self) -> float | None:
+        value = self._device.get(EXPOSURE) if self._device else None
+        return None if value is None else float(EXPOSURE_US * value)
+
+    def state(self) -> Mapping[str, object]:
+        """Return format, exposure and gain in force, and what the stamps are."""
+        device, exposure_us = self._device, self._exposure_us()
+        gain = device.get(GAIN) if device else None
+        kinds = {True: "start of exposure", False: "end of exposure", None: "arrival"}
+        return {
+            "format": self._form,
+            "exposure_us": "unknown" if exposure_us is None else f"{exposure_us:g}",
+            "gain": "unknown" if gain is None else gain,
+            "stamp": kinds[self._at_start] if self._stamps_known else "",
+        }
+
+    def close(self) -> None:
+        """Let go of it."""
+        if self._capture is not None:
+            self._capture.release()
+        if self._device is not None:
+            self._device.close()
+        self._capture = self._device = None
+
+
+def _listed(sizes: list[Size]) -> str:
+    return ", ".join(map(str, sizes))

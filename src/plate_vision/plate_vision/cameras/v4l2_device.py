@@ -1,0 +1,284 @@
+"""Formats, sizes, rates and controls of a V4L2 device, by ioctl: OpenCV lists none of them.
+
+The codes and the layouts of the structures are those of linux/videodev2.h on 64-bit machines.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+from .source import AbsentError, CameraError
+
+Ioctl = Callable[[int, int, bytearray], object]
+
+QUERYCAP, ENUM_FMT, FRAMESIZES, FRAMEINTERVALS = 0x80685600, 0xC0405602, 0xC02C564A, 0xC034564B
+QUERYCTRL, QUERYMENU, G_CTRL, S_CTRL = 0xC0445624, 0xC02C5625, 0xC008561B, 0xC008561C
+G_FMT, S_FMT, QUERYBUF = 0xC0D05604, 0xC0D05605, 0xC0585609
+"""Requests, `VIDIOC_...`."""
+
+CAPTURE, MMAP, DISCRETE = 1, 1, 1
+"""V4L2_BUF_TYPE_VIDEO_CAPTURE, V4L2_MEMORY_MMAP, V4L2_FRMSIZE_TYPE_DISCRETE."""
+
+CAN_CAPTURE, HAS_DEVICE_CAPS = 0x1, 0x80000000
+"""V4L2_CAP_VIDEO_CAPTURE, V4L2_CAP_DEVICE_CAPS."""
+
+NEXT, CONTROL_CLASS, DISABLED = 0x80000000, 6, 0x1
+"""V4L2_CTRL_FLAG_NEXT_CTRL, V4L2_CTRL_TYPE_CTRL_CLASS, V4L2_CTRL_FLAG_DISABLED."""
+
+MENU = 3
+"""V4L2_CTRL_TYPE_MENU."""
+
+CLOCK_MASK, MONOTONIC, SOURCE_MASK, START_OF_EXPOSURE = 0xE000, 0x2000, 0x70000, 0x10000
+"""V4L2_BUF_FLAG_TIMESTAMP_MASK, ..._MONOTONIC, V4L2_BUF_FLAG_TSTAMP_SRC_MASK, ..._SOE."""
+
+AUTO_EXPOSURE, EXPOSURE, AUTO_PRIORITY = 0x9A0901, 0x9A0902, 0x9A0903
+GAIN, AUTO_GAIN = 0x980913, 0x980912
+AUTO_WHITE_BALANCE, WHITE_BALANCE = 0x98090C, 0x98091A
+AUTO_FOCUS, FOCUS = 0x9A090C, 0x9A090A
+"""Controls, `V4L2_CID_...`; exposure counts 100 us, white balance kelvin."""
+
+MANUAL = 1
+"""V4L2_EXPOSURE_MANUAL, of `AUTO_EXPOSURE`."""
+
+ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV)
+"""The device is not there."""
+
+MAX_ENTRIES = 256
+"""Most entries of a list that are read: a broken driver may have no end."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """A control: its id, name, range, default and value."""
+
+    number: int
+    name: str
+    low: int
+    high: int
+    step: int
+    default: int
+    value: int
+    menu: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Size:
+    """Sizes (width, height) [px] from `low` to `high`; one size if both are equal."""
+
+    low: tuple[int, int]
+    high: tuple[int, int]
+
+    def holds(self, size_px: tuple[int, int]) -> bool:
+        """Whether a size is one of them."""
+        return all(a <= x <= b for a, x, b in zip(self.low, size_px, self.high, strict=True))
+
+    def __str__(self) -> str:
+        low, high = ("{}x{}".format(*size) for size in (self.low, self.high))
+        return low if low == high else f"{low} to {high}"
+
+
+def fourcc(name: str) -> int:
+    """Return the code of a format: four characters, spaces at the end left out."""
+    return int.from_bytes(name.ljust(4).encode("ascii"), "little")
+
+
+class V4l2Device:
+    """A device, opened beside the program that reads its images.
+
+    Parameters
+    ----------
+    path : str
+        Such as /dev/video0.
+    ioctl : callable
+        `fcntl.ioctl`, or what stands in for it.
+
+    Raises
+    ------
+    CameraError
+        If there is no such device, it may not be opened, or it takes no images.
+    """
+
+    def __init__(self, path: str, ioctl: Ioctl = fcntl.ioctl) -> None:
+        self.path, self._ioctl = path, ioctl
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+        except OSError as error:
+            kind = AbsentError if error.errno in ABSENT else CameraError
+            raise kind(explained(path, error)) from None
+        try:
+            found = self._ask(QUERYCAP, bytearray(104))
+            self.driver, self.name = _text(found[0:16]), _text(found[16:48])
+            of_all, of_this = struct.unpack_from("II", found, 84)
+            if not (of_this if of_all & HAS_DEVICE_CAPS else of_all) & CAN_CAPTURE:
+                raise CameraError(
+                    f"{path}: {self.name} takes no images by this device, allowed: a camera "
+                    "(camera --list shows them)"
+                )
+        except OSError as error:
+            self.close()
+            raise CameraError(explained(path, error)) from None
+        except CameraError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of it."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
+
+    def _ask(self, request: int, data: bytearray) -> bytearray:
+        self._ioctl(self._file, request, data)
+        return data
+
+    def check_free(self) -> None:
+        """Refuse a device whose images another program takes: only then its format is fixed.
+
+        OpenCV would wait for it 10 s.
+
+        Raises
+        ------
+        CameraError
+        """
+        data = bytearray(208)
+        struct.pack_into("I", data, 0, CAPTURE)
+        try:
+            self._ask(S_FMT, self._ask(G_FMT, data))
+        except OSError as error:
+            if error.errno == errno.EBUSY:
+                raise CameraError(explained(self.path, error)) from None
+
+    def formats(self) -> dict[str, str]:
+        """Return its formats, code to description."""
+        found = {}
+        for data in self._each(ENUM_FMT, 64, lambda k: struct.pack("II", k, CAPTURE)):
+            found[_text(data[44:48]).rstrip()] = _text(data[12:44])
+        return found
+
+    def sizes(self, form: str) -> list[Size]:
+        """Return the sizes of a format."""
+        found = []
+        for data in self._each(FRAMESIZES, 44, lambda k: struct.pack("II", k, fourcc(form))):
+            (kind,) = struct.unpack_from("I", data, 8)
+            if kind == DISCRETE:
+                size = struct.unpack_from("II", data, 12)
+                found.append(Size(size, size))
+                continue
+            x0, x1, _, y0, y1, _ = struct.unpack_from("6I", data, 12)
+            return [Size((x0, y0), (x1, y1))]
+        return found
+
+    def rates(self, form: str, size_px: tuple[int, int]) -> tuple[float, ...]:
+        """Return the image rates of a format and size [1/s], ascending; of a range both ends."""
+        found = []
+        head = (fourcc(form), *size_px)
+        for data in self._each(FRAMEINTERVALS, 52, lambda k: struct.pack("IIII", k, *head)):
+            (kind,) = struct.unpack_from("I", data, 16)
+            ends = struct.unpack_from("IIII", data, 20)
+            found += [ends[1] / max(1, ends[0])]
+            if kind != DISCRETE:
+                found += [ends[3] / max(1, ends[2])]
+                break
+        return tuple(sorted(set(found)))
+
+    def _each(self, request: int, size: int, head: Callable[[int], bytes]) -> Iterator[bytearray]:
+        """Yield the entries of a list that the driver ends by EINVAL."""
+        for k in range(MAX_ENTRIES):
+            data = bytearray(size)
+            first = head(k)
+            data[: len(first)] = first
+            try:
+                yield self._ask(request, data)
+            except OSError:
+                return
+
+    def controls(self) -> dict[int, Control]:
+        """Return its controls, by id."""
+        found: dict[int, Control] = {}
+        number = 0
+        for _ in range(MAX_ENTRIES):
+            data = bytearray(68)
+            struct.pack_into("I", data, 0, number | NEXT)
+            try:
+                self._ask(QUERYCTRL, data)
+            except OSError:
+                break
+            number, kind = struct.unpack_from("II", data, 0)
+            low, high, step, default = struct.unpack_from("4i", data, 40)
+            (flags,) = struct.unpack_from("I", data, 56)
+            if kind == CONTROL_CLASS or flags & DISABLED:
+                continue
+            value = self.get(number)
+            if value is not None:
+                menu = self._menu(number, low, high) if kind == MENU else ()
+                name = _text(data[8:40])
+                found[number] = Control(number, name, low, high, step, default, value, menu)
+        return found
+
+    def _menu(self, number: int, low: int, high: int) -> tuple[str, ...]:
+        found = []
+        for index in range(max(0, low), min(high, low + MAX_ENTRIES) + 1):
+            data = bytearray(44)
+            struct.pack_into("II", data, 0, number, index)
+            with suppress(OSError):
+                found.append(f"{index}: {_text(self._ask(QUERYMENU, data)[8:40])}")
+        return tuple(found)
+
+    def get(self, number: int) -> int | None:
+        """Return the value of a control; None if it has none."""
+        data = bytearray(struct.pack("Ii", number, 0))
+        try:
+            return int(struct.unpack_from("i", self._ask(G_CTRL, data), 4)[0])
+        except OSError:
+            return None
+
+    def set(self, number: int, value: int) -> bool:
+        """Set a control; returns whether the device took it."""
+        try:
+            self._ask(S_CTRL, bytearray(struct.pack("Ii", number, value)))
+        except OSError:
+            return False
+        return True
+
+    def stamp_source(self) -> tuple[bool, bool] | None:
+        """Return whether the stamps of its buffers are of the monotonic clock, and whether they
+        are the start of the exposure; None if it does not say.
+
+        Others than the reader may ask most drivers. uvcvideo refuses up to Linux 6.15; its stamps
+        are both.
+        """
+        data = bytearray(88)
+        struct.pack_into("II", data, 0, 0, CAPTURE)
+        struct.pack_into("I", data, 60, MMAP)
+        try:
+            (flags,) = struct.unpack_from("I", self._ask(QUERYBUF, data), 12)
+        except OSError:
+            return (True, True) if self.driver == "uvcvideo" else None
+        return flags & CLOCK_MASK == MONOTONIC, flags & SOURCE_MASK == START_OF_EXPOSURE
+
+
+def _text(data: bytes | bytearray) -> str:
+    return bytes(data).split(b"\0")[0].decode("utf-8", "replace")
+
+
+def explained(path: str, error: OSError) -> str:
+    """Return one sentence for what the system says of a device, with the remedy."""
+    match error.errno:
+        case number if number in ABSENT:
+            return f"{path}: no such device: is the camera plugged in? camera --list shows them"
+        case errno.EACCES | errno.EPERM:
+            return (
+                f"{path}: no permission. Join the group video (sudo usermod -aG video $USER), "
+                "then log in again"
+            )
+        case errno.EBUSY:
+            return f"{path}: in use by another program (fuser -v {path} names it): end that program"
+        case errno.ENOTTY | errno.EINVAL:
+            return f"{path}: is no video device, allowed: such as /dev/video0"
+    return f"{path}: cannot be opened ({error.strerror})"

@@ -1,0 +1,114 @@
+"""What is wrong with a stream of images: lost, late, black or frozen ones."""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+
+import numpy as np
+
+from plate_core.status import Finding, Level
+
+LATE_S = 0.1
+"""Age of an image at its arrival from which on it is late [s]: the planner's estimate of the age of
+images ends there."""
+
+INTERVALS = 15
+"""Distances of stamps of which the median is the distance of images."""
+
+REGULAR, NEAR = 0.8, 0.2
+"""Lost images are counted only where this fraction of the last distances is within this fraction of
+the median: a triggered camera may be irregular."""
+
+GAP = 1.5
+"""Distance of two stamps [intervals] from which on images between are lost."""
+
+MAX_LOST = 0.02
+"""Fraction of lost images from which on diagnostics warn: the planner tolerates more."""
+
+BLACK = 12
+"""Grey level that no pixel of a black image exceeds: noise of a covered sensor."""
+
+ALIKE = 15
+"""Images in a row that are black, or equal, from which on it is said: half a second at 30 a
+second."""
+
+GRID = 7
+"""Every so many rows and columns are compared: odd, so that columns of both kinds in Bayer and YUV
+images are among them."""
+
+
+class Watch:
+    """Counts since the last report, and what is so now."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, np.ndarray] | None = None
+        self._intervals: deque[float] = deque(maxlen=INTERVALS)
+        self._black = self._equal = 0
+        self.total = 0
+        self.begin_report()
+
+    def begin_report(self) -> None:
+        """Begin to count anew."""
+        self.images = self.lost = self.late = 0
+
+    def add(self, pixels: np.ndarray, instant: float, arrival: float) -> None:
+        """Take in an image: its pixels, when its exposure began, and when it came [s]."""
+        self.total += 1
+        self.images += 1
+        if arrival - instant > LATE_S:
+            self.late += 1
+        few = np.ascontiguousarray(pixels[::GRID, ::GRID])
+        bright = few[..., 0] if few.ndim == 3 and few.shape[2] == 2 else few  # of YUYV the Y
+        level = BLACK << 8 if few.dtype == np.uint16 else BLACK
+        self._black = self._black + 1 if int(bright.max(initial=0)) <= level else 0
+        if self._last is not None:
+            before, seen = self._last
+            interval = instant - before
+            if len(self._intervals) == INTERVALS:
+                usual = median(self._intervals)
+                near = sum(abs(each - usual) < NEAR * usual for each in self._intervals)
+                if near >= REGULAR * INTERVALS and interval > GAP * usual:
+                    self.lost += round(interval / usual) - 1
+            self._intervals.append(interval)
+            same = few.shape == seen.shape and np.array_equal(few, seen)
+            self._equal = self._equal + 1 if same else 0
+        self._last = (instant, few)
+
+    def findings(self, live: bool) -> list[Finding]:
+        """Judge the images; equal ones are right in a film."""
+        found = []
+        if self._black >= ALIKE:
+            found.append(
+                Finding(
+                    Level.ERROR,
+                    "the image is black: take off the lens cap, switch the light on, or raise "
+                    "exposure_us or gain",
+                )
+            )
+        elif live and self._equal >= ALIKE:
+            found.append(
+                Finding(
+                    Level.ERROR,
+                    f"the image is frozen: the last {self._equal + 1} images are equal in every "
+                    "pixel. Plug the camera in again",
+                )
+            )
+        every = self.images + self.lost
+        if self.lost > MAX_LOST * every:
+            found.append(
+                Finding(
+                    Level.WARN,
+                    f"{self.lost} of {every} images are lost: choose a lower rate or a smaller "
+                    "format, or give the camera a USB controller of its own",
+                )
+            )
+        if self.late > MAX_LOST * self.images:
+            found.append(
+                Finding(
+                    Level.WARN,
+                    f"{self.late} of {self.images} images arrive more than {LATE_S:g} s after "
+                    "their exposure: is the computer too busy, or exposure_us too long?",
+                )
+            )
+        return found

@@ -1,0 +1,279 @@
+"""The camera node in real time: its images over topics, its faults in diagnostics."""
+
+import time
+from collections import deque
+
+import cv2
+import numpy as np
+import pytest
+from fake_camera import FakeCamera
+
+rclpy = pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Image  # noqa: E402
+
+from plate_core import PlateError  # noqa: E402
+from plate_core.ros import (  # noqa: E402
+    CAMERA,
+    DATA,
+    NodeExecutor,
+    msg_to_reports,
+    nanoseconds,
+    start_nodes,
+)
+from plate_core.status import Level  # noqa: E402
+from plate_interfaces.msg import Parts  # noqa: E402
+from plate_vision.camera import Lens, save_lens  # noqa: E402
+from plate_vision.cameras.node import CameraNode  # noqa: E402
+from plate_vision.node import DetectorNode  # noqa: E402
+
+LONGEST_S = 60.0
+"""A bound on what takes a moment [s]."""
+
+SIZE = {"width": 64, "height": 48}
+GREY = {"GREY": {(64, 48): (30, 60)}}
+NOISE = np.random.default_rng(0).integers(100, 120, (48, 64), np.uint8)
+RNG = np.random.default_rng(0)
+
+
+def noise():
+    return np.roll(NOISE, int(RNG.integers(NOISE.size)))
+
+
+class Graph:
+    """The node, and a probe that hears it. `camera` stands in for a device."""
+
+    def __init__(self, camera=None, detector=None, listen=True, **parameters):
+        words = ["--ros-args"]
+        for name, value in parameters.items():
+            words += ["-p", f"camera:{name}:={value}"]
+        for name, value in (detector or {}).items():
+            words += ["-p", f"detector:{name}:={value}"]
+        rclpy.init(args=words)
+        self.device, self.notes, self.reports = camera, [], deque(maxlen=1000)
+        notes = self.notes
+
+        class Heard(CameraNode):
+            def source(self, settings, warn):
+                return camera.source(settings, warn) if camera else super().source(settings, warn)
+
+            def get_logger(self):
+                logger = super().get_logger()
+                for level in ("info", "warning", "error"):
+                    setattr(logger, level, lambda text, **_: notes.append(text))
+                return logger
+
+        self.nodes = [Heard()]
+        self.executor = NodeExecutor()
+        try:
+            self.nodes += [DetectorNode()] if detector is not None else []
+            start_nodes(*self.nodes)
+        except BaseException:
+            self.close()
+            raise
+        self.camera = self.nodes[0]
+        self.probe = rclpy.create_node("probe")
+        self.nodes.append(self.probe)
+        for node in self.nodes:
+            self.executor.add_node(node)
+        self.images, self.infos = [], []
+        self.probe.create_subscription(DiagnosticArray, "diagnostics", self._on_report, DATA)
+        self.probe.create_subscription(CameraInfo, "camera_info", self.infos.append, CAMERA)
+        if listen:
+            self.listen()
+
+    def listen(self):
+        self.probe.create_subscription(Image, "image_raw", self.images.append, CAMERA)
+        self.until(lambda: self.camera.count_subscribers("image_raw"))
+
+    def _on_report(self, msg):
+        self.reports.extend(each for each in msg_to_reports(msg) if each.node == "camera")
+
+    def until(self, condition):
+        end = time.monotonic() + LONGEST_S
+        while not condition():
+            assert time.monotonic() < end, self.notes + [each.message for each in self.reports][-1:]
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def report(self, words, level=Level.ERROR, shows=None):
+        """Wait for diagnostics with these words, while the camera shows this, and return them."""
+        self.reports.clear()
+
+        def reported():
+            if shows is not None and self.device.given.empty():
+                self.device.show(shows(), time.monotonic())
+            return any(words in each.message for each in self.reports)
+
+        self.until(reported)
+        found = next(each for each in self.reports if words in each.message)
+        assert found.level == level, found
+        return found
+
+    def close(self):
+        if self.device is not None:
+            self.device.stalled = True  # the reader need not wait 10 s
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def start():
+    graphs = []
+
+    def start(*words, **parameters):
+        graphs.append(Graph(*words, **parameters))
+        return graphs[-1]
+
+    yield start
+    for graph in graphs:
+        graph.close()
+
+
+@pytest.fixture
+def camera(tmp_path):
+    return FakeCamera(tmp_path / "video0", GREY)
+
+
+def shown(graph, camera, count=1):
+    """Have the camera take images until the node publishes so many more."""
+    before = len(graph.images)
+
+    def enough():
+        if camera.given.empty():
+            camera.show(noise(), time.monotonic())
+        return len(graph.images) >= before + count
+
+    graph.until(enough)
+
+
+def test_stamps_are_right_to_a_millisecond(start, camera):
+    """An image of 20 ms ago by the kernel's clock is stamped 20 ms ago by the node's clock."""
+    graph = start(camera, device=camera.path, **SIZE)
+    wrong_ns = []
+    for k in range(20):
+        taken = time.monotonic() - 0.02
+        camera.show(np.roll(NOISE, k), taken)
+        graph.until(lambda k=k: len(graph.images) == k + 1)
+        since_ns = time.monotonic_ns() - round(1e9 * taken)
+        now_ns = graph.camera.get_clock().now().nanoseconds
+        wrong_ns.append(nanoseconds(graph.images[-1].header.stamp) - (now_ns - since_ns))
+    assert np.abs(np.median(wrong_ns)) < 1e5
+    (image, *_) = graph.images
+    assert (image.encoding, image.width, image.height, image.step) == ("mono8", 64, 48, 64)
+    assert bytes(image.data) == NOISE.tobytes()
+    assert image.header.frame_id == "camera_optical_frame"
+
+
+def test_camera_info_is_the_file_s_or_not_calibrated(start, camera, tmp_path):
+    graph = start(camera, device=camera.path, **SIZE)
+    shown(graph, camera)
+    graph.until(lambda: graph.infos)
+    assert (graph.infos[0].width, graph.infos[0].k[0]) == (64, 0.0)
+    assert graph.infos[0].header.stamp == graph.images[0].header.stamp
+    graph.close()
+    camera.stalled = False
+    path = tmp_path / "camera.yaml"
+    matrix = np.array([[80.0, 0, 31.5], [0, 81.0, 23.5], [0, 0, 1]])
+    save_lens(path, "camera", (64, 48), Lens(matrix, np.array([0.1, 0, 0, 0, 0])))
+    graph = start(camera, device=camera.path, camera_file=path, **SIZE)
+    shown(graph, camera)
+    graph.until(lambda: graph.infos)
+    (info, *_) = graph.infos
+    assert list(info.k) == matrix.ravel().tolist()
+    assert list(info.d) == [0.1, 0, 0, 0, 0]
+    assert info.p[5] == 81.0
+
+
+def test_an_unplugged_camera_is_named_and_goes_on_when_it_is_back(start, camera):
+    graph = start(camera, device=camera.path, **SIZE)
+    shown(graph, camera)
+    camera.unplug()
+    graph.report("is unplugged; images go on when it is back")
+    camera.plug()
+    shown(graph, camera)
+    assert "unplugged" not in graph.camera._find(time.monotonic()).message
+    assert [text for text in graph.notes if "video0" in text] == [
+        f"{camera.path}: the camera is unplugged; images go on when it is back",
+        f"{camera.path}: images go on",
+    ]
+
+
+def test_a_silent_camera_is_named(start, camera):
+    graph = start(camera, device=camera.path, **SIZE)
+    graph.report("s: is the camera plugged in, and does it wait for a trigger?")
+
+
+def test_frames_of_another_size_are_refused_and_the_others_used(start, camera):
+    graph = start(camera, device=camera.path, **SIZE)
+    camera.show(NOISE[:-1], time.monotonic())
+    graph.until(
+        lambda: any("3008 bytes, allowed: 3072 (64 x 48 px of GREY)" in t for t in graph.notes)
+    )
+    shown(graph, camera)
+    assert graph.camera._refused_total == 1
+
+
+def test_a_black_and_a_frozen_picture_are_errors(start, camera):
+    graph = start(camera, device=camera.path, **SIZE)
+    black = np.full((48, 64), 5, np.uint8)
+    graph.report("the image is black: take off the lens cap", shows=lambda: black)
+    graph.report("the image is frozen", shows=lambda: NOISE)
+
+
+def test_gain_may_change_while_it_runs_within_what_the_device_can(start, camera):
+    graph = start(camera, device=camera.path, gain=40, **SIZE)
+    (done,) = graph.camera.set_parameters([Parameter("gain", value=10)])
+    assert done.successful
+    assert camera.controls[0x980913][-1] == 10
+    (done,) = graph.camera.set_parameters([Parameter("gain", value=500)])
+    assert "gain is 500, allowed by Fake camera: 0 to 100" in done.reason
+    assert camera.controls[0x980913][-1] == 10
+
+
+def test_a_device_that_cannot_be_used_ends_the_start(start, camera):
+    camera.busy = True
+    with pytest.raises(PlateError, match="in use by another program"):
+        start(camera, device=camera.path, **SIZE)
+
+
+def test_after_a_rest_the_device_is_opened_anew(start, camera):
+    graph = start(camera, device=camera.path, **SIZE)
+    shown(graph, camera)
+    camera.stalled = True
+    graph.camera.trigger_deactivate()
+    camera.stalled = False
+    graph.camera.trigger_activate()
+    shown(graph, camera)
+    assert camera.opened == 2
+
+
+def folder(path, draw, rng):
+    for k in range(3):
+        place = np.array([[150.0 + k, 200.0], [400.0, 300.0]])
+        picture = draw(place, ["black", "grey"], rng, radius=7.9)
+        cv2.imwrite(str(path / f"{k}.png"), picture)
+    return path
+
+
+def test_a_folder_begins_when_somebody_looks_and_ends_with_its_last_picture(
+    start, tmp_path, draw, rng
+):
+    graph = start(device=folder(tmp_path, draw, rng), rate=50.0, listen=False)
+    graph.report("waiting for a subscriber of image_raw", Level.OK)
+    graph.listen()
+    graph.report("that was the last image of 3", Level.OK)
+    assert graph.notes[1:4] == [f"image {k + 1} is {k}.png" for k in range(3)]
+    assert [image.encoding for image in graph.images] == ["bgr8"] * 3
+
+
+def test_the_detector_tells_what_each_photograph_holds(start, tmp_path, draw, rng):
+    path = folder(tmp_path, draw, rng)
+    graph = start(device=path, rate=50.0, detector={"photographs": True}, listen=False)
+    parts = []
+    graph.probe.create_subscription(Parts, "parts", parts.append, DATA)
+    graph.until(lambda: len(parts) == 3)
+    assert [[part.id for part in msg.parts] for msg in parts] == [["black_1", "grey_1"]] * 3
