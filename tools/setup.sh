@@ -125,12 +125,12 @@ pinned() { grep "^$1==" requirements.txt; }
 # Before colcon builds the packages, which then finds the kernels compiled.
 compile_kernels() {
     local package
-    for package in $(packages_with_kernels); do
+    for package in $(packages_that_name CompileKernels); do
         (cd "src/$package" && PYTHONPATH="$root/src/plate_native" "$venv/bin/python" setup.py -q build \
             --build-base "$root/build/$package/build" build_ext) || return
     done > log/kernels.log 2>&1
 }
-packages_with_kernels() { grep -l CompileKernels src/*/setup.py | xargs -n1 dirname | xargs -n1 basename; }
+packages_that_name() { grep -l "$1" src/*/setup.py | xargs -n1 dirname | xargs -n1 basename; } # in setup.py
 
 install_requirements() {
     local install=("$venv/bin/python" tools/install.py) uv
@@ -243,8 +243,8 @@ build_packages() {
     [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
     if [ -f install/.built ]; then
         changed=$(comm -3 --output-delimiter= install/.built <(echo "$inputs") | changed_packages)
-        # What it changes is compiled into kernels, which say themselves whether that is so.
-        case "$changed" in *plate_native*) changed=$(printf '%s\n' "$changed" $(packages_with_kernels) | sort -u) ;; esac
+        # What it changes is in kernels, which say themselves whether that is so, and in programs.
+        case "$changed" in *plate_native*) changed=$(printf '%s\n' "$changed" $(packages_that_name "from plate_native") | sort -u) ;; esac
     else
         rm -rf install
         changed=$(ls src)

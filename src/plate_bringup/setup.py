@@ -4,6 +4,8 @@ from pathlib import Path
 
 from setuptools import find_packages, setup
 
+from plate_native import node_programs
+
 NAME = "plate_bringup"
 
 setup(
@@ -18,6 +20,7 @@ setup(
     ],
     install_requires=["plate_core", "PyYAML"],
     extras_require={"test": ["pytest"]},
+    cmdclass={"install_scripts": node_programs("one_process")},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",

@@ -2,6 +2,8 @@
 
 from setuptools import find_packages, setup
 
+from plate_native import node_programs
+
 NAME = "plate_driver"
 
 setup(
@@ -15,6 +17,7 @@ setup(
     ],
     install_requires=["plate_core", "numpy", "pyserial", "scipy"],
     extras_require={"test": ["pytest"]},
+    cmdclass={"install_scripts": node_programs("driver")},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",

@@ -2,6 +2,8 @@
 
 from setuptools import find_packages, setup
 
+from plate_native import node_programs
+
 NAME = "plate_feeder"
 
 setup(
@@ -15,6 +17,7 @@ setup(
     ],
     install_requires=["plate_core", "numpy"],
     extras_require={"test": ["hypothesis", "pytest"]},
+    cmdclass={"install_scripts": node_programs("feeder")},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",

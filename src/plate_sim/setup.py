@@ -2,7 +2,7 @@
 
 from setuptools import find_packages, setup
 
-from plate_native import CompileKernels, kernels
+from plate_native import CompileKernels, kernels, node_programs
 
 NAME = "plate_sim"
 
@@ -18,7 +18,7 @@ setup(
     install_requires=["plate_core", "numpy", "scipy"],
     extras_require={"test": ["pytest"]},
     ext_modules=[kernels(NAME)],
-    cmdclass={"build_ext": CompileKernels},
+    cmdclass={"build_ext": CompileKernels, "install_scripts": node_programs("simulator", "device")},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",

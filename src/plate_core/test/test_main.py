@@ -1,5 +1,6 @@
 """run_node: a clean start and a clean stop."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -40,12 +41,36 @@ run_node(Talker)
 """
 
 
-def start(*words: str) -> subprocess.Popen:
+STARTER = """
+import subprocess, sys
+print("node", subprocess.Popen([sys.executable, *sys.argv[1:]]).pid, flush=True)
+sys.stdin.readline()
+"""
+
+LIFECYCLE = """
+from plate_core.ros import NodeOptions, SafeLifecycleNode, run_node
+
+class Ticking(SafeLifecycleNode[NodeOptions]):
+    def __init__(self):
+        super().__init__("ticking", NodeOptions)
+
+    def configure(self):
+        self.managed_timer(0.05, lambda: print("tick", flush=True))
+
+    def release(self):
+        print("at rest", flush=True)
+
+run_node(Ticking, NodeOptions)
+"""
+
+
+def start(*words: str, **options) -> subprocess.Popen:
     return subprocess.Popen(
         [sys.executable, "-c", NODE, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        **options,
     )
 
 
@@ -60,6 +85,77 @@ def test_signals_end_it_in_peace(hears):
     assert process.returncode == 0, errors
     assert output.endswith("last words, ROS works: True\n")
     assert errors == ""
+
+
+def inherited():
+    """As of `program &` in a script, and of a starter that holds signals back."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_end_it_whatever_is_inherited(hears, number):
+    with start(preexec_fn=inherited) as process:
+        assert hears(process, "ready")
+        process.send_signal(number)
+        output, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, errors) == (0, "")
+    assert output.endswith("last words, ROS works: True\n")
+
+
+def test_a_terminal_that_is_closed_is_nothing_to_one_that_ignores_it(hears):
+    with start(preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) as process:
+        assert hears(process, "ready")
+        process.send_signal(signal.SIGHUP)
+        assert all(process.stdout.readline() for _ in range(20))
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+
+
+@pytest.fixture(name="orphan")
+def _orphan():
+    """A node whose parent was killed: its pid, and the pipe of its output."""
+    pids, files = [], contextlib.ExitStack()
+
+    def orphan(program, heard, *words):
+        starter = subprocess.Popen(
+            [sys.executable, "-c", STARTER, "-c", program, *words],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        pids.append(int(starter.stdout.readline().split()[1]))
+        while starter.stdout.readline() != f"{heard}\n":
+            pass
+        files.enter_context(starter.stdout)
+        files.enter_context(starter.stdin)
+        starter.kill()
+        starter.wait()
+        return pids[-1], starter.stdout
+
+    with files:
+        yield orphan
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize(
+    ("program", "heard", "last"),
+    [(NODE, "ready", "last words, ROS works: True\n"), (LIFECYCLE, "tick", "at rest\n")],
+    ids=["node", "lifecycle"],
+)
+def test_a_node_ends_with_the_process_that_started_it(orphan, program, heard, last):
+    _, output = orphan(program, heard)
+    assert output.read().endswith(last)  # until nobody has the pipe any more
+
+
+def test_one_that_is_to_live_on_does(orphan):
+    pid, output = orphan(LIFECYCLE, "tick", "--ros-args", "-p", "end_with_parent:=false")
+    for _ in range(20):  # ten rounds of the executor and more
+        assert output.readline() == "tick\n"
+    os.kill(pid, signal.SIGTERM)
+    assert output.read().endswith("at rest\n")
 
 
 def test_wrong_input_is_one_line_and_code_2():

@@ -27,8 +27,9 @@ from setuptools import Extension
 from setuptools.command.build_ext import build_ext
 
 from . import cache
+from .programs import node_programs
 
-__all__ = ["OPTIONS", "CompileKernels", "kernels"]
+__all__ = ["OPTIONS", "CompileKernels", "kernels", "node_programs"]
 
 OPTIONS = (
     "-std=c++20", "-O3", "-g0", "-fno-lto", "-fPIC", "-fvisibility=hidden",

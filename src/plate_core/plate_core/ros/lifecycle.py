@@ -43,6 +43,9 @@ class NodeOptions:
     autostart: bool = parameter(
         True, "Configure and activate at start; false: somebody else does it.", fixed=True
     )
+    end_with_parent: bool = parameter(
+        True, "End when the process that started the node is gone; false: live on.", fixed=True
+    )
 
 
 Options = TypeVar("Options", bound=NodeOptions)

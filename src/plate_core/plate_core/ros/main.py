@@ -30,6 +30,9 @@ LAST_ROUNDS = 5
 POLL_S = 0.1
 """A signal waits at most this long: Python sees it only when the executor returns."""
 
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a node; the last one, of a terminal that is closed, unless it is ignored."""
+
 
 def run_node(
     make: Callable[[], Node], options: type | None = None, args: Sequence[str] | None = None
@@ -42,8 +45,11 @@ def run_node(
     The node's `destroy_node` runs while ROS still works, so a node can say its last words there:
     rclpy's own handlers would have shut the context down at the signal.
 
-    Exit code 0 after SIGINT, SIGTERM or a shutdown; 2, with one line, if the node refuses its
-    parameters or files; 1, with a traceback, after a defect.
+    The node also ends when the process that started it is gone, as `ros2 launch` after SIGTERM,
+    unless its parameter `end_with_parent` is false.
+
+    Exit code 0 after SIGINT, SIGTERM, SIGHUP or a shutdown; 2, with one line, if the node refuses
+    its parameters or files; 1, with a traceback, after a defect.
     """
     try:
         with piped():
@@ -87,8 +93,12 @@ def _run(
         if not (again or waiting):
             raise KeyboardInterrupt
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
+    for number in ENDING:  # whatever is inherited: a script has `program &` ignore SIGINT
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, on_signal)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    # The first line of a program keeps it: while code is loaded it may go.
+    parent = getattr(sys.modules["__main__"], "PARENT", os.getppid())
     try:
         _init(args)
         # EventsExecutor takes half the time, but a node ends or crashes by a transition under load.
@@ -97,8 +107,10 @@ def _run(
             nodes.append(make())
             executor.add_node(nodes[-1])
         start_nodes(*(node for node in nodes if isinstance(node, SafeLifecycleNode)))
+        options = (getattr(node, "options", None) for node in nodes)
+        bound = all(getattr(each, "end_with_parent", True) for each in options)
         spinning = True
-        while rclpy.ok() and not stopped:
+        while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
             executor.spin_once(timeout_sec=POLL_S)
         for node in nodes:  # while messages still go out: results of goals that end with it
             if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
@@ -115,7 +127,7 @@ def _run(
         print(f"error: {error}", file=sys.stderr, flush=True)
         code = 2
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
         with contextlib.ExitStack() as stack:
             for node in nodes:
