@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -16,9 +16,12 @@ from .plate import Region
 from .shapes import Background, model_background
 from .shapes.background import colours
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import Conditions, is_named, recognise_under
+from .shapes.classes import FEWEST_NAMED, Conditions, is_named, recognise_under
 from .shapes.groups import explain_groups
+from .shapes.heights import seen_shift
+from .shapes.patch import Patch
 from .shapes.segmentation import segment
+from .shapes.shadows import Lamp
 from .shapes.teaching import ALIKE, gap_between
 
 BLUR_PX = 0.8
@@ -92,17 +95,84 @@ def find_types(
     region: Region | None = None,
 ) -> np.ndarray:
     """Find parts of taught types on the plate: (n,) `SIGHTING`."""
-    patches, lamp = segment(image, background, region, lamps=background.learned)
-    conditions = Conditions(lamp, background)
-    seen, shown = recognise_under(image, patches, catalogue, calibration, conditions)
-    if lamp is not None and shown.lamp is not None:
-        length, first = (float(np.hypot(*one.shift_px)) for one in (shown.lamp, lamp))
-        if abs(length - first) > max(SAME_LENGTH * first, SAME_LENGTH_PX):  # parts that touch
-            patches, _ = segment(image, background, region, lamps=False)
-            conditions = Conditions(background=background)
-            seen, shown = recognise_under(image, patches, catalogue, calibration, conditions)
-    conditions = shown
-    return explain_groups(image, patches, seen, catalogue, calibration, conditions)
+    return find_types_under(image, catalogue, background, calibration, region)[0]
+
+
+def find_types_under(
+    image: np.ndarray,
+    catalogue: Catalogue,
+    background: Background,
+    calibration: Calibration,
+    region: Region | None = None,
+    before: Lamp | None = None,
+) -> tuple[np.ndarray, Lamp | None]:
+    """As `find_types`; returns the lamp that casts the shadows of all parts, too.
+
+    A lamp stands still: where an image alone does not show it, as it is where parts touch, the one
+    of the image `before` shines on, unless more parts are known without it.
+    """
+    rise = _rise_of(catalogue, calibration)
+
+    def look(lamps: bool, lamp: Lamp | None = None) -> _Seen:
+        patches, lamp = segment(image, background, region, lamps, lamp, rise)
+        conditions = Conditions(lamp, background)
+        return _Seen(
+            patches, lamp, *recognise_under(image, patches, catalogue, calibration, conditions)
+        )
+
+    seen = look(background.learned)
+    if before is not None and (seen.lamp is None or not seen.agrees):
+        lit = look(False, before)
+        if not lit.agrees or lit.known < FEWEST_NAMED:
+            seen = seen if seen.lamp is None else look(False)
+            lit = lit if lit.agrees and lit.known >= seen.known else seen
+        seen = lit
+    elif not seen.agrees:  # parts that touch
+        seen = look(False)
+    found = explain_groups(image, seen.patches, seen.found, catalogue, calibration, seen.conditions)
+    return found, seen.lamp
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Patches of an image, the lamp that was assumed, sightings (n,) SIGHTING of the patches, and
+    the conditions as they show them."""
+
+    patches: list[Patch]
+    lamp: Lamp | None
+    found: np.ndarray
+    conditions: Conditions
+
+    @property
+    def known(self) -> int:
+        """How many are of a type."""
+        return int(np.count_nonzero(is_named(self.found)))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether shadows have the lamp's length by the sizes of known types, too."""
+        if self.lamp is None or self.conditions.lamp is None:
+            return True
+        length, first = (
+            float(np.hypot(*one.shift_px)) for one in (self.conditions.lamp, self.lamp)
+        )
+        return abs(length - first) <= max(SAME_LENGTH * first, SAME_LENGTH_PX)
+
+
+def _rise_of(
+    catalogue: Catalogue, calibration: Calibration
+) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Return by how much tops of the highest parts are shifted in the image (n, 2) at points (n, 2)
+    [px]; None if parts are flat, or the camera's place is not known."""
+    height, place = float(np.max(catalogue.height, initial=0)), calibration.place
+    if place is None or height == 0:
+        return None
+
+    def rise(point_px: np.ndarray) -> np.ndarray:
+        point = calibration.to_home(point_px)
+        return calibration.to_image(point + seen_shift(place, point, height)) - point_px
+
+    return rise
 
 
 def model_plate(image: np.ndarray, region: Region) -> Background:

@@ -17,7 +17,7 @@ from .errors import check_size
 from .overlooked import PLAUSIBLE_AREA, may_be_parts, unnamed_things
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
-from .recognition import find_types, model_plate
+from .recognition import find_types_under, model_plate
 from .shapes import Background
 from .shapes.catalogue import Catalogue, make_catalogue
 from .shapes.classes import UNKNOWN, is_named
@@ -226,7 +226,9 @@ def _observe_types(
     bare = vision.background
     if bare is None:
         bare = model_plate(image, vision.region)
-    seen = find_types(image, catalogue, bare, vision.calibration, vision.region)
+    seen, lamp = find_types_under(
+        image, catalogue, bare, vision.calibration, vision.region, tracker.lamp
+    )
     named = is_named(seen)
     centre = np.column_stack([seen["x"], seen["y"]])
     scale = vision.calibration.scale(centre)
@@ -242,9 +244,10 @@ def _observe_types(
     place[~seen["whole"]] = np.nan
     angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)
     quality = np.column_stack([place, angle, seen["confidence"]])
-    return update(
+    after = update(
         tracker, stamp, centre, seen["label"], seen["angle"], quality, symmetry, expected, things
     )
+    return after if after is tracker else replace(after, lamp=lamp)
 
 
 def follow_plate(

@@ -44,6 +44,12 @@ TYPES = {
         holes=(tuple((5e-3 * np.cos(t), 5e-3 * np.sin(t)) for t in np.arange(16) * np.pi / 8),),
         symmetry=0,
     ),
+    "ring": PartType(
+        "ring",
+        radius_m=10e-3,
+        holes=(tuple((5e-3 * np.cos(t), 5e-3 * np.sin(t)) for t in np.arange(16) * np.pi / 8),),
+        symmetry=0,
+    ),
 }  # fmt: skip
 
 POSES = [
@@ -58,8 +64,14 @@ def seen(point, height):
     return scaled * (1, -1) + (np.array(SIZE) - 1) / 2
 
 
-def picture(height, seed=0, poses=POSES):
-    """Prisms, drawn as stacks of their outlines from the plate up to the top."""
+GREYS = (140, 140, 140), (98, 98, 98)
+"""Of a top and side faces as light as a shadow: no darker than half of the plate."""
+
+
+def picture(height, seed=0, poses=POSES, colours=(TOP, SIDE)):
+    """Prisms, drawn as stacks of their outlines from the plate up to the top, which has the first
+    colour."""
+    top, side = colours
     fine = np.full((FINE * SIZE[1], FINE * SIZE[0], 3), PLATE, np.uint8)
     for name, x, y, angle in poses:
         c, s = np.cos(angle), np.sin(angle)
@@ -73,15 +85,15 @@ def picture(height, seed=0, poses=POSES):
             for number, ring in enumerate(rings):
                 point = 16 * (FINE * (seen(ring, z) - (x0, y0) + 0.5) - 0.5)
                 cv2.fillPoly(layer, [np.rint(point).astype(np.int32)], not number, shift=4)
-            here[layer > 0] = SIDE
-        here[layer > 0] = TOP
+            here[layer > 0] = side
+        here[layer > 0] = top
     image = cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), 0.7).astype(float)
     image += 2 * np.random.default_rng(seed).standard_normal(image.shape)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def errors(drawn, known, place=PLACE, poses=POSES, sightings=False):
+def errors(drawn, known, place=PLACE, poses=POSES, colours=(TOP, SIDE), sightings=False):
     """Distances [m] of parts from where they touch the plate, once all have their own name; and
     the sightings, if they are wanted."""
     scale = FOCAL_PX / PLACE[2]
@@ -90,7 +102,7 @@ def errors(drawn, known, place=PLACE, poses=POSES, sightings=False):
     calibration = replace(calibrate_by_matrix(view), place=place)
     types = {name: replace(one, height_m=known) for name, one in TYPES.items()}
     bare = learn_plate(np.stack([picture(0, seed, []) for seed in (1, 2, 3)]))
-    found = find_types(picture(drawn, 7, poses), make_catalogue(types), bare, calibration)
+    found = find_types(picture(drawn, 7, poses, colours), make_catalogue(types), bare, calibration)
     assert len(found) == len(poses)
     gaps = []
     for name, x, y, _ in poses:
@@ -105,6 +117,17 @@ def test_parts_are_where_they_touch_the_plate(height):
     off = errors(height, height)
     assert np.sqrt(np.mean(off**2)) < 0.25e-3
     assert off.max() < 0.4e-3
+
+
+RIGHT = [
+    ("ring", 0.11, 0.10, 0.0), ("ring", 0.14, 0.0, 0.0), ("ring", 0.17, -0.08, 0.0),
+    ("ring", 0.19, 0.05, 0.0),
+]  # fmt: skip
+
+
+def test_tops_that_are_lighter_than_their_side_faces_are_no_shadows():
+    """Where all parts are on one side of the camera, their dark sides point the same way."""
+    assert errors(0.010, 0.010, poses=RIGHT, colours=GREYS).max() < 0.6e-3
 
 
 def test_without_its_height_a_part_is_seen_where_its_top_and_sides_are():

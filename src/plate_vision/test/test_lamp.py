@@ -6,7 +6,7 @@ import pytest
 
 from plate_core import config_path
 from plate_core.rig import load_part_types
-from plate_vision.recognition import calibrate_by_scale, find_types
+from plate_vision.recognition import calibrate_by_scale, find_types, find_types_under
 from plate_vision.shapes import learn_plate, make_catalogue
 from plate_vision.shapes.segmentation import segment
 
@@ -116,6 +116,37 @@ def test_one_part_with_a_shadow_does_not_make_a_lamp(bare):
     one = picture(poses()[:1], 0.5, (6, 4), seed=7)
     image[:100, :100] = one[:100, :100]
     assert segment(image, bare)[1] is None
+
+
+HALF_LIGHT = {"depth": 0.5, "shift_px": (4.0, 3.0)}
+
+
+def touching():
+    """Parts of which none shows by itself where its shadow is: all are as grey as that, or touch
+    one of another colour."""
+    parts = [("washer", *pose[1:]) for pose in poses()[:8]]
+    # A washer beside each square.
+    return parts + [
+        (name, 0.055 + 0.1 * k + dx, -0.27, 0.0)
+        for k in range(3)
+        for name, dx in (("square", 0.0), ("washer", 0.0205))
+    ]
+
+
+def test_the_lamp_shines_on_where_an_image_does_not_show_it(bare, catalogue):
+    view = calibrate_by_scale(SCALE)
+    _, lamp = find_types_under(picture(poses(), seed=7, **HALF_LIGHT), catalogue, bare, view)
+    assert lamp is not None
+    image = picture(touching(), seed=8, **HALF_LIGHT)
+    _, none = find_types_under(image, catalogue, bare, view)
+    assert none is None
+    seen, still = find_types_under(image, catalogue, bare, view, None, lamp)
+    assert still is lamp
+    assert len(seen) == len(touching())
+    # Without it, once it is switched off.
+    dark, gone = find_types_under(picture(poses(), seed=9), catalogue, bare, view, None, lamp)
+    assert gone is None
+    assert len(dark) == len(poses())
 
 
 @pytest.mark.parametrize("hole", [0.2, 0.3, 0.4])

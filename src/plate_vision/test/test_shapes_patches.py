@@ -201,6 +201,22 @@ def test_dark_side_faces_of_high_parts_leave_no_shadows(high_px):
     assert worst(find_patches(picture(parts), bare()), spots) < high_px
 
 
+def test_a_ragged_narrow_hole_does_not_cut_a_part_in_two():
+    """The hole of a high washer, seen from the side: a side face narrows it, and shades off."""
+    x0, y0 = 100.4, 90.3
+
+    def hole(x, y):
+        return (((x - x0) / 2) ** 2 + ((y - y0) / 4.5) ** 2 < 1) | box(x0 + 2, y0, 4, 1.6)(x, y)
+
+    def washer(x, y):
+        outer = [disc(x0 - 2.5, y0, 9), disc(x0 + 2.5, y0, 9), box(x0, y0, 5, 18)]
+        return np.any([one(x, y) for one in outer], axis=0) & ~hole(x, y)
+
+    (patch,) = find_patches(picture([(washer, DARK)], blur=0.4), bare())
+    assert patch.centre_px == pytest.approx((x0, y0), abs=0.3)
+    assert patch.area_px2 == pytest.approx(np.pi * 9**2 + 5 * 18 - 32, rel=0.04)
+
+
 def test_parts_in_two_colours_are_one():
     halves = [
         (disc(80.4, 90.3, 14), RED),

@@ -6,7 +6,7 @@ at half of its own contrast; holes told from highlights; patches split where par
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,9 +16,9 @@ import numpy as np
 from .. import _kernels
 from ..plate.region import Region
 from .background import Background, colours_like, deviation
-from .grouping import Piece, pieces_of
+from .grouping import CONVEX, Piece, pieces_of, traits
 from .patch import HALF, Patch
-from .shadows import Lamp, find_lamp, find_sides, take_out_shadows
+from .shadows import Lamp, find_faces, find_lamp, find_sides, take_out_shadows
 
 LEAST_AREA_PX2: float = _kernels.LEAST_AREA_PX2
 """Smallest part: a disc of 3 px radius."""
@@ -93,12 +93,19 @@ def find_patches(
 
 
 def segment(
-    image: np.ndarray, background: Background, region: Region | None = None, lamps: bool = True
+    image: np.ndarray,
+    background: Background,
+    region: Region | None = None,
+    lamps: bool = True,
+    lamp: Lamp | None = None,
+    rise: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[list[Patch], Lamp | None]:
     """Find what lies on the background, as `find_patches`, and the lamp that casts all shadows.
 
     If there is one, patches are parts together with their shadows. Else, or if `lamps` is False,
-    shadows are taken out as far as they are told from parts.
+    shadows are taken out as far as they are told from parts. No lamp is looked for if a `lamp` is
+    known. Where parts have a height, `rise` gives by how much their tops are shifted in the image
+    (n, 2) at points (n, 2) [px].
     """
     lab = colours_like(image, background)
     if min(lab.shape[:2]) < LEAST_SIDE_PX:
@@ -111,9 +118,11 @@ def segment(
     away = cv2.bitwise_and(away, seen)
     count, labels = cv2.connectedComponents(seen)
     sides = find_sides(lab, background.lab, background.chroma, limit, labels, count)
-    lamp = find_lamp(sides, away, labels) if lamps else None
+    faces = None if rise is None else find_faces(sides, away, labels, rise)
+    if lamp is None and lamps:
+        lamp = find_lamp(sides, away, labels, faces)
     if lamp is None:
-        take_out_shadows(sides, away, labels, background.learned)
+        take_out_shadows(sides, away, labels, background.learned, faces)
     light = cv2.extractChannel(lab, 0)
     brighter = cv2.compare(light, cv2.extractChannel(background.lab, 0), cv2.CMP_GT)
     cover = _cover(away, brighter, limit, labels, count)
@@ -295,6 +304,7 @@ def _window(
     holes, gaps, enclosed = (np.zeros_like(inside) for _ in range(3))
     child = family[number][2]
     full = np.mean(deviation_here[inside > 0]) if child >= 0 else 0
+    alone: bool | None = None
     while child >= 0:
         rim = rims[child]
         left, top, wide, high = cv2.boundingRect(rim)
@@ -311,7 +321,10 @@ def _window(
             area, hull = cv2.contourArea(rim), cv2.contourArea(cv2.convexHull(rim))
             around = 4 * np.pi * area / max(cv2.arcLength(rim, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
-            (holes if convex or around > ROUND else gaps)[part][one > 0] = 1
+            # Parts that touch leave dents between them; a high part's hole is narrow from the side.
+            if not convex and around <= ROUND and alone is None:
+                alone = traits(inside)[2] > CONVEX
+            (holes if convex or around > ROUND or alone else gaps)[part][one > 0] = 1
         child = family[child][0]
     solid = inside > gaps
     # Inside its rim a part covers all of a pixel, whatever its colours.

@@ -6,6 +6,7 @@ is softer. So each patch is parted in a light and a dark side, and the light one
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -57,6 +58,9 @@ LEAST_AREA_PX2 = 30
 """Least patch of which the edges are looked at."""
 
 
+SQUARE = np.ones((3, 3), np.uint8)
+"""A pixel and its neighbours."""
+
 LEAST_CAST = (0.06, 0.75)
 """Fraction of a patch that a shadow takes, at least and at most, if its length is measured."""
 
@@ -64,7 +68,12 @@ LEAST_PART = 0.2
 """Fraction of it that the part takes, at least, of what is no shadow by its colour."""
 
 ONE_LAMP = 0.85
-"""Length of the mean of unit vectors to the shadows, from which on one lamp casts them all."""
+"""Cosine of the angle between two shadows up to which one lamp may cast both; length of the mean of
+unit vectors to the shadows, from which on one lamp casts them all."""
+
+OF_ONE_LAMP = 0.6
+"""Fraction of the patches with a clear shadow that one lamp casts, at least: parts that touch have
+their light and dark sides anywhere."""
 
 SPREAD = 0.35
 """Largest spread of the shadows' lengths, relative to the usual one: median deviation."""
@@ -75,6 +84,13 @@ of the light. A fainter or softer one is on all sides of a part: its softness te
 
 SHORTEST_PX = 1.0
 """Shortest shadow that is taken off as such [px]."""
+
+FACE = 0.9
+"""Fraction of the dark side of a patch from which the light one is reached as a top is from the
+side faces, from which on it is that: the rest is noise."""
+
+FACE_SLACK_PX = 1.5
+"""By how much further away the top may be than it is shifted by its height [px]: blur."""
 
 
 class Sides(NamedTuple):
@@ -154,7 +170,62 @@ def find_sides(
     return Sides(like, lit, slope, steepest, largest, total, balance)
 
 
-def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None:
+def find_faces(
+    sides: Sides,
+    away: np.ndarray,
+    labels: np.ndarray,
+    rise: Callable[[np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Find which patches (count,) bool have no shadow: the dark side is side faces, the light one
+    the top of a high part.
+
+    The camera sees the top further out than the part's base. So from each pixel of a side face, an
+    outer one or that of a hole, the top is reached if one goes that far outwards. The shadows of a
+    lamp point the same way everywhere, and parts are thicker than side faces.
+
+    Parameters
+    ----------
+    sides, away, labels
+        As for `find_lamp`.
+    rise : callable
+        Returns by how much tops are shifted in the image (n, 2), at points (n, 2) [px].
+    """
+    count = len(sides.total)
+    faces = np.zeros(count, bool)
+    bound, *_ = _two_sides(sides, away, labels)
+    rows, columns = np.nonzero((bound > 0)[labels])
+    patch = labels[rows, columns]
+    for k in np.flatnonzero(bound > 0).tolist():
+        y, x = rows[patch == k], columns[patch == k]
+        ((dx, dy),) = rise(np.array([[np.mean(x), np.mean(y)]]))
+        length = float(np.hypot(dx, dy))
+        if length < SHORTEST_PX:
+            continue
+        here = np.s_[y.min() : y.max() + 1, x.min() : x.max() + 1]
+        own, light = labels[here] == k, sides.lit[here] & (away[here] < bound[k])
+        top = cv2.morphologyEx((own & light).astype(np.uint8), cv2.MORPH_OPEN, SQUARE)
+        reach = int(np.ceil(length + FACE_SLACK_PX))
+        end = np.rint(reach + np.array([dx, dy]) * (1 + FACE_SLACK_PX / length)).astype(int)
+        outwards = np.zeros((2 * reach + 1,) * 2, np.uint8)
+        cv2.line(outwards, (reach, reach), end.tolist(), 1)
+        below = cv2.dilate(cv2.dilate(top, SQUARE), outwards, borderValue=0) > 0
+        faces[k] = np.mean(below[own & (away[here] >= bound[k])]) > FACE
+    return faces
+
+
+def _two_sides(
+    sides: Sides, away: np.ndarray, labels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return of each patch (count,) the deviation that parts its light side from its dark one, 0 if
+    it has no two, and those of both."""
+    bound, light, dark = np.empty((3, len(sides.total)), np.float32)
+    _kernels.part_sides(away, sides.lit, sides.slope, sides.steepest, labels, bound, light, dark)
+    return bound, light, dark
+
+
+def find_lamp(
+    sides: Sides, away: np.ndarray, labels: np.ndarray, faces: np.ndarray | None = None
+) -> Lamp | None:
     """Find the one lamp of an image, if one casts shadows on the same side of most parts.
 
     A shadow ends as far from its part as the part and its shadow reach further than the part, in
@@ -167,10 +238,14 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
         Deviation of each pixel from the background, 0 where it shows it [L].
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
+    faces : (count,) bool, optional
+        Patches that are known to have no shadow: see `find_faces`.
     """
     count = len(sides.total)
     large = sides.total >= LEAST_AREA_PX2
     large[0] = False
+    if faces is not None:
+        large &= ~faces
     fewest = max(FEWEST, AGREE * np.count_nonzero(large))
     cast = cv2.morphologyEx(sides.lit.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     places = cv2.findNonZero((away > 0).view(np.uint8))
@@ -184,10 +259,7 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
         return None
     grey = np.bincount(patch[own], minlength=count) < LEAST_PART * sides.total
     # Of a part as grey as a shadow the darker side is the part.
-    bound = np.empty(count, np.float32)
-    _kernels.part_sides(
-        away, sides.lit, sides.slope, sides.steepest, labels, bound, *np.empty((2, count), "f4")
-    )
+    bound, *_ = _two_sides(sides, away, labels)
     darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
     own |= darker
     shaded &= ~darker
@@ -208,7 +280,13 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
     ]
     way = (middles[0] - middles[1])[clear]
     way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
-    mean = np.mean(way, axis=0)
+    alike = way @ way.T > ONE_LAMP
+    number = np.count_nonzero(alike, axis=1)
+    if np.max(number) < max(fewest, OF_ONE_LAMP * len(way)):
+        return None
+    one = alike[np.argmax(number)]
+    clear[clear] = one
+    mean = np.mean(way[one], axis=0)
     if np.hypot(*mean) < ONE_LAMP:
         return None
     unit = mean / np.hypot(*mean)
@@ -227,7 +305,11 @@ def find_lamp(sides: Sides, away: np.ndarray, labels: np.ndarray) -> Lamp | None
 
 
 def take_out_shadows(
-    sides: Sides, away: np.ndarray, labels: np.ndarray, plate_known: bool = False
+    sides: Sides,
+    away: np.ndarray,
+    labels: np.ndarray,
+    plate_known: bool = False,
+    faces: np.ndarray | None = None,
 ) -> None:
     """Set to 0 where the deviation of an image from the background is that of a shadow.
 
@@ -242,6 +324,8 @@ def take_out_shadows(
     plate_known : bool
         Whether the background was learned: then what is neither like a darker plate nor faint is a
         part, and has edges as wide as parts have in this image.
+    faces : (count,) bool, optional
+        Patches that are known to have no shadow: see `find_faces`.
     """
     like, lit, slope, steepest, largest, total, balance = sides
     count = len(total)
@@ -253,8 +337,9 @@ def take_out_shadows(
     sharp = float(np.percentile(width[large], SHARP_PERCENT))
     if plate_known:
         sharp = max(sharp, _part_width(width, largest, total, balance, large))
-    bound, light, dark = np.empty((3, count), np.float32)
-    _kernels.part_sides(away, lit, slope, steepest, labels, bound, light, dark)
+    bound, light, dark = _two_sides(sides, away, labels)
+    if faces is not None:
+        bound[faces] = 0
     if np.any(bound > 0):
         around = cv2.dilate(away, np.ones((5, 5), np.uint8))
         fade, way = np.empty(count, np.float32), np.zeros((count, 2))

@@ -13,6 +13,7 @@ from plate_core import Parts
 from ..discs.shadow import Shadow
 from ..errors import TrackError, check_ranges
 from ..overlooked import NAMELESS, NONE_OVERLOOKED, OVERLOOKED, REASONS
+from ..shapes.shadows import Lamp
 from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
@@ -78,6 +79,8 @@ class Tracker:
         Things in the last image that are not taken for parts.
     shadow : Shadow, optional
         That all parts cast in the last image.
+    lamp : Lamp, optional
+        That casts the shadows of parts of types.
     doubtful : int
         Images in a row in which many things looked like no part, and no shadow explained it.
     """
@@ -90,6 +93,7 @@ class Tracker:
     renamed: tuple[tuple[str, str], ...] = ()
     overlooked: np.ndarray = field(default_factory=lambda: NONE_OVERLOOKED)
     shadow: Shadow | None = None
+    lamp: Lamp | None = None
     doubtful: int = 0
 
     @property
