@@ -38,13 +38,13 @@ class NodeOptions:
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     frame_prefix: str = parameter(
-        "", "Before the names of frames (plate_home, ...): two plates in one tf tree, as left/."
+        "", "Prefix of all frame names, as left/: two plates in one tf tree."
     )
     autostart: bool = parameter(
         True, "Configure and activate at start; false: somebody else does it.", fixed=True
     )
     end_with_parent: bool = parameter(
-        True, "End when the process that started the node is gone; false: live on.", fixed=True
+        True, "End with the process that started the node; false: live on.", fixed=True
     )
 
 
