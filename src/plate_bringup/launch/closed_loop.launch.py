@@ -11,4 +11,4 @@ from plate_bringup.actions import describe
 
 def generate_launch_description():
     """Return what `ros2 launch` runs."""
-    return describe(hardware=False)
+    return describe(hardware=False, file=__file__)

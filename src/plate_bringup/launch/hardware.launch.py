@@ -14,4 +14,4 @@ from plate_bringup.actions import describe
 
 def generate_launch_description():
     """Return what `ros2 launch` runs."""
-    return describe(hardware=True)
+    return describe(hardware=True, file=__file__)

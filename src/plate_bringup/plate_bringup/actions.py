@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
@@ -66,13 +67,11 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
 }  # fmt: skip
 """Arguments that are options of a run, and how they are read."""
 
-MISTYPED = 0.8
-"""Likeness from which on a name counts as one of ours, mistyped: a launch file that includes ours
-may well have a `config_file`, as like `rig_file` as 0.74."""
+PACKAGE = "plate_bringup"
 
 
-def describe(hardware: bool) -> LaunchDescription:
-    """Return what `ros2 launch` runs: the loop in simulation, or on hardware."""
+def describe(hardware: bool, file: str) -> LaunchDescription:
+    """Return what the launch file of that path runs: the loop in simulation, or on hardware."""
     # On hardware there may be transports that are not ours.
     choices = {name: CHOICES[name] for name in CHOICES if not (hardware and name == "transport")}
     arguments = [
@@ -84,7 +83,7 @@ def describe(hardware: bool) -> LaunchDescription:
         )
         for name, text in arguments_of(hardware).items()
     ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=partial(start, hardware))])
+    return LaunchDescription([*arguments, OpaqueFunction(function=partial(start, hardware, file))])
 
 
 def arguments_of(hardware: bool) -> dict[str, str]:
@@ -92,40 +91,55 @@ def arguments_of(hardware: bool) -> dict[str, str]:
     return (HARDWARE if hardware else SIMULATED) | COMMON
 
 
-def check_names(hardware: bool, names: Iterable[str], words: Sequence[str]) -> None:
-    """Refuse arguments that are not ours.
+def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
+    """Refuse arguments on the command line that are not ours, if it starts this launch file.
 
-    A launch file that includes ours hands on its own arguments too. So unless ours is the one that
-    the command line names, only those are refused that are like one of ours, or of the other file.
+    A launch file that includes ours has arguments of its own, which launch shows to ours too.
 
     Parameters
     ----------
     hardware : bool
-    names : iterable of str
-        Of all arguments.
     words : sequence of str
         Of the command line.
+    file : str
+        Path of the launch file.
 
     Raises
     ------
     GraphError
         Naming the argument, and those that there are.
     """
+    if not any(_names(file, before, word) for before, word in pairwise(["", *words])):
+        return
     known, other = arguments_of(hardware), arguments_of(not hardware)
-    files = ("hardware.launch.py", "closed_loop.launch.py")
-    ours = any(Path(word).name == files[not hardware] for word in words)
-    typed = {word.partition(":=")[0] for word in words if ":=" in word} if ours else set()
-    for name in names:
-        if name in known:
-            continue
-        hint = did_you_mean(name, known, MISTYPED)
-        if name in other:
-            hint = f", of {files[hardware]}"
-        if hint or name in typed:
+    for name in (word.partition(":=")[0] for word in words if ":=" in word):
+        if name not in known:
+            files = ("hardware.launch.py", "closed_loop.launch.py")
+            hint = f", of {files[hardware]}" if name in other else did_you_mean(name, known)
             raise GraphError(f"launch argument is {name!r}{hint}, allowed: {', '.join(known)}")
 
 
-def start(hardware: bool, context: Any) -> list[Any]:
+def _names(file: str, before: str, word: str) -> bool:
+    """Whether a word, or a package before it and the word, name a launch file."""
+    if Path(word).name != Path(file).name:
+        return False
+    return before == PACKAGE or (Path(word).exists() and Path(word).samefile(file))
+
+
+def namespace_of(pushed: str, own: str) -> str:
+    """Return the namespace of the nodes, without slashes at its ends; empty: none.
+
+    Parameters
+    ----------
+    pushed : str
+        By the actions PushRosNamespace around ours.
+    own : str
+        The argument `namespace`: below the pushed one, unless it begins with a slash.
+    """
+    return (own if own.startswith("/") else f"{pushed}/{own}").strip("/").replace("//", "/")
+
+
+def start(hardware: bool, file: str, context: Any) -> list[Any]:
     """Return the actions that start every node, and the recorder.
 
     Raises
@@ -134,17 +148,18 @@ def start(hardware: bool, context: Any) -> list[Any]:
         If an argument is mistyped, or there is no such file of parameters: ROS would go on without
         it.
     """
-    check_names(hardware, context.launch_configurations, sys.argv)
+    check_words(hardware, sys.argv, file)
     known = arguments_of(hardware)
     given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
     if "scenario" in given and not {"rig_file", "params_file"} & given.keys():
         values["rig_file"] = load_scenario(given["scenario"]).rig
     apart: list[dict[str, Any]] = []
-    if "namespace" in given:  # two plates have two simulated devices, and frames of their own
-        own = given["namespace"].strip("/")
-        values["link"] = RunOptions.link + "_" + own.replace("/", "_")
-        apart = [{"frame_prefix": f"{own}/"}]
+    pushed = context.launch_configurations.get("ros_namespace", "")
+    if space := namespace_of(pushed, given.get("namespace", "")):
+        # Two plates have two simulated devices, and frames of their own.
+        values["link"] = RunOptions.link + "_" + space.replace("/", "_")
+        apart = [{"frame_prefix": f"{space}/"}]
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )

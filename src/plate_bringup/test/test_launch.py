@@ -46,7 +46,7 @@ def stand_in(monkeypatch):
 
 def described(file):
     path = LAUNCH / f"{file}.launch.py"
-    scope = {"__name__": file}
+    scope = {"__name__": file, "__file__": str(path)}
     exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), scope)
     return scope["generate_launch_description"]()
 
@@ -106,6 +106,7 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
     assert rigs("closed_loop", params_file=str(mine)) == {None}  # it may name one
 
 
+@pytest.mark.parametrize("by_path", [False, True])
 @pytest.mark.parametrize(
     ("file", "name", "words"),
     [
@@ -117,32 +118,60 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
         ("hardware", "image_topc", r"is 'image_topc' \(did you mean image_topic\?\), allowed: "),
         ("closed_loop", "port", r"is 'port', of hardware\.launch\.py, allowed: scenario, "),
         ("hardware", "lockstep", r"is 'lockstep', of closed_loop\.launch\.py, allowed: "),
+        ("closed_loop", "zoom", r"is 'zoom', allowed: scenario, .*rig_fi"),
     ],
 )
-def test_mistyped_arguments_are_refused(stand_in, file, name, words):
+def test_of_the_file_that_is_started_every_argument_is_ours(
+    stand_in, monkeypatch, file, name, words, by_path
+):
+    path = (
+        [str(LAUNCH / f"{file}.launch.py")] if by_path else ["plate_bringup", f"{file}.launch.py"]
+    )
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", *path, "seed:=3", f"{name}:=x"])
     with pytest.raises(GraphError, match=f"^launch argument {words}"):
-        started(file, **{name: "x"})
+        started(file, seed="3", **{name: "x"})
 
 
-def test_on_our_command_line_every_argument_is_ours(stand_in, monkeypatch):
-    words = ["ros2", "launch", "plate_bringup", "closed_loop.launch.py", "rig:=desk"]
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(GraphError, match=r"^launch argument is 'rig', allowed: scenario, .*rig_fi"):
-        started("closed_loop", rig="desk")
-    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "mine.launch.py", "rig:=desk"])
-    assert list(started("closed_loop", rig="desk")[0]) == NAMES
+OTHERS = {
+    "use_rviz": "true", "ros_namespace": "/cell", "port": "/dev/robot", "views": "2",
+    "image_topc": "/eye", "param_file": "x", "scenaro": "y",
+}  # fmt: skip
+"""Arguments of a launch file that includes ours, or of others that it includes."""
 
 
-def test_a_namespace_is_one_of_frames_too(stand_in):
-    nodes, _ = started("closed_loop", namespace="/left/")
-    assert {node.parameters[0]["frame_prefix"] for node in nodes.values()} == {"left/"}
-    nodes, _ = started("closed_loop", namespace="left", one_process="true")
-    assert [node.parameters[0] for node in nodes.values()] == [{"frame_prefix": "left/"}]
+@pytest.mark.parametrize("own", ["mine.launch.py", "closed_loop.launch.py"])
+def test_arguments_of_a_launch_file_that_includes_ours_are_its_own(
+    stand_in, monkeypatch, tmp_path, own
+):
+    (tmp_path / own).touch()  # a namesake of ours is another file
+    words = [f"{name}:={value}" for name, value in OTHERS.items()]
+    for path in ([str(tmp_path / own)], ["my_package", own]):
+        monkeypatch.setattr(sys, "argv", ["ros2", "launch", *path, *words])
+        nodes, _ = started("closed_loop", scenario="sort_6", **OTHERS)
+        assert list(nodes) == NAMES
 
 
-def test_arguments_of_a_launch_file_that_includes_ours_do_no_harm(stand_in):
-    nodes, _ = started("closed_loop", use_rviz="true", config_file="x", scenario="sort_6")
-    assert list(nodes) == NAMES
+@pytest.mark.parametrize(
+    ("pushed", "own", "space"),
+    [
+        (None, "/left/", "left"),
+        (None, "left", "left"),
+        ("/cell", None, "cell"),
+        ("/cell", "left", "cell/left"),
+        ("/cell/one", "/left", "left"),
+    ],
+)
+def test_frames_and_the_serial_link_follow_a_namespace(stand_in, pushed, own, space):
+    given = {"ros_namespace": pushed} if pushed else {}
+    given |= {"namespace": own} if own else {}
+    nodes, _ = started("closed_loop", transport="serial", **given)
+    assert {node.parameters[0]["frame_prefix"] for node in nodes.values()} == {f"{space}/"}
+    link = f"{RunOptions().link}_{space.replace('/', '_')}"
+    assert nodes["device"].parameters[-1]["link"] == link
+    assert nodes["driver"].parameters[-1]["port"] == link
+    assert {node.namespace for node in nodes.values()} == {own or ""}  # launch_ros puts it together
+    nodes, _ = started("closed_loop", one_process="true", **given)
+    assert [node.parameters[0] for node in nodes.values()] == [{"frame_prefix": f"{space}/"}]
 
 
 def test_all_nodes_in_one_process_have_the_same_parameters(stand_in):
@@ -195,8 +224,6 @@ def test_the_driver_talks_to_the_simulated_device(stand_in):
     assert nodes["driver"].parameters[-1] == {"transport": "serial", "port": link}
     assert nodes["device"].parameters[-1] == {"link": link}
     assert nodes["simulator"].parameters[-1] == {"driven_by": "device"}
-    beside, _ = started("closed_loop", transport="serial", namespace="/lab/right")
-    assert beside["device"].parameters[-1] == {"link": f"{link}_lab_right"}
 
 
 RUN = """
