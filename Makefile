@@ -5,7 +5,7 @@ MAKEFLAGS += --no-print-directory
 .PHONY: help setup cli demo play test test-tools lint format bench charts docs clean workspace checks
 
 # A mistyped name would be ignored without a word.
-NAMES := ARGS METHOD PYTHON RIG SCENARIO SOURCES TRANSPORT WORKERS
+NAMES := ARGS CAMERA METHOD PORT PYTHON RIG SCENARIO SOURCES TRANSPORT WORKERS
 $(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(if $(filter $(NAMES) MAKE% -%,$(name)),,\
     $(error $(name) is unknown, allowed: $(NAMES)))))
 
@@ -29,13 +29,15 @@ checks:
 	@tools/setup.sh --quiet --checks
 
 # What is set after `make` reaches the shell as a variable of the environment, whatever is in it.
-demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...] [TRANSPORT=sim|serial|cia402|odrive]
-	@$(ENTER) exec python tools/demo.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
-	    $${METHOD:+--method "$$METHOD"} $${TRANSPORT:+--transport "$$TRANSPORT"} $(ARGS)
+# What demo and play both take
+RUN = $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} $${METHOD:+--method "$$METHOD"} \
+	    $${CAMERA:+--camera "$$CAMERA"} $${PORT:+--port "$$PORT"}
 
-play: workspace ## Play with the simulated plate on a live page: [SCENARIO=play] [RIG=...] [METHOD=...]
-	@$(ENTER) exec python tools/play.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
-	    $${METHOD:+--method "$$METHOD"} $(ARGS)
+demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...] [TRANSPORT=...] [CAMERA=...] [PORT=...]
+	@$(ENTER) exec python tools/demo.py $(RUN) $${TRANSPORT:+--transport "$$TRANSPORT"} $(ARGS)
+
+play: workspace ## Play on a live page: [SCENARIO=play] [RIG=...] [METHOD=...] [CAMERA=...] [PORT=...]
+	@$(ENTER) exec python tools/play.py $(RUN) $(ARGS)
 
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))

@@ -39,7 +39,8 @@ def arguments() -> argparse.Namespace:
         description="Run a task on the vibrating plate: ROS 2 nodes as processes of their "
         "own, in a ROS domain of their own, driven only by what the camera sees.",
         epilog="With make: make demo SCENARIO=sort_10 RIG=my_rig.yaml METHOD=rotations "
-        "TRANSPORT=serial ARGS='--seed 3'. Ctrl-C ends it; what was done so far is kept.",
+        "CAMERA=/dev/video0 PORT=/dev/ttyACM0 ARGS='--seed 3'. Ctrl-C ends it; what was done so "
+        "far is kept.",
     )
     add = parser.add_argument
     add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
@@ -47,13 +48,15 @@ def arguments() -> argparse.Namespace:
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
     add(
         "--transport",
-        default="sim",
-        help="what moves the plate: sim (default), serial, cia402 or odrive",
-    )
-    add(
-        "--port",
         default="",
-        help="of a motor controller, with your own camera; serial without one: a simulated one",
+        help="what moves the plate: sim, serial, cia402 or odrive (serial with a port or camera)",
+    )
+    add("--port", default="", help="of a motor controller; serial without one: a simulated one")
+    add(
+        "--camera",
+        default="",
+        help="device of your camera, as `camera --list` shows it, or a film; without one, and with "
+        "a port: another node publishes the images",
     )
     add("--seed", type=int, default=0, help="where parts are scattered, image noise (0)")
     add("--lockstep", action="store_true", help="as fast as it goes: simulated time waits for all")
@@ -73,7 +76,9 @@ def arguments() -> argparse.Namespace:
     add("--robot-cycle", type=float, default=2.0, help="seconds that it needs for one (2)")
     add("--no-view", action="store_true", help="without the live page in a browser")
     add("--no-pictures", action="store_true", help="write result.json only")
-    return parser.parse_args()
+    args = parser.parse_args()
+    args.transport = args.transport or ("serial" if args.port or args.camera else "sim")
+    return args
 
 
 if __name__ == "__main__":

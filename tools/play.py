@@ -54,7 +54,8 @@ def arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         prog="make play",
-        description="Run the simulated plate with a live page: drag a part, and it goes there.",
+        description="Run the simulated plate, or yours, with a live page: drag a part, and it goes "
+        "there.",
         epilog="With make: make play SCENARIO=align_6 RIG=desk ARGS='--seed 3'. Ctrl-C ends it.",
     )
     add = parser.add_argument
@@ -63,6 +64,10 @@ def arguments() -> argparse.Namespace:
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
     add("--seed", type=int, default=0, help="where parts are scattered (0)")
     add("--simulated-time", action="store_true", help="the page can change the simulator's rate")
+    add("--port", default="", help="of a motor controller; with a camera and no port: simulated")
+    add(
+        "--camera", default="", help="device of your camera, as `camera --list` shows it, or a film"
+    )
     add("--bag", default="", help="show a recorded run: folder of a bag; no graph is started")
     add("--domain", type=int, help="ROS domain, 0 to 101 (a free one)")
     return parser.parse_args()
@@ -84,7 +89,7 @@ def checked(args: argparse.Namespace):
     known = load_rig(rig)  # a mistyped name is reported before the slow imports
 
     import numpy as np
-    from graph.demo import absolute, check_run
+    from graph.demo import absolute, check_camera, check_run, tell_unmeasured
 
     from plate_bringup import RunOptions
     from plate_solver import METHODS
@@ -93,9 +98,16 @@ def checked(args: argparse.Namespace):
     if args.bag and not Path(args.bag).is_dir():
         raise PlateError(f"bag is {args.bag!r}, allowed: the folder of a recorded run")
     start_positions(scenario, known, np.random.default_rng(args.seed))
+    real = bool(args.port or args.camera)
+    if real and args.simulated_time:
+        raise PlateError("simulated time with a port or a camera, allowed: without")
+    check_camera(args.camera, args.port)
+    if real:
+        tell_unmeasured("play", known, args.port)
     return RunOptions(
         scenario=absolute(args.scenario), method=METHODS[args.method], seed=args.seed,
         rig_file=absolute(rig), simulated_time=args.simulated_time, view=True,
+        transport="serial" if real else "sim", port=args.port, camera=args.camera,
     )  # fmt: skip
 
 
@@ -115,8 +127,9 @@ def play(options, folder: Path, domain: int | None) -> None:
         page = graph.page()
         if not page:
             raise GraphError(f"the page does not come\n{graph.processes.tail('page')}")
+        enable = "enable the motors there, then " if options.transport == "serial" else ""
         print(
-            f"Open {page} in a browser: drag a part. Ctrl-C ends it.\n"
+            f"Open {page} in a browser: {enable}drag a part. Ctrl-C ends it.\n"
             f"To look on by ROS: source env.sh; export ROS_DOMAIN_ID={graph.observer.domain}",
             flush=True,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import select
 import shutil
 import sys
 import time
@@ -23,6 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_bringup.production import check_robot
 from plate_core import PlateError, Rig, did_you_mean, load_rig
+from plate_core.rig import doubts, unmeasured
 from plate_core.tasks import (
     FeedTask,
     FollowTask,
@@ -35,6 +37,7 @@ from plate_driver.transports import check_transport, installed, open_port
 from plate_planner import Planner
 from plate_sim.world import Disturbances
 from plate_solver import METHODS
+from plate_vision.cameras import Settings, is_played, make_source
 
 from .domains import own_domain
 from .firmware import build
@@ -142,6 +145,13 @@ def checked(args: argparse.Namespace) -> Plan:
         )
     if args.lockstep and transport == "serial":
         raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
+    if args.camera and transport == "sim":
+        raise PlateError(
+            f"camera is {args.camera!r} with transport sim, allowed with it: no camera (the "
+            "simulated plate has its own)"
+        )
+    if args.image_rate and args.camera:
+        raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with a camera (its rate)")
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with --lockstep")
     Disturbances(image_rate=args.image_rate)  # refuses one out of range
@@ -152,14 +162,23 @@ def checked(args: argparse.Namespace) -> Plan:
             raise PlateError(
                 "lockstep with a task of feed, allowed: without (a robot has its own time)"
             )
-        if args.port:
-            raise PlateError("port with a task of feed, allowed: none (the robot is simulated)")
+        if args.port or args.camera:
+            raise PlateError(
+                "port or camera with a task of feed, allowed: none (the robot is simulated)"
+            )
         check_robot(scenario.task, args.robot_cycle)
     for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,
         print(f"demo: warning: {doubt}", flush=True)
     start_positions(scenario, rig, np.random.default_rng(args.seed))  # and do its parts
-    if args.port:
-        open_port(args.port).close()
+    check_camera(args.camera, args.port)
+    if args.port or args.camera:
+        tell_unmeasured("demo", rig, args.port)
+    if is_played(args.camera):
+        print(
+            f"demo: {args.camera} is played once and does not react to the plate: parts are found, "
+            "cycles are computed and sent to the motors, but the task cannot be done",
+            flush=True,
+        )
     out = args.out or own_folder(scenario.name)
     firmware = build(rig_file, args.transport, out / "firmware").absolute() if drives else ""
     options = RunOptions(
@@ -168,6 +187,7 @@ def checked(args: argparse.Namespace) -> Plan:
         seed=args.seed,
         transport=transport,
         port=args.port,
+        camera=str(Path(args.camera).absolute()) if is_played(args.camera) else args.camera,
         link=str((out / "device").absolute()),
         firmware=str(firmware),
         lockstep=args.lockstep,
@@ -179,9 +199,54 @@ def checked(args: argparse.Namespace) -> Plan:
         robot_port=0,
     )
     domain = args.domain
-    if domain is None and args.port:  # the camera is somebody else's, in the domain of this shell
+    if (
+        domain is None and args.port and not args.camera
+    ):  # the camera is somebody else's, in the domain of this shell
         domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
     return Plan(args, options, scenario, rig, out, domain)
+
+
+def check_camera(camera: str, port: str) -> None:
+    """Check that there are a camera and a port, if they are given; see `checked`."""
+    if camera:
+        make_source(Settings(camera), lambda _: None)
+    if port:
+        open_port(port).close()
+
+
+def tell_unmeasured(program: str, rig: Rig, port: str) -> None:
+    """Print the facts of the rig that are not measured, or inconsistent, before anything moves."""
+    told = [*unmeasured(rig), *(doubt.text for doubt in doubts(rig))]
+    if told:
+        print(f"{program}: before anything moves, this is not known of your rig:")
+        print("\n".join(f"  - {text}" for text in told))
+    if port:
+        print(
+            "  - home: the board finds it when the motors are enabled for the first time; the "
+            "plate moves then"
+        )
+    sys.stdout.flush()
+
+
+def await_consent(observer: Observer) -> None:
+    """Wait until the person at a real plate presses Enter: nothing moves before.
+
+    Raises
+    ------
+    PlateError
+        If there is nobody at a terminal.
+    """
+    if not sys.stdin.isatty():
+        raise PlateError(
+            "nobody can enable the motors: stdin is no terminal. Start it in a terminal, or use "
+            "make play and enable them on the page"
+        )
+    print("Look at the rig. Press Enter to enable the motors; Ctrl-C: nothing moves.", flush=True)
+    ready = False
+    while not ready:
+        observer.until(lambda: False, StatusLine.PERIOD_S)
+        ready = bool(select.select([sys.stdin], [], [], 0)[0])
+    sys.stdin.readline()
 
 
 def check_run(args: argparse.Namespace) -> None:
@@ -265,6 +330,8 @@ def run(plan: Plan) -> int:
                         line.end()
                         feed(plan, graph.observer, grips)
                     else:
+                        if plan.options.port:
+                            await_consent(graph.observer)
                         graph.begin()
                         line.end()
                         watch(plan, graph.observer, began)

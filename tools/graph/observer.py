@@ -128,7 +128,9 @@ class Record:
     Attributes
     ----------
     truth, tables : list of bytes
-        All of ground_truth and motor_setpoints.
+        All of ground_truth, or without a simulator of parts, and all of motor_setpoints.
+    simulated : bool
+        Whether there is a simulator.
     answers : int
         Number of plate_cycle messages.
     images : Thinned
@@ -145,6 +147,7 @@ class Record:
 
     truth: list[bytes] = field(default_factory=list)
     tables: list[bytes] = field(default_factory=list)
+    simulated: bool = True
     answers: int = 0
     images: Thinned = field(default_factory=Thinned)
     said: dict[str, list[Said]] = field(default_factory=dict)
@@ -202,6 +205,8 @@ class Observer:
         Whether to listen to images.
     waiting : callable, optional
         Called with what is waited for, while it is.
+    simulated : bool
+        Whether a simulator says where parts are; else the detector does.
 
     Attributes
     ----------
@@ -218,8 +223,9 @@ class Observer:
         pulse: Callable[[], None] = lambda: None,
         pictures: bool = True,
         waiting: Callable[[str], None] = lambda _: None,
+        simulated: bool = True,
     ) -> None:
-        self.record, self.domain, self._waiting = Record(), domain, waiting
+        self.record, self.domain, self._waiting = Record(simulated=simulated), domain, waiting
         self.pulses = [pulse]
         self._pulsed_at = 0.0
         rclpy.init(
@@ -235,7 +241,7 @@ class Observer:
         def listen(kind: Any, topic: str, on_message: Any, qos: QoSProfile, raw: bool) -> None:
             self.node.create_subscription(kind, topic, on_message, qos, raw=raw)
 
-        listen(Parts, "ground_truth", record.truth.append, ALL, True)
+        listen(Parts, "ground_truth" if simulated else "parts", record.truth.append, ALL, True)
         listen(JointTrajectory, "motor_setpoints", record.tables.append, ALL, True)
         listen(JointTrajectory, "plate_cycle", self._on_answer, ALL, True)
         if pictures:

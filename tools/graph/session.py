@@ -134,7 +134,11 @@ def session(
         own_domain(domain) as domain,
         Processes(nodes, options, logs, domain, remaps=remaps) as processes,
         Observer(
-            domain, processes.check if watched else lambda: None, pictures, waiting
+            domain,
+            processes.check if watched else lambda: None,
+            pictures,
+            waiting,
+            any(node.name == "simulator" for node in nodes),
         ) as observer,
     ):
         if gated:

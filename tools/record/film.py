@@ -28,9 +28,9 @@ class Film:
     ids : tuple of str
         All parts, in the order of `position`.
     time : (n,)
-        Starts of cycles [s].
+        Starts of cycles [s]; without a simulator stamps of images.
     position : (n, M, 2)
-        Parts in plate_home [m] at these times; NaN once off the plate.
+        Parts in plate_home [m] at these times; NaN once off the plate, or while not seen.
     angle : (n, M)
         Their angles [rad].
     end : float
@@ -42,6 +42,8 @@ class Film:
     image_time : (k,)
         Stamps of the images that were kept [s].
     images : tuple of (H, W) arrays
+    simulated : bool
+        Whether a simulator says where parts are; else the detector does.
     """
 
     ids: tuple[str, ...]
@@ -53,16 +55,22 @@ class Film:
     tables: tuple[PlateCycle, ...]
     image_time: np.ndarray
     images: tuple[np.ndarray, ...]
+    simulated: bool = True
 
     @property
     def dropped(self) -> int:
         """Number of parts that have left the plate."""
-        return int(np.sum(np.isnan(self.position[-1, :, 0]))) if len(self.position) else 0
+        there = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
+        if not len(there):
+            return 0
+        # The detector gives a part that it loses another name later.
+        return int((len(self.ids) if self.simulated else np.max(there)) - there[-1])
 
     @property
     def cycles(self) -> int:
         """Number of cycles that the task took."""
-        return int(np.sum((self.time > -ROUNDING) & (self.time < self.end - ROUNDING)))
+        starts = self.time if self.simulated else self.table_time
+        return int(np.sum((starts > -ROUNDING) & (starts < self.end - ROUNDING)))
 
     def running(self, t: float) -> PlateCycle | None:
         """Return the plate's motion at a time: the answer to the image before the newest."""
@@ -121,4 +129,5 @@ def develop(record: Record, rig: Rig) -> Film:
         tables=tuple(cycles),
         image_time=since(images),
         images=tuple(pictures),
+        simulated=record.simulated,
     )

@@ -22,8 +22,9 @@ from launch.actions import (
 from launch.event_handlers import OnProcessIO
 from launch_ros.actions import Node
 
-from plate_core import PlateError, config_path, did_you_mean
+from plate_core import PlateError, config_path, did_you_mean, load_rig
 from plate_core.files import YAML_BYTES, check_file
+from plate_core.rig import unmeasured
 from plate_core.tasks import load_scenario
 
 from .graph import GraphError, RunOptions, load_graph
@@ -48,6 +49,7 @@ SIMULATED = {
 }
 HARDWARE = {
     "port": "serial port of the motor controller",
+    "camera": "device of the camera node (camera --list); left out: images of another node",
     "image_topic": "the camera's image",
     "info_topic": "the camera's calibration",
     "recipe": "with the feeder: a scenario of kind feed, name or path of a .yaml file",
@@ -63,7 +65,7 @@ CHOICES = {
 OPTIONS: Mapping[str, Callable[[str], Any]] = {
     "scenario": str, "method": str, "seed": int, "transport": str, "rig_file": str,
     "lockstep": "true".__eq__, "view": "true".__eq__, "rate": float, "image_rate": float,
-    "port": str, "recipe": str,
+    "port": str, "camera": str, "recipe": str,
 }  # fmt: skip
 """Arguments that are options of a run, and how they are read."""
 
@@ -173,6 +175,9 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     actions: list[Any] = []
+    if hardware and "params_file" not in given:  # which may name the rig
+        told = unmeasured(load_rig(given.get("rig_file", "")))
+        actions += [LogInfo(msg=f"not known of this rig: {text}") for text in told]
     views = {node.name for node in load_graph() if node.view}
     for name, program in programs(options, given).items():
         last_words = [""]

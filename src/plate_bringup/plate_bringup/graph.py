@@ -58,6 +58,8 @@ class GraphNode:
         Whether it only looks on, and so is started only when it is wanted.
     feed : bool
         Whether it is for a task of `feed` alone.
+    camera : bool
+        Whether it is only for a camera that is given by name.
     """
 
     name: str
@@ -68,6 +70,7 @@ class GraphNode:
     transport: str = ""
     view: bool = False
     feed: bool = False
+    camera: bool = False
 
 
 def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
@@ -102,6 +105,7 @@ def _node(fields: Fields) -> GraphNode:
         fields.text("transport") if fields.has("transport") else "",
         fields.has("view") and fields.flag("view"),
         fields.has("feed") and fields.flag("feed"),
+        fields.has("camera") and fields.flag("camera"),
     )
     fields.finish()
     return node
@@ -121,8 +125,11 @@ class RunOptions:
         Of simulator and solver.
     transport, port : str
         Of the driver.
+    camera : str
+        Device of the camera node; empty: images come from the simulator, or from a node of others.
     hardware : bool
-        Nothing stands in for the hardware; so too if there is a port.
+        Nothing stands in for the hardware. With a port nothing stands in for it either; with a
+        camera alone only a motor controller does.
     link : str
         The simulated device's port.
     firmware : str
@@ -154,6 +161,7 @@ class RunOptions:
     seed: int = 0
     transport: str = "sim"
     port: str = ""
+    camera: str = ""
     hardware: bool = False
     link: str = "/tmp/plate_device"
     firmware: str = ""
@@ -171,16 +179,18 @@ class RunOptions:
     @property
     def feeds(self) -> str:
         """What the feeder feeds; empty: there is none."""
-        if self.recipe or self.hardware or self.port:
+        if self.recipe or self.hardware or self.port or self.camera:
             return self.recipe
         return self.scenario if isinstance(load_scenario(self.scenario).task, FeedTask) else ""
 
     def nodes(self, graph: Iterable[GraphNode]) -> tuple[GraphNode, ...]:
         """Return the nodes of the graph that this run needs."""
+        real = self.hardware or bool(self.port)
         return tuple(
             node
             for node in graph
-            if (node.on_hardware or not (self.hardware or self.port))
+            if (node.on_hardware or not (real or (self.camera and not node.transport)))
+            and (not node.camera or bool(self.camera))
             and node.transport in ("", self.transport)
             and (self.view or not node.view)
             and (not node.feed or bool(self.feeds))
@@ -214,6 +224,8 @@ class RunOptions:
         values: dict[str, Value] = {name: getattr(self, name) for name in names}
         if node.name == "driver" and (self.port or self.over_link):
             values["port"] = self.port or self.link
+        if node.name == "camera":
+            values["device"] = self.camera
         if node.name == "feeder":
             values["recipe"] = self.feeds
             if "robot_port" in chosen:

@@ -72,6 +72,18 @@ def test_on_hardware_nothing_stands_in_for_it():
     assert "port" not in options.parameters(GRAPH["driver"])
 
 
+def test_a_camera_of_one_s_own_replaces_the_simulator_but_not_the_board():
+    listed = load_graph()
+    camera = {"camera": "/dev/video0", "transport": "serial"}
+    names = [node.name for node in RunOptions(**camera).nodes(listed)]
+    assert names == ["device", "camera", *NAMES[1:]]
+    names = [node.name for node in RunOptions(**camera, port="/dev/ttyACM0").nodes(listed)]
+    assert names == ["camera", *NAMES[1:]]
+    (node,) = (node for node in listed if node.name == "camera")
+    given = RunOptions(**camera, rig_file="desk").parameters(node)
+    assert given == {"device": "/dev/video0", "rig_file": "desk"}
+
+
 def test_options_that_were_not_chosen_are_left_as_the_file_has_them():
     options = RunOptions(scenario="sort_6")
     given = {name: options.parameters(node, {"scenario"}) for name, node in GRAPH.items()}

@@ -94,6 +94,13 @@ def test_arguments_become_parameters_topics_and_a_recorder(stand_in, tmp_path):
         started("hardware", params_file="none.yaml")
 
 
+def test_a_camera_by_name_is_started_and_what_is_not_measured_is_said(stand_in):
+    nodes, _ = started("hardware", camera="/dev/video0", image_topic="/eye")
+    assert list(nodes) == ["camera", *NAMES[1:]]
+    assert nodes["camera"].parameters[-1] == {"device": "/dev/video0"}
+    assert nodes["camera"].remappings == [("image_raw", "/eye")]
+
+
 def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
     def rigs(file, **given):
         nodes, _ = started(file, scenario="follow_2_desk", **given)

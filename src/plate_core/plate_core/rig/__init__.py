@@ -24,6 +24,7 @@ from .frames import (
 from .keys import ODRIVE_COUNTS
 from .lens import MODELS as LENS_MODELS
 from .lens import Lens, lens_of_matrix
+from .measured import unmeasured
 from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
 from .part_types import (
     MAX_HEIGHT_M,
@@ -112,4 +113,5 @@ __all__ = [
     "to_home",
     "to_image",
     "to_plate",
+    "unmeasured",
 ]

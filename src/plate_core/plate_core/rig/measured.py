@@ -1,0 +1,35 @@
+"""Facts of a rig file that nobody has measured yet: those of the rig files that are shipped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .rig import Rig, load_rig, rig_names
+
+
+def unmeasured(rig: Rig) -> list[str]:
+    """Return the facts that are still to be measured, each as a sentence with the command.
+
+    A value that a shipped rig file has too counts as not measured. Only what no other check finds
+    is named; see `doubts` for what is inconsistent.
+    """
+    shipped = [load_rig(name) for name in ("", *rig_names())]
+    corners = np.array(rig.camera.corners_px)
+    copied = any(np.array_equal(corners, other.camera.corners_px) for other in shipped)
+    found = []
+    if rig.camera.lens is None or copied:
+        found.append(
+            "lens: not calibrated. Take pictures of a printed board, then: ros2 run plate_vision "
+            "calibrate lens PICTURES --board 9x7 --square 0.03 --marker 0.022"
+        )
+    if copied and rig.fiducials is None:
+        found.append(
+            "corners: corners_px are those of a shipped rig file. Put markers on the plate (ros2 "
+            "run plate_vision calibrate markers), or read the plate's corners off an image"
+        )
+    if any(rig.friction.mu == other.friction.mu for other in shipped):
+        found.append(
+            f"friction: mu is {rig.friction.mu:g}, as in a shipped rig file. With parts on the "
+            "plate and the motors enabled: plate friction"
+        )
+    return found

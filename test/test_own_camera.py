@@ -1,0 +1,96 @@
+"""`make demo` with a film in place of a camera, and the simulated board: no image is simulated."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from graph.demo import await_consent
+
+from plate_core import PlateError, config_path, load_rig
+from plate_core.tasks import load_scenario, start_positions
+from plate_sim.camera import Camera, Lighting, part_greys
+
+ROOT = Path(__file__).resolve().parents[1]
+HEIGHT_M = 0.004
+SECONDS, RATE = 12, 30
+LONGEST_S = 300
+
+
+def film(folder):
+    """Write a film of four parts, of some height, under a lamp and through a lens that bends; and
+    the rig file that knows of them."""
+    data = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
+    data["parts"]["height_m"] = HEIGHT_M
+    data["camera"]["distortion"] = [-0.12, 0.03, 0.0005, -0.0003, 0.0]
+    data["friction"]["mu"] = 0.2371
+    (folder / "rig.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    rig, rng = load_rig(str(folder / "rig.yaml")), np.random.default_rng(3)
+    labels, place = start_positions(load_scenario("sort_4"), rig, rng)
+    camera, greys = Camera(rig), part_greys(list(labels))
+    light = Lighting(highlights=0.03, shadows=0.2, level=0.9)
+    size = (rig.camera.width_px, rig.camera.height_px)
+    code = cv2.VideoWriter_fourcc(*"mp4v")
+    writer = cv2.VideoWriter(str(folder / "film.mp4"), code, RATE, size)
+    for _ in range(SECONDS * RATE):
+        height = np.full(len(place), HEIGHT_M)
+        image = camera.render(place, greys, rng, height=height, lighting=light)
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+
+def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
+    """What is not measured is said before anything starts; when the film ends the task does."""
+    film(tmp_path)
+    words = ["--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "film.mp4"]
+    words += ["--scenario", "sort_4", "--out", tmp_path / "out", "--no-view", "--no-pictures"]
+    done = subprocess.run(
+        [sys.executable, "tools/demo.py", *map(str, words)],
+        cwd=ROOT, capture_output=True, text=True, timeout=LONGEST_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stdout + done.stderr
+    before, after = done.stdout.split("\nStarting ")
+    assert "\n  - lens: not calibrated. " in before
+    assert "\n  - corners: " in before
+    assert "friction" not in before
+    assert "does not react to the plate" in before
+    assert after.startswith("device, camera, detector, planner, solver, driver.")
+    result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert (result["parts"], result["dropped"]) == (4, 0)
+    assert result["parts_sorted"] < 4
+    assert result["motor_setpoints"] > 0
+    assert result["setpoints_within_limits"]
+    assert set(result["exit_codes"].values()) == {0}
+    assert not result["success"]
+    assert "no image for" in result["message"]
+
+
+def test_nothing_moves_where_nobody_can_enable_the_motors(monkeypatch):
+    with open("/dev/null", encoding="utf-8") as nobody:
+        monkeypatch.setattr(sys, "stdin", nobody)
+        with pytest.raises(PlateError, match="nobody can enable the motors"):
+            await_consent(None)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--camera", "nowhere.mp4"], "nowhere.mp4: no such device or file, allowed: a number or"),
+        (["--camera", "0", "--transport", "sim"], "camera is '0' with transport sim, allowed with"),
+        (["--camera", "0", "--image-rate", "30"], "image rate is 30, allowed: 0 with a camera"),
+    ],
+)
+def test_what_does_not_go_with_a_camera_is_refused_before_the_start(words, said):
+    command = [sys.executable, "tools/demo.py", *words]
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=LONGEST_S, check=False
+    )
+    assert done.returncode == 2
+    assert said in done.stderr
