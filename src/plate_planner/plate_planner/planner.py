@@ -436,7 +436,7 @@ class Planner:
             seen=self._on_plate(estimator.seen),
             taken=estimator.taken,
             kept=state.kept,
-            late=estimator.log.delay,
+            late=estimator.log.longest_delay,
             resting_since=estimator.resting_since,
         )
 

@@ -39,7 +39,8 @@ INTERVALS_KEPT = 3
 """Intervals remembered: the median of three is not deceived by one lost image."""
 
 DELAYS_KEPT = 7
-"""Delays remembered: a single late answer does not count."""
+"""Delays remembered: a prediction takes their median, so that a single late answer does not count;
+a gain takes the greatest."""
 
 LATEST = 3
 """No answer is expected to begin more cycles late than this."""
@@ -156,6 +157,12 @@ class CycleLog:
         return min(median_low(self.delays), LATEST) if self.delays else 0
 
     @property
+    def longest_delay(self) -> int:
+        """Greatest of the last delays, at most `LATEST` cycles: a controller that is stable with
+        this delay stays stable where delays vary."""
+        return min(max(self.delays, default=0), LATEST)
+
+    @property
     def until_answer(self) -> CycleLog:
         """The log as it will be at its end, when the answer to the running cycle begins: those
         sent before begin first."""
@@ -207,7 +214,7 @@ class CycleLog:
         for k, one in enumerate(self.sent):
             if _same(one.cycle, cycle):
                 sent, unanswered = self.sent[k + 1 :], False
-                if cycle.moves and not triggered:  # rest does not tell one from another
+                if cycle.moves:  # rest does not tell one from another
                     late = sum(  # short cycles at rest, and tails, tell nothing of others
                         start > one.asked + SNAP * run.period and run.moves and not _is_tail(run)
                         for start, run in kept

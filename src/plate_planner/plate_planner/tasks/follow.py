@@ -6,11 +6,12 @@ cycle:
 
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
-kp = 1 corrects the whole predicted error in one cycle; where answers begin late by n cycles, kp is
-divided by 1 + n: what runs until then may differ from what is assumed. The solver brings a part
-from the drift it has to the one it should have: that is the D of PD, with a gain of 1. What parts
-are known to do otherwise than predicted, the drift bias, is part of the prediction, and the planner
-takes it away from what is asked.
+kp = 1 corrects the whole predicted error in one cycle. Where one of the last answers began n cycles
+late, kp is divided by 1 + n: the plate may repeat the cycle n times before the next one begins, and
+all of these together correct the error once. The solver brings a part from the drift it has to the
+one it should have: that is the D of PD, with a gain of 1. What parts are known to do otherwise than
+predicted, the drift bias, is part of the prediction, and the planner takes it away from what is
+asked.
 """
 
 from __future__ import annotations
@@ -445,13 +446,15 @@ class Follower(TaskRules):
         path, part = matched_rows(memory.match, now.parts)
         # What is predicted by images of unknown age may be wrong by more than the parts have moved.
         scaling = 1.0 if now.latency_known else memory.scaling[1]
+        # A cycle may run 1 + late times before the next answer: all of them are one correction.
+        times = 1 + now.late
         low[part] = high[part] = pd_drift(
             now.predicted[part],
             self.reference(memory, now.start)[path],
             self.reference(memory, now.start + now.period)[path],
             now.period,
-            self.options.kp / (1 + now.late),
-            SPEED_RATIO_MAX * scaling * self._speeds[path],
+            self.options.kp / times,
+            max(SPEED_RATIO_MAX / times, 1.0) * scaling * self._speeds[path],
         )
         return DriftRequest(low, high)
 
