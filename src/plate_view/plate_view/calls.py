@@ -17,6 +17,13 @@ SERVICES = {
     "enable": ("/enable", "std_srvs/srv/SetBool"),
     "learn_plate": ("/detector/learn_plate", "std_srvs/srv/Trigger"),
     "teach": ("/detector/teach", "std_srvs/srv/Trigger"),
+    "find_home": ("/detector/find_home", "std_srvs/srv/Trigger"),
+    "take_lens_pictures": (
+        "/detector/take_lens_pictures",
+        "plate_interfaces/srv/TakeLensPictures",
+    ),
+    "fit_lens": ("/detector/fit_lens", "std_srvs/srv/Trigger"),
+    "save_lens": ("/detector/save_lens", "std_srvs/srv/Trigger"),
     "reset": ("/simulator/reset", "std_srvs/srv/Trigger"),
     "place": ("/simulator/place_part", "plate_interfaces/srv/PlacePart"),
     "remove": ("/simulator/remove_part", "plate_interfaces/srv/RemovePart"),
@@ -52,7 +59,7 @@ def call_text(command: Command) -> str:
                 f"plate set simulator seed {values['seed']} && "
                 "ros2 service call /simulator/reset std_srvs/srv/Trigger"
             )
-        case "place" | "remove":
+        case "place" | "remove" | "take_lens_pictures":
             service, kind = SERVICES[command.name]
             given = {key: value for key, value in values.items() if value is not None}
             return f"ros2 service call {service} {kind} {_flow(given)}"

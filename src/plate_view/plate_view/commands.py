@@ -186,7 +186,12 @@ COMMANDS: Mapping[str, Mapping[str, Reader]] = {
     "reset": {"seed": _maybe(_whole)},
     "learn_plate": {},
     "teach": {"name": _text},
-    "watch": {"image": _flag, "field": _flag},
+    "find_home": {},
+    "take_lens_pictures": {"on": _flag, "columns": _maybe(_whole), "rows": _maybe(_whole),
+                           "square_m": _maybe(_number), "marker_m": _maybe(_number)},
+    "fit_lens": {},
+    "save_lens": {},
+    "watch": {"image": _flag, "field": _flag, "camera": _maybe(_flag)},
     "replay": {"playing": _maybe(_flag), "seek": _maybe(_number), "rate": _maybe(_number)},
 }  # fmt: skip
 """By name of a command: what comes with it, and how that is read."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
 from plate_core import Parts, PlateCycle, Rig, Wanted, part_class
@@ -30,7 +32,25 @@ SAMPLES = 65
 FAR_HALVES = 3.0
 """Centres of rotation are shown as far as this [half lengths of the plate]."""
 
+CAMERA_PX = 960
+"""Maximum width of the camera's picture as browsers get it [px]."""
+
+CAMERA_QUALITY = 80
+"""Of its JPEG [%]."""
+
 Scene = dict[str, Any]
+
+
+def camera_scene(stamp: float, image: np.ndarray) -> Scene:
+    """Return the picture of a camera (H, W) or (H, W, 3), blue, green, red, as it comes."""
+    height, width = image.shape[:2]
+    scale = min(1.0, CAMERA_PX / width)
+    if scale < 1:
+        size = (CAMERA_PX, max(1, round(scale * height)))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, CAMERA_QUALITY])
+    jpeg = base64.b64encode(data.tobytes()).decode("ascii")
+    return {"kind": "camera", "stamp": stamp, "width": width, "height": height, "jpeg": jpeg}
 
 
 def rig_scene(rig: Rig, name: str) -> Scene:

@@ -82,7 +82,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         """Know the server."""
         self.page = page
         self.role: Role | None = None
-        self.watches = {"image": False, "field": False}
+        self.watches = {"image": False, "field": False, "camera": False}
         self._newest: dict[str, str | bytes] = {}
         self._queue: deque[str] = deque(maxlen=LONGEST_QUEUE)
         self._answers: deque[str] = deque(maxlen=LONGEST_QUEUE)
@@ -151,7 +151,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         if why := "" if command.name in URGENT else self._refusal(within):
             self.answer(command.number, False, why)
         elif command.name == "watch":
-            self.watches = dict(command.values)
+            self.watches = {key: bool(value) for key, value in command.values.items()}
             self.page.changed()
         else:
             self.open_commands += 1
@@ -341,7 +341,7 @@ class PageServer:
         if keep:
             self.latest[kind] = text
         for browser in self.browsers:
-            if kind != "image" or browser.watches["image"]:
+            if browser.watches.get(kind, True):
                 browser.put(kind, text)
 
     def _run(self) -> None:

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import OverlookedThing, PlateError, Rig, load_rig
+from plate_core import OverlookedThing, PlateError, Rig, load_rig, part_class
 from plate_core.rig import doubts, home_pose
 from plate_core.ros import (
     CAMERA,
@@ -42,6 +42,7 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 from plate_interfaces.msg import PartForces, Parts
 
+from .aiming import Situation, Thing
 from .bare_plate import MODELLED, BarePlate, know_plate, learn_next
 from .camera import (
     Lens,
@@ -59,9 +60,10 @@ from .drawing import ARROW_S, draw_detections, outlines_px
 from .errors import ImageError, TeachError, check_size
 from .faint import faint_finding, faint_patches
 from .live_teaching import Teaching, learn_shown
-from .overlooked import NAMELESS, Expected, OverlookedTally, beside_parts
+from .overlooked import NAMELESS, Expected, OverlookedTally, beside_parts, remedy
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
+from .ros import AimingView
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
@@ -109,6 +111,7 @@ class DetectorParameters(NodeOptions):
     )
     teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
     teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")
+    lens_file: str = parameter("camera.yaml", "Camera file that ~/save_lens writes")
     bits: int = parameter(16, "Bits that are used of encodings with 16 bits", 8, 16, live=True)
     threshold: float = _option(
         DetectorOptions,
@@ -191,6 +194,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     ~/teach learns the type `teach_name` from the parts in the last image, all of that type; called
     again with the same name, from all images since (place a part, call; place it otherwise, call).
 
+    Publishes aim while somebody subscribes: what the camera shows while it is aimed, focused and
+    lit. Services for that: ~/find_home; ~/take_lens_pictures, ~/fit_lens and ~/save_lens.
+
     Every image that can be used is answered, also if no part is seen; the answer carries the
     image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
     is in the image say its markers, or the rig file.
@@ -242,6 +248,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.managed_service(Trigger, "~/reset", self._on_reset)
         self.managed_service(Trigger, "~/learn_plate", self._on_learn_plate)
         self.managed_service(Trigger, "~/teach", self._on_teach)
+        self._aiming = AimingView(
+            self, values.lens_file, self._situation, self._take_corners, self._take_lens
+        )
 
     def begin(self) -> None:
         """Know nothing of what was seen before."""
@@ -271,6 +280,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._faint_count, self._faint_at = 0, -math.inf  # in the image that was last searched
         if self._location is None:
             self._place_camera()
+        self._aiming.begin()
+
+    def rest(self) -> None:
+        """Measure no more."""
+        self._aiming.rest()
 
     def _on_image(self, msg: Image) -> None:
         size_px, big = (msg.width, msg.height), bool(msg.is_bigendian)
@@ -329,6 +343,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         alone = self.options.photographs
         if alone:
             source = f"image {self._images}"
+        came: np.ndarray | None = None
         try:
             came = image = unpack()
             if alone:
@@ -349,6 +364,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._tally.refused += 1
             self._tally.why = str(error)
             self._refused += 1
+            if came is not None:
+                self._aiming.look(came, stamp, str(error))
             return
         self._came = came
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
@@ -376,6 +393,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._look_for_faint(image, seconds(stamp))
         if alone:
             self._tell(source)
+        self._aiming.look(came, stamp)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
         """Refuse another image with the stamp of the one before, which would be answered with what
@@ -435,6 +453,88 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             response.message = str(error)
         self.get_logger().info(f"~/teach: {response.message}")
         return response
+
+    def _situation(self) -> Situation:
+        """Return what is known, for the view to aim by."""
+        expected = expected_parts(self._rig)
+        count, things, radius = self._counts()
+        tally = OverlookedTally()
+        tally.add(count, things, radius)
+        found = tally.finding(expected)
+        if found is None and count:
+            found = Finding(Level.OK, f"{count} taken, nothing else is seen")
+        findings = [
+            ("lens", self._lens_finding()),
+            ("parts", found or Finding(Level.STALE, "none is seen: lay some on the plate")),
+        ]
+        if self._vision.catalogue is not None:
+            learned = Finding(Level.OK, "the bare plate is learned")
+            plate = learned if self._plate.learned else Finding(Level.WARN, MODELLED)
+            findings.insert(1, ("plate", plate))
+        return Situation(
+            self._rig,
+            self._vision,
+            expected,
+            self._things(things, radius, expected),
+            tuple(findings),
+            moving=self._expected is not None,
+        )
+
+    def _things(
+        self, things: np.ndarray, radius: np.ndarray, expected: Expected
+    ) -> tuple[Thing, ...]:
+        """Return the parts of the last image, and the things (n,) OVERLOOKED of these radii (n,)
+        [m]."""
+        parts, calibration = self._tracker.parts, self._vision.calibration
+        place_px = calibration.to_image(parts.position)
+        scale = calibration.scale(parts.position)
+        shown = [
+            Thing(
+                name,
+                x,
+                y,
+                pixels * math.sqrt(self._rig.part_type(part_class(name)).area_m2 / math.pi),
+            )
+            for name, (x, y), pixels in zip(
+                parts.ids, place_px.tolist(), scale.tolist(), strict=True
+            )
+            if part_class(name) not in NAMELESS  # those are among the things
+        ]
+        for one, size in zip(things, radius.tolist(), strict=True):
+            reason = str(one["reason"])
+            x, y, pixels = (float(one[name]) for name in ("x_px", "y_px", "radius_px"))
+            shown.append(Thing("", x, y, pixels, reason, remedy(reason, 1e3 * size, expected)))
+        return tuple(shown)
+
+    def _lens_finding(self) -> Finding:
+        lens = self._vision.calibration.lens
+        if self._lens_problem:
+            return Finding(Level.ERROR, self._lens_problem)
+        if lens is None:
+            return Finding(Level.WARN, "not known: take pictures of a board for the lens")
+        return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
+
+    def _take_corners(self, corners_px: np.ndarray) -> None:
+        """Use the plate's corners (4, 2) [px] until the node ends; what was learned of the bare
+        plate belongs to the place where the camera was."""
+        corners = tuple((float(x), float(y)) for x, y in corners_px)
+        self._rig = replace(self._rig, camera=replace(self._rig.camera, corners_px=corners))
+        self._plate = BarePlate()
+        self._look_anew(self._lens)
+
+    def _take_lens(self, lens: Lens) -> None:
+        """Use a lens that was just found."""
+        self._look_anew(lens)
+        self._lens, self._lens_problem = lens, ""
+
+    def _look_anew(self, lens: Lens | None) -> None:
+        """Find plate and parts by the rig and this lens, as after a start."""
+        vision = make_vision(self._rig, self._vision.options, lens)
+        self._vision = replace(vision, background=self._plate.first)
+        self._tracker, self._expected = Tracker(self._tracker.options), None
+        self._outline, self._location = None, self._unknown_location()
+        if self._location is None:
+            self._place_camera()
 
     def _on_forces(self, msg: PartForces) -> None:
         """Note where the planner expects parts at the end of the running cycle, if it knows."""

@@ -130,7 +130,7 @@ def overlooked_things(
         # Pixels of the blurred edge count by their contrast.
         contrasts = levels[place][here]
         usual = float(np.median(contrasts))
-        area = min(area, float(np.sum(contrasts)) / max(usual, 1e-3))
+        area = min(area, max(float(np.sum(contrasts)), 0.0) / max(usual, 1e-3))
         thing["x_px"], thing["y_px"] = middle[k] * stride + (x0, y0)
         thing["radius_px"] = np.sqrt(area / np.pi) * stride
         if np.any(beside[place][here]):

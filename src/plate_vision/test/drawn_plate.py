@@ -83,3 +83,22 @@ def draw(view, shapes, room, noise=2.0, seed=0, slope=0.0):
     image = image + noise * rng.standard_normal(image.shape)
     image = np.clip(np.rint(image), 0, 255).astype(np.uint8)
     return image[..., 0] if len(room) == 1 else image
+
+
+def board_picture(print_px, board, matrix, bend, turn_deg, place):
+    """Return an image (480, 640) uint8 of a board's print, rotated about the camera's axes
+    [degrees], its middle at a place [m] before a camera (3, 3) with distortion (5,)."""
+    squares = np.array([board.columns, board.rows])
+    ends = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (squares + 1) - (squares + 1) / 2
+    turn = cv2.Rodrigues(np.radians(np.array(turn_deg, float)))[0]
+    corners = np.column_stack([board.square_m * ends, np.zeros(4)]) @ turn.T + place
+    straight = corners @ matrix.T
+    straight = (straight[:, :2] / straight[:, 2:]).astype(np.float32)
+    high, wide = print_px.shape
+    frame = np.array([[0, 0], [wide, 0], [wide, high], [0, high]], np.float32) - 0.5
+    warp = cv2.getPerspectiveTransform(frame, straight)
+    pixel = np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=2).reshape(-1, 1, 2)
+    ideal = cv2.undistortPoints(pixel.astype(np.float32), matrix, bend, P=matrix)
+    source = cv2.perspectiveTransform(ideal, np.linalg.inv(warp)).reshape(480, 640, 2)
+    seen = cv2.remap(print_px, source.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=150)
+    return cv2.GaussianBlur(seen, (0, 0), 0.6)

@@ -29,10 +29,11 @@ from plate_core.ros import (
     nanoseconds,
     seconds,
 )
-from plate_interfaces.msg import DriverStatus, PartForces, Parts, Targets, TaskStatus
+from plate_interfaces.msg import Aim, DriverStatus, PartForces, Parts, Targets, TaskStatus
 
 from ..scene import (
     Scene,
+    camera_scene,
     cycle_scene,
     motors_scene,
     nodes_scene,
@@ -41,12 +42,16 @@ from ..scene import (
 )
 from ..server import PageServer
 from ..top_view import TopView
+from .aim import aim_scene
 
 SAME_CLOCK_S = 10.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
 
 LATENCIES = 200
 """Setpoints over which the latency is taken."""
+
+CAMERA_S = 0.1
+"""Least time between two pictures for the view to aim by [s]."""
 
 WARN_PERIOD_S = 2.0
 """Least time between two equal warnings [s]."""
@@ -97,12 +102,13 @@ class Listener:
         self._reports: dict[str, tuple[float, Any]] = {}
         self._latencies: list[float] = []
         self._setpoints, self._counted = 0, time.monotonic()
+        self._camera_at = -math.inf
 
     def adapt(self) -> None:
         """Listen to what the browsers want, and to nothing if there are none."""
-        some, images = bool(self._server.browsers), self._server.wants("image")
+        some = bool(self._server.browsers)
         for name, topic in TOPICS.items():
-            wanted = some and (images or topic.kind is not Image)
+            wanted = some and (not topic.watched or any(map(self._server.wants, topic.watched)))
             if wanted and name not in self._listening:
                 self._listening[name] = self._node.create_subscription(
                     topic.kind, name, partial(self.hear, name), topic.qos
@@ -214,11 +220,20 @@ class Listener:
         self._tell(motors_scene(self._rig, cycle))
 
     def _show_image(self, msg: Image) -> None:
-        if not self._server.wants("image"):
-            return
-        image, stamp = image_to_array(msg), np.float64(seconds(msg.header.stamp)).tobytes()
-        picture = self._view.jpeg(image[..., ::-1] if msg.encoding == "rgb8" else image)
-        self._server.publish("image", stamp + picture, keep=False)
+        if not any(map(self._server.wants, TOPICS["image_raw"].watched)):
+            return  # of a recorded run
+        image, stamp = image_to_array(msg), seconds(msg.header.stamp)
+        image = image[..., ::-1] if msg.encoding == "rgb8" else image
+        now = time.monotonic()
+        if self._server.wants("camera") and now - self._camera_at >= CAMERA_S:
+            self._camera_at = now
+            self._tell(camera_scene(stamp, image), keep=False)
+        if self._server.wants("image"):
+            picture = np.float64(stamp).tobytes() + self._view.jpeg(image)
+            self._server.publish("image", picture, keep=False)
+
+    def _show_aim(self, msg: Aim) -> None:
+        self._tell(aim_scene(msg), keep=False)
 
     def tick_slowly(self) -> None:
         """Tell the browsers of nodes and times."""
@@ -254,12 +269,14 @@ class Listener:
 
 class Topic(NamedTuple):
     """What is listened to; what is done with it, at once with each message, or as often as browsers
-    can draw it with the newest."""
+    can draw it with the newest. It is listened to only while a browser watches one of `watched`, if
+    there are any."""
 
     kind: type
     qos: QoSProfile
     take: Callable[[Listener, Any], None]
     at_once: bool = False
+    watched: tuple[str, ...] = ()
 
 
 TOPICS: Mapping[str, Topic] = {
@@ -273,9 +290,10 @@ TOPICS: Mapping[str, Topic] = {
     "driver_status": Topic(DriverStatus, LATCHED, Listener._on_driver, at_once=True),
     "diagnostics": Topic(DiagnosticArray, DATA, Listener._on_diagnostics, at_once=True),
     "/rosout": Topic(Log, ROSOUT, Listener._on_log, at_once=True),
-    "image_raw": Topic(Image, CAMERA, Listener._show_image),
+    "image_raw": Topic(Image, CAMERA, Listener._show_image, watched=("image", "camera")),
+    "aim": Topic(Aim, DATA, Listener._show_aim, watched=("camera",)),
 }
-"""To images only if a browser wants them."""
+"""By name of a topic."""
 
 
 def _plain(value: Any) -> float | int | None:

@@ -37,7 +37,7 @@ from plate_core.tasks import (
 from plate_core.yaml_fields import Fields
 from plate_interfaces.action import FollowPaths, MoveParts
 from plate_interfaces.msg import PartCount, Path, Target, Targets, TaskStatus
-from plate_interfaces.srv import PlacePart, RemovePart
+from plate_interfaces.srv import PlacePart, RemovePart, TakeLensPictures
 
 from ..calls import SERVICES, call_text, goal_text
 from ..commands import Command
@@ -52,6 +52,9 @@ FOUND_S = 2.0
 
 MOVE_TOLERANCE_M, MOVE_TOLERANCE_RAD = 0.001, 0.05
 """When a part that was dragged counts as there."""
+
+MOST_SQUARES = 255
+"""Along a side of a board: what TakeLensPictures holds; the detector allows fewer."""
 
 FOLLOW_ERROR_M, FOLLOW_LIMIT_S = 0.02, 600.0
 """A part further from its drawn path ends the task, and so does a longer time."""
@@ -160,6 +163,15 @@ class Operator:
     def _remove(self, asked: Asked) -> None:
         request = RemovePart.Request(id=asked.values["id"])
         self._call(asked, RemovePart, "simulator/remove_part", request, asked.done)
+
+    def _take_lens_pictures(self, asked: Asked) -> None:
+        """Take pictures of a board; numbers that its message cannot hold are refused here."""
+        given = {key: value for key, value in asked.values.items() if value is not None}
+        for side in ("columns", "rows"):
+            if given.get(side, 0) > MOST_SQUARES:
+                raise PlateError(f"{side} is {given[side]}, allowed: 3 to 40")
+        service = SERVICES[asked.command.name][0].removeprefix("/")
+        self._call(asked, TakeLensPictures, service, TakeLensPictures.Request(**given), asked.done)
 
     def _set(self, asked: Asked) -> None:
         values = asked.values
@@ -456,6 +468,10 @@ DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
     "remove": Operator._remove,
     "reset": Operator._reset,
     "teach": Operator._teach,
+    "find_home": Operator._trigger,
+    "take_lens_pictures": Operator._take_lens_pictures,
+    "fit_lens": Operator._trigger,
+    "save_lens": Operator._trigger,
 }
 """By command: what does it; what stops is done by `Stops`."""
 

@@ -9,7 +9,7 @@ const LEFT = 34;
 const RIGHT = 74;
 const FOOT = 14;
 
-class Chart {
+export class Chart {
   /** `curves`: [[name, colour variable, dash], ...]; `least`: where a logarithmic axis begins, 0: from zero */
   constructor(id, unit, curves, least = 0) {
     Object.assign(this, { canvas: byId(id), unit, curves, least, points: [] });

@@ -2,12 +2,14 @@
 
 import { known, on, publish } from "./bus.js";
 import { byId, el, tell } from "./dom.js";
+import { AimView } from "./aim.js";
 import { charts } from "./charts.js";
 import { CycleView } from "./cycle.js";
 import { Drag } from "./drag.js";
 import { LAYERS, PlateView } from "./plate.js";
 import { Connection } from "./socket.js";
 import { EmergencyStop } from "./stop.js";
+import { camera } from "./panels/camera.js";
 import { log } from "./panels/log.js";
 import { motors } from "./panels/motors.js";
 import { nodes } from "./panels/nodes.js";
@@ -17,7 +19,6 @@ import { replay } from "./panels/replay.js";
 import { simulator } from "./panels/simulator.js";
 import { badge, silent, status } from "./panels/status.js";
 import { tasks } from "./panels/tasks.js";
-import { teach } from "./panels/teach.js";
 
 const ANSWER_SHOWN_MS = 4000; // a good answer; a refusal stays until the next command
 
@@ -94,10 +95,11 @@ on("nodes", () => {
 /** Tell the server what this page wants to have. */
 function watch() {
   if (!known.hello) return;
-  const seen = !document.hidden;
+  const aims = byId("stage").dataset.view === "camera";
+  const seen = !document.hidden && !aims;
   const image = seen && view.shown.image;
   if (!image) view.forgetImage();
-  connection.tell({ do: "watch", image, field: seen && (view.shown.drift || view.shown.force) });
+  connection.tell({ do: "watch", image, field: seen && (view.shown.drift || view.shown.force), camera: aims && !document.hidden });
 }
 
 function layers() {
@@ -116,7 +118,7 @@ function tabs(rooms) {
     const tab = el("button", { id: `tab-${name}`, type: "button", role: "tab", "aria-controls": panel.id }, name);
     byId("panels").append(panel);
     list.append(tab);
-    return { tab, panel, refresh: fill(panel) };
+    return { name, tab, panel, refresh: fill(panel) };
   });
   const open = (chosen, focus) => {
     for (const { tab, panel } of all) {
@@ -125,6 +127,8 @@ function tabs(rooms) {
       tab.tabIndex = here ? 0 : -1;
       panel.hidden = !here;
     }
+    byId("stage").dataset.view = chosen.name === "Camera" ? "camera" : "plate";
+    watch();
     if (focus) chosen.tab.focus();
     chosen.refresh?.();
   };
@@ -173,17 +177,22 @@ status(ask);
 motors();
 replay(ask, view);
 new CycleView();
+const aim = new AimView();
 layers();
 tabs([
   ["Task", (panel) => tasks(panel, ask)],
   ["Parts", (panel) => parts(panel, view, drag)],
   ["Settings", (panel) => parameters(panel, ask)],
   ["Simulator", (panel) => simulator(panel, ask, view)],
-  ["Teach", (panel) => teach(panel, ask)],
+  ["Camera", (panel) => camera(panel, ask, aim)],
   ["Nodes", (panel) => nodes(panel)],
   ["Log", (panel) => (noteRefusal = log(panel)) && undefined],
 ]);
-theme(charts());
+const redraw = charts();
+theme(() => {
+  redraw();
+  aim.draw();
+});
 leaveFocus();
 allow();
 document.addEventListener("visibilitychange", () => {

@@ -1,0 +1,326 @@
+"""What a picture says about the camera while it is aimed, focused and lit. Pure: no ROS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from plate_core import Rig
+from plate_core.status import Finding, Level
+
+from .camera import grey_levels
+from .overlooked import Expected
+from .plate import light_problem
+from .plate.outline import (
+    OUTWARD,
+    Outline,
+    OutlineGrid,
+    edge_points,
+    fitting_flips,
+    judge_outline,
+)
+from .vision import Vision
+
+AROUND = 0.03
+"""Surround of the plate in which sharpness is measured, relative to its length in the image [-]: a
+bare plate has no edges but its own."""
+
+SMOOTH_PX = 1.0
+"""Standard deviation of the smoothing before the gradient is taken [px], against noise."""
+
+LEAST_CONTRAST = 4.0
+"""Minimum standard deviation of the grey levels from which sharpness is measured: a covered lens
+shows less, and noise alone has about 2."""
+
+BINS = 64
+"""Bins of the histogram, four grey levels each."""
+
+CLIPPED = 0.01
+"""Fraction of the plate's pixels at 0 or 255 that is tolerated [-]: reflections of a part are
+smaller."""
+
+BLURRED = 0.85
+"""Sharpness relative to the best of the last minute below which focus was lost [-]. Noise and a
+part that is moved change it by less than 5 %."""
+
+BEST_S, LATELY_S = 60.0, 2.0
+"""Time over which the best sharpness is taken, and over which its change is [s]."""
+
+STEADY = 0.04
+"""Relative change of the sharpness that is noise [-]."""
+
+LEAST_PART_PX = 10.0
+"""Minimum diameter of a part in the image [px]: below it places scatter by more than 0.05 px, and
+marks are not read."""
+
+EDGE_POINTS = 9
+"""Points on each of the plate's edges as they are seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class AimField:
+    """Where in a picture is measured: made once for a vision.
+
+    Attributes
+    ----------
+    vision : Vision
+    rows, columns : slice
+        Of the picture, around the plate and its surround.
+    plate, around : (h, w) uint8
+        Which pixels of that part show the plate, and the plate with its surround: 255, else 0.
+    grid : OutlineGrid
+        Where the plate's edges are looked for.
+    part_px : (float, float)
+        Diameters of the smallest part where it looks smallest, and of the largest part where it
+        looks largest [px].
+    radius : float
+        Of a part [m].
+    """
+
+    vision: Vision
+    rows: slice
+    columns: slice
+    plate: np.ndarray
+    around: np.ndarray
+    grid: OutlineGrid
+    part_px: tuple[float, float]
+    radius: float
+
+    @classmethod
+    def of(cls, rig: Rig, vision: Vision, expected: Expected) -> AimField:
+        """Prepare it for a rig whose parts have these sizes."""
+        width, height = vision.region.size_px
+        outline = np.rint(vision.region.outline_px).astype(np.int32)
+        plate = np.zeros((height, width), np.uint8)
+        cv2.fillPoly(plate, [outline], 255)
+        reach = max(2, round(AROUND * float(np.max(np.ptp(outline, axis=0)))))
+        around = cv2.dilate(plate, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+        x, y, w, h = cv2.boundingRect(around)
+        rows, columns = slice(y, y + h), slice(x, x + w)
+        grid = OutlineGrid.of(rig, vision.calibration)
+        edges = edge_points(grid.half, np.linspace(-1, 1, EDGE_POINTS)).reshape(-1, 2)
+        scale = vision.calibration.scale(np.vstack([edges, np.zeros((1, 2))]))
+        part_px = (2 * expected.smallest * float(scale.min()),
+                   2 * expected.largest * float(scale.max()))  # fmt: skip
+        return cls(
+            vision, rows, columns, plate[rows, columns], around[rows, columns], grid, part_px,
+            rig.parts.radius_m,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """How bright the plate is.
+
+    Attributes
+    ----------
+    histogram : (BINS,) int
+        Number of pixels in each four grey levels.
+    black, white : float
+        Fractions of the pixels at grey level 0, and with a channel at 255 [-].
+    """
+
+    histogram: np.ndarray
+    black: float
+    white: float
+
+
+def light_on_plate(image: np.ndarray, field: AimField) -> Light:
+    """Measure the light where the plate should be in an image (H, W) or (H, W, 3) uint8."""
+    part = np.ascontiguousarray(image[field.rows, field.columns])
+    grey = grey_levels(part)
+    levels = cv2.calcHist([grey], [0], field.plate, [256], [0, 256]).ravel()
+    brightest = part if part.ndim == 2 else part.max(axis=2)
+    burnt = cv2.calcHist([brightest], [0], field.plate, [256], [0, 256]).ravel()
+    count = max(float(levels.sum()), 1.0)
+    histogram = levels.reshape(BINS, -1).sum(axis=1).astype(int)
+    return Light(histogram, float(levels[0]) / count, float(burnt[255]) / count)
+
+
+def sharpness_of(image: np.ndarray, field: AimField) -> float:
+    """Return the sharpness of an image (H, W) or (H, W, 3) uint8 around the plate [1/px].
+
+    Root mean square of the gradient (Tenengrad) over the standard deviation of the grey levels, so
+    that brighter light does not count. NaN if there is less contrast than `LEAST_CONTRAST`.
+    """
+    grey = grey_levels(np.ascontiguousarray(image[field.rows, field.columns])).astype(np.float32)
+    _, deviation = cv2.meanStdDev(grey, mask=field.around)
+    contrast = float(deviation[0, 0])
+    if contrast < LEAST_CONTRAST:
+        return math.nan
+    smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX)
+    across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125)
+    down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
+    power = cv2.mean(across * across + down * down, mask=field.around)[0]
+    return math.sqrt(power) / contrast
+
+
+@dataclass(frozen=True)
+class Focus:
+    """The sharpness of the last minute.
+
+    Attributes
+    ----------
+    values : tuple of (float, float)
+        Stamps [s] and sharpness [1/px], the newest last.
+    """
+
+    values: tuple[tuple[float, float], ...] = ()
+
+    def add(self, stamp: float, sharpness: float) -> Focus:
+        """Return it with one more value; a clock that was set back begins anew."""
+        kept = self.values if self.values and stamp > self.values[-1][0] else ()
+        return Focus((*(one for one in kept if one[0] > stamp - BEST_S), (stamp, sharpness)))
+
+    @property
+    def now(self) -> float:
+        """The newest sharpness [1/px]; NaN if it is not known."""
+        return self.values[-1][1] if self.values else math.nan
+
+    @property
+    def best(self) -> float:
+        """The highest of the last minute [1/px]; NaN if none is known."""
+        known = [value for _, value in self.values if math.isfinite(value)]
+        return max(known, default=math.nan)
+
+    @property
+    def change(self) -> float:
+        """Relative change over the last `LATELY_S`: mean of its second half over that of the
+        first, less one [-]; NaN if it is not known."""
+        if not self.values:
+            return math.nan
+        age = self.values[-1][0] - np.array([stamp for stamp, _ in self.values])
+        value = np.array([value for _, value in self.values])
+        late, early = age < LATELY_S / 2, (age >= LATELY_S / 2) & (age <= LATELY_S)
+        known = np.isfinite(value)
+        if not (np.any(late & known) and np.any(early & known)):
+            return math.nan
+        return float(np.mean(value[late & known]) / np.mean(value[early & known])) - 1
+
+    @property
+    def trend(self) -> str:
+        """The change in a word."""
+        change = self.change
+        if not math.isfinite(change) or abs(change) <= STEADY:
+            return "steady"
+        return "rises" if change > 0 else "falls"
+
+    @property
+    def finding(self) -> Finding:
+        """What is wrong with the focus."""
+        if not math.isfinite(self.now):
+            text = "too little contrast to measure sharpness: is the lens covered?"
+            return Finding(Level.ERROR, text)
+        text = f"{self.now:.3f} per px, {self.trend}"
+        share = self.now / self.best
+        if share < BLURRED:
+            why = (
+                f"{share:.0%} of the best of the last minute ({self.best:.3f}): turn the focus back"
+            )
+            return Finding(Level.WARN, f"{text}, {why}")
+        return Finding(Level.OK, f"{text}, best {self.best:.3f}")
+
+
+def outline_px(outline: Outline, field: AimField) -> np.ndarray:
+    """Return points (m, 2) [px] on the plate's edges as they are seen."""
+    along = np.linspace(-1, 1, EDGE_POINTS)
+    middle, slope, bow = (column[:, None] for column in outline.edges.T)
+    away = middle + slope * along + bow * (1 - along**2)
+    point = edge_points(field.grid.half, along) + away[..., None] * OUTWARD[:, None]
+    return field.vision.calibration.to_image(point[outline.seen].reshape(-1, 2))
+
+
+def outline_finding(
+    image: np.ndarray, outline: Outline, field: AimField, moving: bool = False
+) -> Finding:
+    """Return how the outline that an image (H, W) or (H, W, 3) shows agrees with the expected one;
+    `moving`: the plate may be away from home in it."""
+    grid, bends = field.grid, field.vision.calibration.lens is not None
+    facts = outline, grid, field.radius, bends, moving
+    finding, text = judge_outline(*facts)
+    seen = int(np.count_nonzero(outline.seen))
+    if finding is not None:
+        finding, text = judge_outline(*facts, fitting_flips(image, grid))
+    if finding is not None:
+        return finding
+    if seen < 3:
+        hint = "move the camera until the plate fills the drawn outline, or find home"
+        return Finding(Level.WARN, f"the plate's outline is {text}: {hint}")
+    return Finding(Level.OK, text)
+
+
+def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
+    """Return what is wrong with the light of an image (H, W) or (H, W, 3)."""
+    problem = light_problem(image, field.vision.options.min_plate_grey)
+    if problem:
+        return Finding(Level.ERROR, problem)
+    if light.white > CLIPPED:
+        why = "clipped at 255: less light or a shorter exposure"
+        return Finding(Level.WARN, f"{light.white:.1%} of the plate is {why}")
+    if light.black > CLIPPED:
+        why = "at 0: more light, a longer exposure, or a higher black level"
+        return Finding(Level.WARN, f"{light.black:.1%} of the plate is {why}")
+    middle = (float(np.argmax(np.cumsum(light.histogram) * 2 >= light.histogram.sum())) + 0.5) * 4
+    return Finding(Level.OK, f"median of the plate {middle:.0f} grey levels, nothing clipped")
+
+
+def size_finding(part_px: tuple[float, float]) -> Finding:
+    """Return whether parts are large enough in the image, from their smallest and largest diameter
+    [px]."""
+    low, high = part_px
+    text = f"parts are {low:.1f} to {high:.1f} px across"
+    if low < LEAST_PART_PX:
+        why = f"allowed: {LEAST_PART_PX:g} at least (a nearer camera, or more pixels)"
+        return Finding(Level.WARN, f"{text}, {why}")
+    return Finding(Level.OK, text)
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A thing in an image: a part, or what is not taken for one.
+
+    Attributes
+    ----------
+    id : str
+        Of the part; empty if it is none.
+    x_px, y_px, radius_px : float
+        Centre, and radius of the disc of the same area [px].
+    reason, remedy : str
+        Why it is not taken, and what to do; empty of a part.
+    """
+
+    id: str
+    x_px: float
+    y_px: float
+    radius_px: float
+    reason: str = ""
+    remedy: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What the detector knows when a picture is taken for the view.
+
+    Attributes
+    ----------
+    rig : Rig
+    vision : Vision
+    expected : Expected
+        Sizes of the rig's parts.
+    things : tuple of Thing
+        Of the last image that was used.
+    findings : tuple of (str, Finding)
+        Name and state of the steps that the detector knows itself.
+    moving : bool
+        Whether the plate may be away from home.
+    """
+
+    rig: Rig
+    vision: Vision
+    expected: Expected
+    things: tuple[Thing, ...]
+    findings: tuple[tuple[str, Finding], ...]
+    moving: bool = False

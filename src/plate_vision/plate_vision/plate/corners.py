@@ -1,0 +1,147 @@
+"""The plate's corners in a picture of a plate without markers: found by its outline."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from plate_core import Rig
+
+from ..camera.encodings import grey_levels
+from ..camera.lens import Lens, calibrate_by_rig
+from ..errors import CalibrationError
+from .outline import OUTWARD, Outline, OutlineGrid, edge_points, measure_outline
+
+LEAST_COVER = 0.05
+"""Minimum area of the plate in the image, relative to the image's [-]: a smaller quadrilateral is
+a label or a tool."""
+
+CORNER_STEP = 0.02
+"""Deviation of a contour from a quadrilateral that is tolerated, relative to its length [-]."""
+
+ROUNDS = 3
+"""Refinements: the second one leaves 0.05 px where the camera was moved by 15 % of the plate."""
+
+SETTLED_M = 2e-4
+"""Shift of the corners in a refinement from which the next one is not needed [m]."""
+
+
+def find_plate_corners(
+    image: np.ndarray, rig: Rig, lens: Lens | None = None
+) -> tuple[np.ndarray, float]:
+    """Find the plate's corners in an image (H, W) or (H, W, 3) uint8 of the plate at rest at home.
+
+    The outline is searched near the rig's `corners_px` first, then as the largest bright or dark
+    quadrilateral of the picture. Of its four rotations the one nearest to `corners_px` is taken.
+
+    Parameters
+    ----------
+    lens : Lens, optional
+        The rig's if None.
+
+    Returns
+    -------
+    corners_px : (4, 2)
+        In the order of the rig file [px].
+    error : float
+        Root mean square deviation of the measured edges from a plate with these corners [m].
+
+    Raises
+    ------
+    CalibrationError
+        If no outline is seen on all four sides.
+    """
+    starts = [np.array(rig.camera.corners_px, float), *_quadrilaterals(image, rig)]
+    for start in starts:
+        found = _refined(image, rig, lens, start)
+        if found is not None:
+            return found
+    raise CalibrationError(
+        "the plate's outline is not seen on all four sides, allowed: the whole plate in the "
+        "picture, bare near its edges, brighter or darker than its surround"
+    )
+
+
+def _refined(
+    image: np.ndarray, rig: Rig, lens: Lens | None, corners_px: np.ndarray
+) -> tuple[np.ndarray, float] | None:
+    error = np.inf
+    for _ in range(ROUNDS):
+        rig = replace(rig, camera=replace(rig.camera, corners_px=_pairs(corners_px)))
+        try:
+            calibration = calibrate_by_rig(rig, lens)
+        except CalibrationError:
+            return None
+        grid = OutlineGrid.of(rig, calibration)
+        outline = measure_outline(image, grid)
+        if not np.all(outline.seen):
+            return None
+        corners, error = _corners_of(outline, grid)
+        corners_px = calibration.to_image(corners)
+        if float(np.max(np.abs(corners - rig.plate.corners))) < SETTLED_M:
+            break
+    return corners_px, error
+
+
+def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]:
+    """Return where measured edges meet (4, 2) [m], in the order of `Plate.corners`, and the root
+    mean square of their bows [m]."""
+    ends = edge_points(grid.half, np.array([-1.0, 1.0]))  # (4, 2, 2)
+    middle, slope, bow = outline.edges.T
+    away = middle[:, None] + slope[:, None] * np.array([-1.0, 1.0])
+    ends = ends + away[..., None] * OUTWARD[:, None]
+    way = ends[:, 1] - ends[:, 0]
+    corners = []
+    for edge in range(4):  # of this edge's begin: where the edge before ends
+        before = edge - 1
+        matrix = np.column_stack([way[before], -way[edge]])
+        along = np.linalg.solve(matrix, ends[edge, 0] - ends[before, 0])
+        corners.append(ends[before, 0] + along[0] * way[before])
+    return np.array(corners), float(np.sqrt(np.mean(bow**2)))
+
+
+def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
+    """Return the corners (4, 2) [px] of large quadrilaterals, brighter or darker than the rest, the
+    largest first; in the order nearest to the rig's corners."""
+    grey = cv2.GaussianBlur(grey_levels(image), (5, 5), 0)
+    _, bright = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    found = []
+    for mask in (bright, 255 - bright):
+        contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            hull = cv2.convexHull(contour)
+            area = cv2.contourArea(hull)
+            if not LEAST_COVER <= area / grey.size <= 0.98:
+                continue
+            length = cv2.arcLength(hull, closed=True)
+            corners = cv2.approxPolyDP(hull, CORNER_STEP * length, closed=True).reshape(-1, 2)
+            if len(corners) == 4:
+                found.append((area, corners.astype(float)))
+    found.sort(key=lambda one: -one[0])
+    return [_ordered(corners, rig) for _, corners in found]
+
+
+def _ordered(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
+    """Return corners (4, 2) [px] in the rig's sense of rotation, beginning where its own do: by the
+    direction from the middle, which a shift does not change."""
+    known = np.array(rig.camera.corners_px, float)
+    if _area(corners_px) * _area(known) < 0:
+        corners_px = corners_px[::-1]
+    turns = [np.roll(corners_px, -k, axis=0) for k in range(4)]
+    return min(turns, key=lambda one: float(np.sum((_way(one) - _way(known)) ** 2)))
+
+
+def _way(corners_px: np.ndarray) -> np.ndarray:
+    away = corners_px - corners_px.mean(axis=0)
+    return np.asarray(away / np.sqrt(np.mean(away**2)))
+
+
+def _area(corners_px: np.ndarray) -> float:
+    x, y = corners_px.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _pairs(corners_px: np.ndarray) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in corners_px)

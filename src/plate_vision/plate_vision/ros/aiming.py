@@ -1,0 +1,388 @@
+"""The view to aim by: measured on a thread of its own while somebody subscribes, and its services.
+
+The worker thread takes one picture at a time. Whatever it takes, the detector's callbacks go on.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from plate_core import PlateError
+from plate_core.rig import LENS_MODELS
+from plate_core.ros import DATA, SafeLifecycleNode, seconds
+from plate_core.status import Finding, Level
+from plate_interfaces.msg import Aim, AimCheck, LensPictures, SeenThing
+from plate_interfaces.srv import TakeLensPictures
+
+from ..aiming import (
+    AimField,
+    Focus,
+    Situation,
+    light_finding,
+    light_on_plate,
+    outline_finding,
+    outline_px,
+    sharpness_of,
+    size_finding,
+)
+from ..camera import Board, Lens, LensFit, grey_levels, save_lens
+from ..camera.boards import LEAST_PICTURES, find_board
+from ..camera.lens_pictures import COLUMNS, ROWS
+from ..camera.lens_pictures import LensPictures as Pictures
+from ..errors import CalibrationError
+from ..plate import find_home
+from ..plate.corners import find_plate_corners
+from ..plate.outline import measure_outline
+
+PERIOD_S = 0.4
+"""Minimum time between two pictures that are measured [s]: one takes 30 to 150 ms."""
+
+SILENT_S = 1.0
+"""Time without an image after which the view says so [s]."""
+
+LEVELS = {
+    Level.OK: AimCheck.OK,
+    Level.STALE: AimCheck.WAIT,
+    Level.WARN: AimCheck.WARN,
+    Level.ERROR: AimCheck.ERROR,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class LensJob:
+    """The pictures for the lens, and what became of them.
+
+    Attributes
+    ----------
+    pictures : Pictures or None
+        None before the first image.
+    board : Board
+    model : str
+        Of the distortion.
+    state : int
+        Of `LensPictures`.
+    text : str
+    seen_px : (n, 2)
+        Corners of the board in the newest image [px].
+    fit : LensFit or None
+    """
+
+    pictures: Pictures | None
+    board: Board
+    model: str
+    state: int = LensPictures.TAKING
+    text: str = "waiting for an image"
+    seen_px: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    fit: LensFit | None = None
+
+
+class AimingView:
+    """Publishes `aim` and answers ~/find_home, ~/take_lens_pictures, ~/fit_lens and ~/save_lens.
+
+    Parameters
+    ----------
+    node : SafeLifecycleNode
+        Which is being configured.
+    lens_file : str
+        That ~/save_lens writes.
+    situation : callable
+        Returns what the detector knows now.
+    take_corners : callable
+        Called with the plate's corners (4, 2) [px] that were found.
+    take_lens : callable
+        Called with a lens that was written.
+    """
+
+    def __init__(
+        self,
+        node: SafeLifecycleNode,
+        lens_file: str,
+        situation: Callable[[], Situation],
+        take_corners: Callable[[np.ndarray], None],
+        take_lens: Callable[[Lens], None],
+    ) -> None:
+        self._node, self._file, self._situation = node, Path(lens_file), situation
+        self._take_corners, self._take_lens = take_corners, take_lens
+        self._publisher = node.managed_publisher(Aim, "aim", DATA)
+        node.managed_service(Trigger, "~/find_home", self._on_find_home)
+        node.managed_service(TakeLensPictures, "~/take_lens_pictures", self._on_take)
+        node.managed_service(Trigger, "~/fit_lens", self._on_fit)
+        node.managed_service(Trigger, "~/save_lens", self._on_save)
+        node.managed_timer(SILENT_S, self._tell_silence)
+        done = node.create_guard_condition(self._take_results)
+        node.keep(node.destroy_guard_condition, done)
+        self._wake = done.trigger
+        self._pool: ThreadPoolExecutor | None = None
+
+    def begin(self) -> None:
+        """Know nothing of what was seen before."""
+        self._pool = ThreadPoolExecutor(1, "aim")
+        self._job: Future[None] | None = None
+        self._results: list[Callable[[], None]] = []
+        self._field: AimField | None = None
+        self._focus = Focus()
+        self._lens: LensJob | None = None
+        self._home, self._wants_home = "", False
+        self._looked = self._came = -math.inf
+
+    def rest(self) -> None:
+        """End the thread."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether pictures are measured."""
+        taking = self._lens is not None and self._lens.state == LensPictures.TAKING
+        return taking or self._wants_home or self._publisher.get_subscription_count() > 0
+
+    def look(self, image: np.ndarray, stamp: Time, refused: str = "") -> None:
+        """Measure an image (H, W) or (H, W, 3) uint8 soon, if somebody wants to know and none is
+        being measured; `refused` says why the detector could not use it."""
+        now = self._came = time.monotonic()
+        busy = self._job is not None and not self._job.done()
+        if self._pool is None or busy or now - self._looked < PERIOD_S or not self.wanted:
+            return
+        self._looked = now
+        situation = self._situation()
+        self._job = self._pool.submit(self._measure, image, stamp, refused, situation)
+
+    # On the worker thread
+
+    def _measure(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> None:
+        try:
+            self._step(image, situation)
+            msg = self._message(image, stamp, refused, situation)
+        except Exception as error:  # a fault of the view must not end the thread without a word
+            text = f"aim: {type(error).__name__}: {error}"
+            self._tell(lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0))
+            return
+        self._tell(lambda: self._publisher.publish(msg))
+
+    def _tell(self, result: Callable[[], None]) -> None:
+        """Have something done on the graph's thread."""
+        self._results.append(result)
+        self._wake()
+
+    def _step(self, image: np.ndarray, situation: Situation) -> None:
+        """Look for home or for a board, if that is wanted."""
+        if self._wants_home:
+            self._wants_home = False
+            self._find_home(image, situation)
+        lens = self._lens
+        if lens is None or lens.state != LensPictures.TAKING:
+            return
+        size_px = (image.shape[1], image.shape[0])
+        pictures, corners = lens.pictures, None
+        if pictures is None or pictures.size_px != size_px:
+            pictures = Pictures(lens.board, size_px)
+        try:
+            board, corners = find_board(grey_levels(image), pictures.board, fast=True)
+            pictures, text = pictures.shown(board, corners)
+        except CalibrationError as error:
+            text = str(error)
+        seen_px = np.empty((0, 2)) if corners is None else corners[1]
+        if self._lens is lens:  # not discarded meanwhile
+            self._lens = replace(lens, pictures=pictures, text=text, seen_px=seen_px)
+
+    def _find_home(self, image: np.ndarray, situation: Situation) -> None:
+        rig, lens = situation.rig, situation.vision.calibration.lens
+        try:
+            if rig.fiducials is None:
+                corners_px, error = find_plate_corners(image, rig, lens)
+                by = f"edges are straight within {1e3 * error:.2f} mm"
+            else:
+                calibration, error = find_home(image, rig.fiducials, lens)
+                corners_px = calibration.to_image(rig.plate.corners)
+                by = f"corners of the markers fit within {1e3 * error:.2f} mm"
+        except PlateError as error:
+            self._home = f"not found: {error}"
+            return
+        shown = ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in corners_px.tolist())
+        self._home = f"found, {by}; for the rig file: corners_px: [{shown}]"
+        self._tell(lambda: self._take_corners(corners_px))
+
+    def _fit(self, lens: LensJob) -> None:
+        assert lens.pictures is not None
+        try:
+            fit = lens.pictures.fit(lens.model)
+        except CalibrationError as error:
+            self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
+            return
+        matrix, deviation = fit.lens.matrix, fit.deviation
+        text = f"focal length {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px"
+        if fit.warning:
+            text += f"; {fit.warning}"
+        self._lens = replace(lens, state=LensPictures.FITTED, text=text, fit=fit)
+
+    def _message(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> Aim:
+        msg = Aim(header=Header(stamp=stamp, frame_id="camera_optical_frame"))
+        msg.height, msg.width = image.shape[:2]
+        checks: list[tuple[str, Finding]] = []
+        if refused:
+            checks.append(("picture", Finding(Level.ERROR, refused)))
+        else:
+            checks.append(("picture", Finding(Level.OK, f"{msg.width} x {msg.height} px")))
+        board = self._lens is not None  # before the camera, in place of the plate
+        if (msg.width, msg.height) == situation.vision.region.size_px:
+            checks += self._measured(msg, image, seconds(stamp), situation, board)
+        known = [] if refused or board else situation.things
+        msg.things = [
+            SeenThing(
+                id=one.id, x_px=one.x_px, y_px=one.y_px, radius_px=one.radius_px,
+                reason=one.reason, remedy=one.remedy,
+            )
+            for one in known
+        ]  # fmt: skip
+        checks += [] if board else situation.findings
+        msg.checks = [
+            AimCheck(name=name, level=LEVELS[found.level], text=found.message)
+            for name, found in checks
+        ]
+        msg.home = self._home
+        msg.lens = self._progress()
+        return msg
+
+    def _measured(
+        self, msg: Aim, image: np.ndarray, stamp: float, situation: Situation, board: bool
+    ) -> list[tuple[str, Finding]]:
+        """Fill in what is measured in an image of the right size; returns the steps. With a board
+        before the camera only light and sharpness are measured."""
+        measured = self._field
+        if measured is None or measured.vision.region is not situation.vision.region:
+            measured = AimField.of(situation.rig, situation.vision, situation.expected)
+            self._field, self._focus = measured, Focus()
+        light = light_on_plate(image, measured)
+        self._focus = focus = self._focus.add(stamp, sharpness_of(image, measured))
+        msg.sharpness, msg.sharpness_best = focus.now, focus.best
+        msg.sharpness_change = focus.change
+        msg.black, msg.white = light.black, light.white
+        msg.histogram = light.histogram.astype(np.uint32)
+        msg.part_px_min, msg.part_px_max = measured.part_px
+        if board:
+            return [("focus", focus.finding)]
+        outline = measure_outline(image, measured.grid)
+        msg.expected = points(situation.vision.region.outline_px)
+        msg.seen = points(outline_px(outline, measured))
+        return [
+            ("light", light_finding(image, light, measured)),
+            ("focus", focus.finding),
+            ("outline", outline_finding(image, outline, measured, situation.moving)),
+            ("size", size_finding(measured.part_px)),
+        ]
+
+    def _progress(self) -> LensPictures:
+        lens, msg = self._lens, LensPictures(needed=LEAST_PICTURES, file=str(self._file))
+        msg.cover_columns, msg.cover_rows, msg.error_px = COLUMNS, ROWS, math.nan
+        if lens is None:
+            return msg
+        msg.state, msg.text, msg.corners = lens.state, lens.text, points(lens.seen_px)
+        if lens.pictures is not None:
+            msg.kept = len(lens.pictures.kept)
+            msg.cover = lens.pictures.cover.tolist()
+            msg.missing = list(lens.pictures.missing)
+        if lens.fit is not None:
+            msg.error_px = lens.fit.error_px
+        return msg
+
+    # On the graph's thread
+
+    def _take_results(self) -> None:
+        while self._results:
+            result = self._results.pop(0)
+            if self._node.active:
+                result()
+
+    def _tell_silence(self) -> None:
+        """Publish that no image comes."""
+        if not self._publisher.get_subscription_count():
+            return
+        silence = time.monotonic() - self._came
+        if silence < SILENT_S:
+            return
+        msg = Aim(sharpness=math.nan, sharpness_best=math.nan, sharpness_change=math.nan)
+        msg.header.stamp = self._node.get_clock().now().to_msg()
+        text = "no image comes: does the camera run?"
+        if math.isfinite(silence):
+            text = f"no image for {silence:.0f} s: does the camera run?"
+        msg.checks = [AimCheck(name="picture", level=AimCheck.ERROR, text=text)]
+        msg.home, msg.lens = self._home, self._progress()
+        self._publisher.publish(msg)
+
+    def _on_find_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._home, self._wants_home = "the next image is searched", True
+        self._looked = -math.inf
+        response.success, response.message = True, self._home
+        return response
+
+    def _on_take(
+        self, request: TakeLensPictures.Request, response: TakeLensPictures.Response
+    ) -> TakeLensPictures.Response:
+        """Begin with no picture, or discard them all."""
+        if not request.on:
+            self._lens = None
+            response.success, response.message = True, "the pictures are discarded"
+            return response
+        model = request.model or "plumb_bob"
+        try:
+            if model not in LENS_MODELS:
+                raise CalibrationError(f"model is {model!r}, allowed: {', '.join(LENS_MODELS)}")
+            board = Board(
+                request.columns, request.rows, request.square_m, request.marker_m,
+                request.dictionary or Board.dictionary,
+            )  # fmt: skip
+        except CalibrationError as error:
+            response.message = str(error)
+            return response
+        self._lens = LensJob(None, board, model)
+        response.success = True
+        response.message = "pictures are taken: move the board, and hold it still for a second"
+        return response
+
+    def _on_fit(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        lens, pool = self._lens, self._pool
+        kept = 0 if lens is None or lens.pictures is None else len(lens.pictures.kept)
+        if lens is None or pool is None or kept < LEAST_PICTURES:
+            response.message = f"{kept} pictures are taken, allowed: at least {LEAST_PICTURES}"
+            return response
+        if lens.state == LensPictures.FITTING:
+            response.message = "the lens is being fitted"
+            return response
+        self._lens = replace(lens, state=LensPictures.FITTING, text="the lens is being fitted")
+        pool.submit(self._fit, self._lens)
+        response.success, response.message = True, f"the lens is fitted to {kept} pictures"
+        return response
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Write the lens that was fitted, and use it."""
+        lens = self._lens
+        if lens is None or lens.fit is None:
+            response.message = "no lens is fitted, allowed: after ~/fit_lens"
+            return response
+        try:
+            save_lens(self._file, "camera", lens.fit.size_px, lens.fit.lens)
+            self._take_lens(lens.fit.lens)
+        except (PlateError, OSError) as error:
+            response.message = str(error)
+            return response
+        self._lens = None
+        response.success = True
+        response.message = f"{self._file} is written and used: set camera_file to it for later"
+        return response
+
+
+def points(place_px: np.ndarray) -> list[Point]:
+    """Return image points (n, 2) [px] as messages; those that no lens shows are left out."""
+    return [Point(x=x, y=y) for x, y in place_px.tolist() if math.isfinite(x + y)]
