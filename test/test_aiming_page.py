@@ -236,6 +236,7 @@ def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(
             shoot(page, "8_lens")
             assert "tilt it" not in page.inner_text("#lens-missing")
     await_text(page, "#lens-missing", "enough: fit the lens")
+    assert page.inner_text("#camera-state") == "Next: lens."
     assert not (folder / "camera.yaml").exists()
     page.get_by_role("button", name="Fit the lens").click()
     await_text(page, "#lens-text", "Write it to")
@@ -243,7 +244,7 @@ def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(
     error = float(re.search(r"Error (\S+) px", page.inner_text("#lens-text"))[1])
     assert error < 0.3
     assert not (folder / "camera.yaml").exists()  # it asks first
-    page.get_by_role("button", name="Write").click()
+    page.get_by_role("button", name="Write camera.yaml").click()
     page.get_by_role("button", name="Take pictures for the lens").wait_for()
     lens = load_lens(folder / "camera.yaml", (640, 480))
     assert lens.matrix[0, 0] == pytest.approx(FOCAL, rel=0.01)

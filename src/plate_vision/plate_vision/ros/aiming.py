@@ -235,7 +235,7 @@ class AimingView:
             checks.append(("picture", Finding(Level.ERROR, refused)))
         else:
             checks.append(("picture", Finding(Level.OK, f"{msg.width} x {msg.height} px")))
-        board = self._lens is not None  # before the camera, in place of the plate
+        board = self._lens is not None  # before the camera: it hides the plate
         if (msg.width, msg.height) == situation.vision.region.size_px:
             checks += self._measured(msg, image, seconds(stamp), situation, board)
         known = [] if refused or board else situation.things
@@ -246,7 +246,8 @@ class AimingView:
             )
             for one in known
         ]  # fmt: skip
-        checks += [] if board else situation.findings
+        waits = [("lens", Finding(Level.STALE, "pictures of a board are taken for it"))]
+        checks += waits if board else situation.findings
         msg.checks = [
             AimCheck(name=name, level=LEVELS[found.level], text=found.message)
             for name, found in checks

@@ -69,7 +69,7 @@ export function camera(panel, ask, aim) {
     cover.setAttribute("aria-label", `The board was seen in ${cells.filter(Boolean).length} of ${cells.length} parts of the picture`);
     const words = now === "fitted" ? `Error ${error.toFixed(3)} px; ${text}. Write it to ${file}?` : `${kept} taken; ${text}.`;
     tell(told, words);
-    tell(save, `Write ${file}`);
+    tell(save, `Write ${file.split("/").at(-1)}`);
     const next = now === "taking" ? lacks : [];
     missing.replaceChildren(...next.map((each) => el("li", {}, each)));
     if (now === "taking" && !lacks.length) missing.append(el("li", {}, "enough: fit the lens"));
