@@ -251,10 +251,11 @@ def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(
     shows("lens", "plumb_bob, focal length")
 
 
-def test_it_is_ready(graph, page):
+def test_it_is_ready(graph, page, shows):
     """By the lens that was written, and home found anew with it."""
     view = View(focal=FOCAL, distance=0.9, lens=(BEND[0], BEND[1], 0.0))
     graph[0].show(picture(view, small=False))
+    shows("light", "nothing clipped")  # the board is gone, which is a quadrilateral too
     page.get_by_role("button", name="Find home").click()
     await_text(page, "#camera-state", "Ready")
     shoot(page, "10_ready")
