@@ -16,11 +16,11 @@ from .plate import Region
 from .shapes import Background, model_background
 from .shapes.background import colours
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import FEWEST_NAMED, Conditions, is_named, recognise_under
+from .shapes.classes import FEWEST_NAMED, Conditions, is_named, recognise, recognise_under
 from .shapes.groups import explain_groups
 from .shapes.heights import seen_shift
 from .shapes.patch import Patch
-from .shapes.segmentation import segment
+from .shapes.segmentation import Segments, segment
 from .shapes.shadows import Lamp
 from .shapes.teaching import ALIKE, gap_between
 
@@ -114,11 +114,10 @@ def find_types_under(
     rise = _rise_of(catalogue, calibration)
 
     def look(lamps: bool, lamp: Lamp | None = None) -> _Seen:
-        patches, lamp = segment(image, background, region, lamps, lamp, rise)
-        conditions = Conditions(lamp, background)
-        return _Seen(
-            patches, lamp, *recognise_under(image, patches, catalogue, calibration, conditions)
-        )
+        segments = segment(image, background, region, lamps, lamp, rise)
+        conditions = Conditions(segments.lamp, background)
+        patches = segments.patches
+        return _Seen(segments, *recognise_under(image, patches, catalogue, calibration, conditions))
 
     seen = look(background.learned)
     if before is not None and (seen.lamp is None or not seen.agrees):
@@ -129,19 +128,46 @@ def find_types_under(
         seen = lit
     elif not seen.agrees:  # parts that touch
         seen = look(False)
-    found = explain_groups(image, seen.patches, seen.found, catalogue, calibration, seen.conditions)
+    patches, found = seen.segments.patches, seen.found
+    whole = seen.segments.doubtful(is_named(found))
+    if whole is not None:
+        # Its light side may be no shadow: a part that moves has soft edges, too.
+        more = segment(image, background, region, whole=whole).patches
+        again = recognise(image, more, catalogue, calibration, seen.conditions)
+        patches, found = _joined(patches, found, more, again)
+    found = explain_groups(image, patches, found, catalogue, calibration, seen.conditions)
     return found, seen.lamp
+
+
+def _joined(
+    patches: list[Patch], found: np.ndarray, more: list[Patch], again: np.ndarray
+) -> tuple[list[Patch], np.ndarray]:
+    """Return patches and their sightings (n,) SIGHTING; in place of those that are of no type, what
+    was seen `again` there if it is of one, or if nothing else was seen there."""
+    kept = np.ones(len(patches), bool)
+    added = []
+    for k, (one, known) in enumerate(zip(more, is_named(again), strict=True)):
+        at = [i for i, patch in enumerate(patches) if one.overlaps(patch)]
+        if known or not at:
+            kept[at] = False
+            added.append(k)
+    patches = [patch for patch, own in zip(patches, kept, strict=True) if own]
+    return patches + [more[k] for k in added], np.concatenate([found[kept], again[added]])
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Patches of an image, the lamp that was assumed, sightings (n,) SIGHTING of the patches, and
-    the conditions as they show them."""
+    """Segments of an image, sightings (n,) SIGHTING of its patches, and the conditions as they show
+    them."""
 
-    patches: list[Patch]
-    lamp: Lamp | None
+    segments: Segments
     found: np.ndarray
     conditions: Conditions
+
+    @property
+    def lamp(self) -> Lamp | None:
+        """The one that was assumed."""
+        return self.segments.lamp
 
     @property
     def known(self) -> int:

@@ -57,6 +57,18 @@ class Patch:
         (x0, y0), (height, width) = self.corner, self.mask.shape
         return np.s_[y0 : y0 + height, x0 : x0 + width]
 
+    def overlaps(self, other: Patch) -> bool:
+        """Whether it has pixels in common with another."""
+        ends = [np.add(one.corner, one.mask.shape[::-1]) for one in (self, other)]
+        low, high = np.maximum(self.corner, other.corner), np.minimum(*ends)
+        if np.any(high <= low):
+            return False
+        own, its = (
+            one.mask[low[1] - y : high[1] - y, low[0] - x : high[0] - x]
+            for one, (x, y) in ((self, self.corner), (other, other.corner))
+        )
+        return bool(np.any(own & its))
+
     def around(self, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns of an image (H, W, ...) with a margin [px] around its window."""
         rows, columns = self.place

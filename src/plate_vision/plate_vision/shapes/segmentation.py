@@ -89,7 +89,36 @@ def find_patches(
     ImageError
         If the image has another shape than the background.
     """
-    return segment(image, background, region, lamps=False)[0]
+    return segment(image, background, region, lamps=False).patches
+
+
+class Segments(NamedTuple):
+    """What lies on a background.
+
+    Attributes
+    ----------
+    patches : list of Patch
+    lamp : Lamp, optional
+        That casts the shadows of all parts: they belong to the patches.
+    labels : (H, W) int32
+        Numbers of what is not like the background and hangs together, 0 elsewhere.
+    cut : (count,) bool
+        Of which numbers a part was taken out as its shadow.
+    """
+
+    patches: list[Patch]
+    lamp: Lamp | None
+    labels: np.ndarray
+    cut: np.ndarray
+
+    def doubtful(self, named: np.ndarray) -> np.ndarray | None:
+        """Return where (H, W) bool shadows were taken out of things that are of no type then; None
+        if there are none. `named` (n,) tells which patches are of a type."""
+        cut = self.cut.copy()
+        for patch, known in zip(self.patches, named, strict=True):
+            if known:
+                cut[self.labels[patch.place][patch.mask]] = False
+        return cut[self.labels] if np.any(cut) else None
 
 
 def segment(
@@ -99,30 +128,35 @@ def segment(
     lamps: bool = True,
     lamp: Lamp | None = None,
     rise: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> tuple[list[Patch], Lamp | None]:
+    whole: np.ndarray | None = None,
+) -> Segments:
     """Find what lies on the background, as `find_patches`, and the lamp that casts all shadows.
 
     If there is one, patches are parts together with their shadows. Else, or if `lamps` is False,
     shadows are taken out as far as they are told from parts. No lamp is looked for if a `lamp` is
     known. Where parts have a height, `rise` gives by how much their tops are shifted in the image
-    (n, 2) at points (n, 2) [px].
+    (n, 2) at points (n, 2) [px]. Only what is `whole` (H, W) bool is looked at, if that is given,
+    and no shadows are taken out of it.
     """
     lab = colours_like(image, background)
     if min(lab.shape[:2]) < LEAST_SIDE_PX:
-        return [], None
+        return Segments([], None, np.zeros(lab.shape[:2], np.int32), np.zeros(1, bool))
     limit = background.limit
     away = deviation(lab, background.lab, background.chroma)
     seen = cv2.compare(away, limit, cv2.CMP_GT)
     if region is not None:
         seen[~region.usable] = 0
+    if whole is not None:
+        seen[~whole] = 0
     away = cv2.bitwise_and(away, seen)
     count, labels = cv2.connectedComponents(seen)
     sides = find_sides(lab, background.lab, background.chroma, limit, labels, count)
-    faces = None if rise is None else find_faces(sides, away, labels, rise)
-    if lamp is None and lamps:
-        lamp = find_lamp(sides, away, labels, faces)
-    if lamp is None:
-        take_out_shadows(sides, away, labels, background.learned, faces)
+    cut = np.zeros(count, bool)
+    if lamp is None and whole is None:
+        faces = None if rise is None else find_faces(sides, away, labels, rise)
+        lamp = find_lamp(sides, away, labels, faces) if lamps else None
+        if lamp is None:
+            cut = take_out_shadows(sides, away, labels, background.learned, faces)
     light = cv2.extractChannel(lab, 0)
     brighter = cv2.compare(light, cv2.extractChannel(background.lab, 0), cv2.CMP_GT)
     cover = _cover(away, brighter, limit, labels, count)
@@ -139,7 +173,7 @@ def segment(
         if patch.area_px2 >= DUST * usual
         and not (patch.area_px2 < REMNANT * usual and _of_shadow(patch, seen, away))
     ]
-    return kept, lamp
+    return Segments(kept, lamp, labels, cut)
 
 
 def _cover(

@@ -310,8 +310,9 @@ def take_out_shadows(
     labels: np.ndarray,
     plate_known: bool = False,
     faces: np.ndarray | None = None,
-) -> None:
-    """Set to 0 where the deviation of an image from the background is that of a shadow.
+) -> np.ndarray:
+    """Set to 0 where the deviation of an image from the background is that of a shadow; returns of
+    which patches (count,) bool a part was taken for shadow.
 
     Parameters
     ----------
@@ -332,8 +333,9 @@ def take_out_shadows(
     _clear_bright(away, like, labels, (balance > 0) & (total >= LEAST_AREA_PX2))
     width = largest / np.maximum(steepest, 1)
     large = np.flatnonzero((total >= LEAST_AREA_PX2) & (steepest > 0))
+    cut = np.zeros(count, bool)
     if not len(large):
-        return
+        return cut
     sharp = float(np.percentile(width[large], SHARP_PERCENT))
     if plate_known:
         sharp = max(sharp, _part_width(width, largest, total, balance, large))
@@ -350,9 +352,11 @@ def take_out_shadows(
         shadow = cv2.morphologyEx(light_side, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
         if np.any(shadow) and _parts_are_thick(shadow, (away > 0) & ~shadow, labels):
             away[shadow] = 0
+            cut[labels[shadow]] = True
     alone = (width > min(ALONE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
     if np.any(alone[large]):
         away[alone[labels]] = 0
+    return cut & ~alone
 
 
 def _part_width(
