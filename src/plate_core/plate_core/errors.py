@@ -26,10 +26,7 @@ class FrameError(PlateError):
     """Bytes of the serial protocol are damaged, or a message does not fit into them."""
 
 
-def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
-    """Ask for the nearest of the known words, ` (did you mean mu?)`; empty if none is near.
-
-    `likeness` is the least ratio of `difflib.SequenceMatcher`: 1 is the word itself.
-    """
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=likeness)
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Ask for the nearest of the known words, ` (did you mean mu?)`; empty if none is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
     return f" (did you mean {near[0]}?)" if near else ""

@@ -112,7 +112,7 @@ class Peer:
         return self.call(self.asks, GetState.Request()).current_state.label
 
     def set(self, name, value):
-        return self.echo.set_parameters([Parameter(name, value=value)])[0]
+        return self.echo.set_parameters_atomically([Parameter(name, value=value)])  # as services
 
     def echoes(self, word):
         """Whether a word comes back."""
@@ -263,6 +263,34 @@ def test_what_configure_reads_changes_while_the_node_is_not_active(peer):
     assert read_only == {"size": False, "gain": False}
     assert not peer.set("autostart", False).successful
     assert peer.echo.describe_parameter("autostart").read_only
+
+
+def test_a_value_that_a_parameter_has_is_accepted_in_any_state(peer):
+    """As of `ros2 param load` with all that `ros2 param dump` has written."""
+    names = [name for name in peer.echo.get_parameters_by_prefix("") if name != "size"]
+    for transition in ("configure", "activate"):
+        assert peer.change(transition)
+        present = [peer.echo.get_parameter(name) for name in ("size", *names)]
+        assert len(present) > 5
+        for item in present:
+            assert peer.set(item.name, item.value).successful, item.name
+        for other in ([], [Parameter("gain", value=0.5)]):
+            assert peer.echo.set_parameters_atomically([*present, *other]).successful
+    assert peer.echo.options.gain == 0.5
+    assert not peer.echo.set_parameters_atomically(
+        [*present, Parameter("size", value=6)]
+    ).successful
+    assert peer.set("gain", 1).successful
+    assert peer.set("gain", 1).successful  # as 1.0, which it has
+
+
+def test_a_parameter_that_it_does_not_have_is_named_and_the_nearest(peer):
+    result = peer.set("gian", 0.5)
+    assert not result.successful
+    assert result.reason.startswith(
+        "parameter gian is not one of echo (did you mean gain?), allowed: rig_file, frame_prefix, "
+    )
+    assert "use_sim_time" not in result.reason
 
 
 def test_the_clock_changes_while_the_node_is_not_active(peer):

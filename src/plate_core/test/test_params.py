@@ -10,6 +10,7 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter  # noqa: E402
 
 from plate_core.ros import declare, follow, parameter  # noqa: E402
+from plate_core.ros.params import for_others  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -24,12 +25,13 @@ class Options:
 
 
 @pytest.fixture(name="make_node")
-def _make_node():
+def _make_node(monkeypatch):
     nodes = []
+    monkeypatch.setattr("sys.argv", ["node"])
 
     def make_node(*assignments: str):
         args = [word for a in assignments for word in ("-p", a)]
-        rclpy.init(args=["--ros-args", *args] if args else [])
+        rclpy.init(args=["--ros-args", *args] if args else None)
         nodes.append(rclpy.create_node("parametric"))
         return nodes[-1]
 
@@ -84,6 +86,55 @@ def test_wrong_values_are_refused(make_node, assignment, message):
     with pytest.raises(PlateError) as caught:
         declare(node, Options)
     assert str(caught.value) == message
+
+
+FILES = {
+    "everyone": "/**: {ros__parameters: {robot_name: ur5, gain: 2.0, nested: {deep: 1}}}",
+    "anyone": "/*: {ros__parameters: {robot_name: ur5}}",
+    "below": "cell: {'**': {ros__parameters: {robot_name: ur5}}}",
+    "here": "/**/parametric: {ros__parameters: {robot_name: ur5}}",
+    "there": "/cell/parametric: {ros__parameters: {robot_name: ur5}}",
+    "nested": "cell: {parametric: {ros__parameters: {robot_name: ur5}}}",
+    "nothing": "",
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["everyone"], {"robot_name", "gain", "nested.deep"}),
+        (["anyone", "nothing"], {"robot_name"}),
+        (["below"], {"robot_name"}),
+        (["here"], set()),
+        (["anyone", "there"], set()),
+        (["nested", "anyone"], set()),
+        (["anyone", "robot_name:=ur3"], set()),
+        (["anyone", "parametric:robot_name:=ur3"], set()),
+    ],
+)
+def test_names_by_wildcard_alone_may_be_those_of_others(tmp_path, words, names):
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    given = [["-p", w] if ":=" in w else ["--params-file", str(tmp_path / w)] for w in words]
+    line = [word for pair in given for word in pair]
+    assert for_others(["node", "--ros-args", *line], "parametric") == names
+
+
+@pytest.mark.parametrize("section", ["/**", "/**/parametric"])
+def test_only_what_names_the_node_is_strict(make_node, capfd, tmp_path, monkeypatch, section):
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"{section}: {{ros__parameters: {{robot_name: ur5, tool: 3, gain: 2.0}}}}")
+    monkeypatch.setattr("sys.argv", ["node", "--ros-args", "--params-file", str(file)])
+    node = make_node()
+    if section == "/**":
+        assert declare(node, Options).gain == 2.0
+        (line,) = [line for line in capfd.readouterr().err.splitlines() if "WARN" in line]
+        assert line.endswith(
+            "ignored, as given to all nodes and not one of parametric: robot_name, tool"
+        )
+    else:
+        with pytest.raises(PlateError, match=r"^parameter robot_name is not one of parametric,"):
+            declare(node, Options)
 
 
 def test_what_is_not_live_cannot_change(make_node):

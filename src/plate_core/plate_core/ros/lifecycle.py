@@ -23,7 +23,7 @@ from ..status import Finding, Level
 from ..turns import Turns
 from .diagnostics import Diagnostics
 from .frames import add_prefix
-from .params import Spec, declare, follow, parameter
+from .params import Spec, declare, follow, parameter, set_parameters
 from .qos import CALLS
 
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
@@ -260,6 +260,10 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         )
 
     # Parameters
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters, as the services and `ros2 param` do: see `set_parameters` of params."""
+        return set_parameters(self, parameter_list, super().set_parameters_atomically)
 
     def _fixed_now(self, name: str, spec: Spec) -> str:
         if spec.live or not self.active:

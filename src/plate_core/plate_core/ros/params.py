@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -98,15 +102,98 @@ def declare(node: Node, kind: type[Options]) -> Options:
 
 def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) -> None:
     """Refuse parameters that were given at start and that nobody declares: spelling mistakes, and
-    those of earlier versions; `moved` says by name where the latter are now."""
-    for name in node._parameter_overrides:
-        if not node.has_parameter(name) and not name.startswith(OF_RCLPY):
-            if name in moved:
-                raise PlateError(f"parameter {name} of {node.get_name()} is gone: {moved[name]}")
-            raise PlateError(
-                f"parameter {name} is not one of {node.get_name()}{did_you_mean(name, known)}, "
-                f"allowed: {', '.join(known)}"
-            )
+    those of earlier versions; `moved` says by name where the latter are now. One that a file of
+    parameters gives to nodes of any name is for others: a warning."""
+    names = [
+        name
+        for name in node._parameter_overrides
+        if not node.has_parameter(name) and not name.startswith(OF_RCLPY)
+    ]
+    others = for_others(sys.argv, node.get_name()) if names else set()
+    for name in names:
+        if name not in others and name in moved:
+            raise PlateError(f"parameter {name} of {node.get_name()} is gone: {moved[name]}")
+        if name not in others:
+            raise PlateError(_unknown(node, name, known))
+    if names:
+        node.get_logger().warning(
+            f"ignored, as given to all nodes and not one of {node.get_name()}: {', '.join(names)}"
+        )
+
+
+def _unknown(node: Node, name: str, known: Sequence[str]) -> str:
+    return (
+        f"parameter {name} is not one of {node.get_name()}{did_you_mean(name, known)}, "
+        f"allowed: {', '.join(known)}"
+    )
+
+
+def for_others(words: Sequence[str], node: str) -> set[str]:
+    """Return the parameters that only sections with a wildcard in place of a node's name give, as
+    `/**` does.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Command line of the node.
+    node : str
+        Its name. A section `/**/NAME` names it.
+    """
+    by_wildcard: set[str] = set()
+    by_name: set[str] = set()
+    for word, value in pairwise(words):
+        if word in ("-p", "--param"):
+            by_name.add(value.partition(":=")[0].rpartition(":")[2])
+        elif word == "--params-file":
+            read = yaml.safe_load(Path(value).read_text(encoding="utf-8"))
+            for section, name in _given(read, ""):
+                last = section.rpartition("/")[2]
+                if last == node:
+                    by_name.add(name)
+                elif "*" in last:
+                    by_wildcard.add(name)
+    return by_wildcard - by_name
+
+
+def _given(read: Any, section: str) -> Iterator[tuple[str, str]]:
+    """Yield the section and the name of each parameter in a file; both may be nested."""
+    for key, value in read.items() if isinstance(read, dict) else ():
+        if key == "ros__parameters":
+            yield from ((section, name) for name in _flat(value, ""))
+        else:
+            yield from _given(value, f"{section}/{key}")
+
+
+def _flat(read: Any, name: str) -> Iterator[str]:
+    if not isinstance(read, dict):
+        yield name
+        return
+    for key, value in read.items():
+        yield from _flat(value, f"{name}.{key}" if name else str(key))
+
+
+def set_parameters(
+    node: Node,
+    parameters: Sequence[Parameter],
+    change: Callable[[list[Parameter]], SetParametersResult],
+) -> SetParametersResult:
+    """Set parameters by `change`; what it refuses is accepted if it has that value already, and
+    what the node does not have is refused by name. Call it in `set_parameters_atomically`.
+    """
+    new = []
+    for item in parameters:
+        if not node.has_parameter(item.name):
+            known = node.get_parameters_by_prefix("")
+            own = [name for name in known if not name.startswith(OF_RCLPY)]
+            reason = _unknown(node, item.name, own)
+            return SetParametersResult(successful=False, reason=reason)
+        wanted, present = _widened(node, item), node.get_parameter(item.name)
+        if (wanted.type_, wanted.value) != (present.type_, present.value):
+            new.append(item)
+    result = change(list(parameters))
+    if result.successful or len(new) == len(parameters):
+        return result
+    return change(new) if new else SetParametersResult(successful=True)
 
 
 def follow(
