@@ -19,7 +19,7 @@ CHAPTERS = {
     "stages": (
         "sim", "model", "trust", "bodies", "force_map", "solver", "rotations", "inversion",
         "steering", "options", "vision", "cameras", "classes", "shapes", "stages", "learning",
-        "stop_latency", "board", "latency", "graph", "page",
+        "friction", "stop_latency", "board", "latency", "graph", "page",
     ),
     "maps": ("stability",),
     "tasks": (

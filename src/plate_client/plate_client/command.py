@@ -25,6 +25,7 @@ SERVICES = {
 OTHERS = {
     "goal": "SCENARIO: do the task of a scenario, by name or .yaml file; Ctrl-C cancels it",
     "cancel": "cancel all goals",
+    "friction": "shake the parts a little, measure their friction, and write it into the rig file",
     "state": "print driver_status, task_status, and what each node says of itself",
     "params": "[NODE]: list parameters, their values and meanings",
     "get": "NODE NAME: print a parameter",
@@ -89,6 +90,8 @@ def _arguments() -> argparse.Namespace:
             one.add_argument("name", nargs="?", metavar="NAME")
         if name == "call":
             one.add_argument("service", metavar="SERVICE")
+        if name == "friction":
+            one.add_argument("--write", action="store_true", help="write it without a question")
         if name == "goal":
             one.add_argument("scenario", metavar="SCENARIO")
         if name == "set":

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import CycleError, PlateCycle, PlateError, load_rig
+from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.motion import motor_state
 from plate_core.ros import (
@@ -44,6 +44,7 @@ from plate_interfaces.msg import TaskStatus
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
 from .cycle_starts import CycleStarts
 from .freshness import Freshness
+from .friction.node import FrictionServer
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from .safety.node import FAREWELL_S, SafetyNode
 from .setpoints import MAX_KNOTS, Guard, MotorTable
@@ -137,7 +138,8 @@ class DriverNode(SafeLifecycleNode[Options]):
     Subscribes plate_cycle, and task_status: what a task has asked for moves nothing after its end.
     Publishes motor_setpoints, motor_states and, for motors that play whole cycles, cycle_started
     while active, driver_status and diagnostics always.
-    Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate.
+    Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate;
+    measure_friction and write_friction, which hear parts and publish friction.
 
     What must work whatever messages do has its own participant, node (`driver_safety`) and threads,
     in every lifecycle state: emergency_stop, cut_power, enable, home and driver_status. Nothing but
@@ -155,6 +157,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._making = threading.Lock()
         self._experiment: Experiment | None = None
         self._outcome, self._failed = "", False  # of the last calibration
+        self._friction = FrictionServer(self)
+        self.task_runs = False
         self._measured: Measured | None = None
         self._ready_since = 0.0
         self._unplayed: tuple[float, str] | None = None  # since when [s, steady], and why
@@ -218,6 +222,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self.keep(UnlockedSubscription.destroy, cycles, tasks)
         service = self.create_service(Trigger, "calibrate", self._on_calibrate)
         self.keep(self.destroy_service, service)
+        self._friction.configure()
         timers = [(WATCH_PERIOD_S, self._watch)]
         if options.state_rate > 0:
             timers.append((1 / options.state_rate, self._publish_state))
@@ -252,6 +257,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         if transport is None:
             return
         self._latch.close(DriverReason.SWITCHED_OFF if transport.motors else DriverReason.NONE)
+        self._friction.fail("the driver was deactivated")
         self._halted()
         order, end = transport.stop(), time.monotonic() + ANSWER_S
         done = transport.stopped(order, cut=False, end=end)
@@ -367,7 +373,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         """What the motors do, and why they are not ready."""
         transport = self._transport
         report = None if transport is None else transport.report
-        return driver_status(self.active, self._latch, report, self._experiment is not None)
+        busy = self._experiment is not None or self._friction.running
+        return driver_status(self.active, self._latch, report, busy)
 
     # Work
 
@@ -419,7 +426,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         except PlateError as error:  # a longer one was cut off: neither is the planner's
             self.get_logger().warning(f"task_status: {error}", throttle_duration_sec=QUIET_S)
             return
-        if size <= len(data) and msg.state != TaskStatus.RUNNING:
+        self.task_runs = msg.state == TaskStatus.RUNNING
+        if size <= len(data) and not self.task_runs:
             self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
 
     def _look(self) -> DriverStatus:
@@ -557,11 +565,15 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._ready_since = now
             if self._experiment is not None:
                 self._calibrated(f"failed: {status.text}", now, failed=True)
+            self._friction.fail(status.text)
             if self._guard.table is not None:
                 self._halted()
             return
         if self._experiment is not None:
             self._calibrate(transport, now)
+            return
+        if self._friction.running:
+            self._friction.watch(now)
             return
         hold_s = self._guard.lasts_s
         self._guard, over = self._guard.watched(now)
@@ -634,6 +646,44 @@ class DriverNode(SafeLifecycleNode[Options]):
         else:
             self.get_logger().info(f"calibration {text}")
         self._halted()
+
+    # Friction
+
+    @property
+    def rig(self) -> Rig:
+        """What the rig file says."""
+        return self._rig
+
+    @property
+    def guard(self) -> Guard:
+        """What was sent last, and when the plate rests."""
+        return self._guard
+
+    def play_time(self) -> float:
+        """Time in which cycles are played [s]."""
+        return self._now()
+
+    def send_push(self, cycle: PlateCycle, now: float) -> float:
+        """Play a motion from rest to rest once, as it was learned; returns the factor by which it
+        was scaled down to the rig's limits.
+
+        Raises
+        ------
+        PlateError
+            If it is none that this plate could do.
+        """
+        transport = self._transport
+        assert transport is not None
+        before = self._guarded(transport)
+        stamp_ns = self.get_clock().now().nanoseconds
+        guard, fit = replace(before, hold_cycles=1).commanded(cycle, stamp_ns, now)
+        self._send(transport, guard, self._latch.number)
+        self._guard = replace(guard, hold_cycles=before.hold_cycles)
+        return fit.factor
+
+    def rest_guard(self) -> None:
+        """Take note that the plate rests."""
+        self._guard = self._guard.resting(self._now())
 
     # What it reports
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,11 +13,13 @@ from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
+from std_srvs.srv import Trigger
 
 from plate_core import PlateError, did_you_mean
 from plate_core.ros import ACTIONS, DATA, LATCHED, Report, msg_to_reports
 from plate_core.tasks import Scenario, load_scenario
-from plate_interfaces.msg import DriverStatus, TaskStatus
+from plate_interfaces.msg import DriverStatus, Friction, TaskStatus
+from plate_interfaces.srv import MeasureFriction
 
 from .client import PlateClient, Task, TaskError
 from .services import NOBODY_S, Services, nobody
@@ -27,6 +30,9 @@ PROGRESS_S, WAITING_S = 2.0, 5.0
 REPORT_S, LATE_S = 2.0, 2.0
 """What nodes say of themselves once a second is listened to for so long, until all are found, and
 for so much longer where some of them have said nothing yet [s]."""
+
+MUTE_S = 15.0
+"""A driver that says nothing of a measurement of friction for longer is gone [s]."""
 
 AT_FIRST_S = 0.5
 """A wait that is shorter is not worth a line [s]."""
@@ -58,6 +64,8 @@ class Graph(Services):
                 return self._do(load_scenario(args.scenario))
             case "cancel":
                 return self._cancel_all()
+            case "friction":
+                return self._friction(args.write)
             case "state":
                 return self._state()
             case "params":
@@ -118,6 +126,58 @@ class Graph(Services):
             for name in ACTIONS
         )  # fmt: skip
         return "no goal was running" if not count else "canceled"
+
+    # Friction
+
+    def _friction(self, write: bool) -> str:
+        """Measure friction, show how that goes on, and write the result into the rig file if the
+        user wants that; returns what became of it.
+
+        Raises
+        ------
+        PlateError
+            If it was not measured, or not written.
+        """
+        said: list[Friction] = []
+        self.node.create_subscription(Friction, "friction", said.append, LATCHED)
+        start = MeasureFriction.Request(start=True)
+        answer = self._call(MeasureFriction, "measure_friction", start, once=True)
+        if not answer.success:
+            raise PlateError(str(answer.message))
+        told, heard_at = "", time.monotonic()
+
+        def ended() -> bool:
+            nonlocal told, heard_at
+            ours = [msg for msg in said if msg.header.stamp == answer.started]
+            if ours and ours[-1].text != told:
+                told, heard_at = ours[-1].text, time.monotonic()
+                if ours[-1].state == Friction.RUNNING:
+                    print(f"  {100 * ours[-1].fraction:3.0f} %  {told}", flush=True)
+            return bool(ours) and ours[-1].state != Friction.RUNNING
+
+        try:
+            while not self._until(ended, WAITING_S):
+                if time.monotonic() - heard_at > MUTE_S:
+                    raise PlateError(f"the driver has said nothing of friction for {MUTE_S:g} s")
+        except KeyboardInterrupt:
+            self._call(MeasureFriction, "measure_friction", MeasureFriction.Request(start=False))
+            raise
+        if said[-1].state != Friction.DONE:
+            raise PlateError(told)
+        rows = [f"  {'part':14}  {'x [mm]':>8}  {'y [mm]':>8}  mu"]
+        rows += [
+            f"  {one.id:14}  {1e3 * one.x:8.1f}  {1e3 * one.y:8.1f}  {one.mu:.4f} +- "
+            f"{one.mu_error:.4f}"
+            for one in said[-1].parts
+        ]
+        print("\n".join([*rows, told]), flush=True)
+        question = f"Write mu {said[-1].mu:.3g} into the driver's rig file? Type yes, or Enter: "
+        if not write and not (sys.stdin.isatty() and input(question).strip() == "yes"):
+            return "nothing is written; --write does"
+        answer = self._call(Trigger, "write_friction", Trigger.Request())
+        if not answer.success:
+            raise PlateError(str(answer.message))
+        return str(answer.message)
 
     # State
 

@@ -6,6 +6,7 @@ Also its frames: room (`plate_home`), moving plate, image. A rig file is read by
 """
 
 from .consistency import CYCLE_HZ, LEAST_GAMMA, PART_PX, Doubt, doubts
+from .edit import edit_rig
 from .fiducials import Fiducials
 from .frames import (
     camera_place,
@@ -88,6 +89,7 @@ __all__ = [
     "contains",
     "default_rig_path",
     "doubts",
+    "edit_rig",
     "fit_homography",
     "home_pose",
     "homography",

@@ -1,0 +1,119 @@
+"""Friction measured by pushes of the plate: against the simulator's.
+
+Eight parts, whose friction differs from each other and over the plate, are pushed as `plate
+friction` does; the detector sees them in rendered images with noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from harness import Result, Table
+from plate_core import PlateCycle, PlateError, Rig, load_rig
+from plate_core.tasks import PartGroup, Scenario, load_scenario
+from plate_driver.friction import FrictionFound, FrictionMeasurement, Rest
+from plate_driver.setpoints import prepare
+from plate_sim.world import Disturbances, Simulation
+from plate_vision import Tracker, make_vision, observe
+
+IMAGES, IMAGE_S = 4, 0.1
+"""Images at rest after each push, and the time between two [s]."""
+
+PLACES = [(x, y) for x in (-0.18, -0.06, 0.06, 0.18) for y in (-0.05, 0.05)]
+"""Of the parts [m, plate_home]."""
+
+WORLDS = (
+    (0.15, 0.0, 0.0, 1.0), (0.15, 0.2, 0.0, 1.2), (0.25, 0.0, 0.0, 1.2), (0.25, 0.1, 0.0, 1.0),
+    (0.25, 0.1, 0.1, 1.2), (0.25, 0.2, 0.2, 1.0), (0.4, 0.0, 0.0, 1.0), (0.4, 0.2, 0.0, 1.2),
+    (0.6, 0.0, 0.0, 1.2), (0.6, 0.2, 0.0, 1.0),
+)  # fmt: skip
+"""Nominal mu, `friction_spread`, `friction_patches` and `static_ratio` of the worlds."""
+
+SEEDS = 3
+
+
+def measure(quick: bool) -> Result:
+    """Measure friction in all worlds."""
+    rig = load_rig()
+    worlds, seeds = (WORLDS[:2], 1) if quick else (WORLDS, SEEDS)
+    rows = [row(rig, world, range(seeds)) for world in worlds]
+    facts = {"parts": len(PLACES), "seeds": seeds, "rest_images": IMAGES}
+    return Result([Table.of("friction", rows, **facts)])
+
+
+def parts_at(places: Sequence[tuple[float, float]]) -> Scenario:
+    """Return a scenario with round parts at places [m, plate_home]."""
+    groups = (PartGroup("black", len(places), tuple(places)),)
+    return replace(load_scenario("sort_4"), parts=groups)
+
+
+def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, Any]:
+    """Return the mean of true and measured values, and the worst errors, over some seeds."""
+    mu, spread, patches, static = world
+    told = []
+    for seed in seeds:
+        unlike = Disturbances(friction_spread=spread, friction_patches=patches, static_ratio=static)
+        found, true = measured(rig, parts_at(PLACES), seed, mu, unlike)
+        exact = np.array([true[part.id] for part in found.parts])
+        errors = np.array([part.mu for part in found.parts]) / exact - 1
+        told.append(
+            (np.mean(exact), found.mu, found.error, np.std(exact, ddof=1) / np.mean(exact),
+             found.between_parts, found.over_plate, found.static_ratio, found.static_error,
+             np.max(np.abs(errors)))
+        )  # fmt: skip
+    mean, most = np.mean(told, axis=0), np.max(told, axis=0)
+    return {
+        "true": round(mean[0], 4), "measured": f"{mean[1]:.4f} +- {mean[2]:.4f}",
+        "worst": f"{100 * most[8]:.1f} %", "spread": f"{100 * mean[3]:.1f} %",
+        "between": f"{100 * mean[4]:.1f} %", "patches": f"{100 * patches / np.sqrt(3):.1f} %",
+        "over": f"{100 * mean[5]:.1f} %", "static": static,
+        "ratio": f"{mean[6]:.2f} +- {mean[7]:.2f}",
+    }  # fmt: skip
+
+
+def measured(
+    rig: Rig, scenario: Scenario, seed: int, mu: float, world: Disturbances
+) -> tuple[FrictionFound, dict[str, float]]:
+    """Return the friction that is found, and the true mu of each part, mean along its way.
+
+    Raises
+    ------
+    PlateError
+        If the measurement refuses.
+    """
+    simulation = Simulation(rig, scenario, seed, world, mu_scale=mu / rig.friction.mu)
+    vision, tracker, now = make_vision(rig), Tracker(), 0.0
+
+    def seen(tracker: Tracker, now: float) -> Tracker:
+        image = simulation.capture()
+        assert image is not None
+        return observe(vision, tracker, image, now, None)
+
+    def look(tracker: Tracker, now: float) -> tuple[Tracker, float, Rest]:
+        images = []
+        for _ in range(IMAGES):
+            tracker = seen(tracker, now)
+            images.append(tracker.parts)
+            simulation.run(PlateCycle.rest(IMAGE_S))
+            now += IMAGE_S
+        rest = Rest.of(images)
+        if rest is None:
+            raise PlateError("parts do not rest")
+        return tracker, now, rest
+
+    tracker, now, rest = look(tracker, now)
+    measurement, true = FrictionMeasurement.start(rig, rest), []
+    while measurement.push is not None:
+        table, _ = prepare(rig, measurement.push.cycle, round(1e9 * now))
+        for motion in table.cycle.parts:
+            tracker = seen(tracker, now)
+            simulation.run(motion)
+            now += motion.period
+        true.append(simulation.mu)
+        tracker, now, rest = look(tracker, now)
+        measurement = measurement.after(rest)
+    return measurement.found, dict(zip(simulation.state.ids, np.mean(true, axis=0), strict=True))

@@ -1,0 +1,77 @@
+"""Change values in a rig file and leave all else as it was, comments too."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..errors import PlateError
+from ..files import draft
+from .rig import Rig, load_rig
+
+Values = Mapping[tuple[str, ...], Mapping[str, str]]
+"""New values as they are written, by key, by the keys that lead to their mapping."""
+
+
+def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> None:
+    """Change values of a rig file: all of them or none; keys that are missing are added.
+
+    Parameters
+    ----------
+    path : Path
+    values : Values
+        Such as `{("friction",): {"mu": "0.31"}}`.
+    expected : callable
+        Whether the changed file says what it should.
+
+    Raises
+    ------
+    PlateError
+        If the file cannot be written, or would not be a rig file that says so.
+    """
+    path = path.resolve()  # where a link leads
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise PlateError(f"rig file {path}: cannot be read ({error})") from None
+    with draft(path, "rig file") as file:
+        file.write(_edited(text, values).encode())
+        file.flush()
+        shutil.copymode(path, file.name)
+        try:
+            if not expected(load_rig(file.name)):
+                raise PlateError("it would say something else")
+        except PlateError as error:
+            raise PlateError(f"{path} stays as it was, change it by hand: {error}") from None
+
+
+def _edited(text: str, values: Values) -> str:
+    """Return the file's text with other values."""
+    root: Any = yaml.compose(text, yaml.SafeLoader)
+    edits = []  # from, to, what stands there then
+    for keys, new in values.items():
+        mapping = root
+        for key in keys:
+            mapping = _item(mapping, key)
+        last_key, last = mapping.value[-1]
+        for key, value in new.items():
+            old = _item(mapping, key)
+            if old is not None:
+                edits.append((old.start_mark.index, old.end_mark.index, value))
+            elif mapping.flow_style:
+                edits.append((last.end_mark.index, last.end_mark.index, f", {key}: {value}"))
+            else:  # above the last one, which may have a comment behind it
+                at, indent = last_key.start_mark.index, " " * last_key.start_mark.column
+                edits.append((at, at, f"{key}: {value}\n{indent}"))
+    for start, end, value in sorted(edits, reverse=True):
+        text = text[:start] + value + text[end:]
+    return text
+
+
+def _item(node: Any, key: str) -> Any:
+    """Return the node of a key in a mapping; None: it is missing."""
+    return next((value for name, value in node.value if name.value == key), None)

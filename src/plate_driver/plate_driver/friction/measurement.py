@@ -1,0 +1,633 @@
+"""The procedure that measures friction: pushes one by one, and where the parts are after each.
+
+1. *Search.* Pushes with more and more acceleration, to and fro along x, until every part slides.
+2. *Distance.* Pushes well above that, forth and back along x, then along y. Each gives mu of each
+   part at its place, as the slip falls with mu: least squares over all of them give a part's mu.
+3. *Onset.* Pushes in fine steps across the first slip: where each part begins to slide, and so
+   static over dynamic friction.
+
+Pure: what the camera sees goes in, the next push comes out. A part comes back, as pushes alternate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from plate_core import Parts, PlateError, Rig, part_class
+
+from .push import Push, make_push, most_accel, slip
+
+FIRST_G, SLOW_G = 0.08, 0.03
+"""Accelerations of the first push, and of slow motions until the first slip is known [g]."""
+
+SEARCH_FACTOR, ONSET_FACTOR = 1.25, 1.05
+"""From one push of a search, and of the onset, to the next."""
+
+SLOW_SHARE = 0.5
+"""Acceleration of slow motions over the greatest at which no part slid."""
+
+ABOVE = 1.7
+"""Acceleration of pushes for the distance, over the mean mu g: parts with 40 % less friction are
+still within the range of the closed form, and static friction up to 1.5 is overcome."""
+
+LEAST_ABOVE = 1.2
+"""The same at least, over mu g of each part."""
+
+ONSET_FROM, ONSET_TO = 0.8, 2.0
+"""First push of the onset over the least mu g, and last one over the greatest."""
+
+SLID_M, BEGAN_M = 5e-4, 6e-5
+"""Slip that gives a first estimate of mu, and slip that shows the onset [m]."""
+
+NOISE_FACTOR = 5.0
+"""A slip counts if it is this many standard errors of the camera."""
+
+FLOOR_M = 1e-5
+"""Standard error of a displacement at least [m]: errors of the camera that do not average out."""
+
+LEAST_SIGNAL = 20.0
+"""Slip in the pushes for the distance over its standard error, at least: mu is then good to 5 %."""
+
+TRAVEL_M = 0.03
+"""How far pushes for the distance carry parts from their places, if there is room [m]: friction
+differs over some centimetres."""
+
+MOST_STEPS = 6
+"""Pushes of that, one way, at most."""
+
+STEP_ROOM_M = 0.006
+"""Room that each part needs towards every edge, beyond its safe distance [m]."""
+
+LEAST_GAP_M, TOUCH_M = 0.004, 0.0005
+"""Distance between the rims of two parts at the beginning, and later, at least [m]."""
+
+STILL_M = 5e-4
+"""Standard deviation of a part's place in some images beyond which it moves [m]."""
+
+STUCK_FACTOR = 3.0
+"""A part that does not slide at this many times the acceleration of the others is left out."""
+
+HERE_M = 0.005
+"""How far around its place friction of a part is taken for that of the place [m]."""
+
+RANGE, CURVE = 2.4, 80
+"""Greatest over least mu that a push tells apart, and values of mu in between."""
+
+AGREE = 0.05
+SURE = 3.0
+"""Difference of types worth a word: as a fraction, and in standard errors."""
+
+
+class Stage(Enum):
+    """What pushes are for."""
+
+    SEARCH = "search"
+    DISTANCE = "distance"
+    ONSET = "onset"
+    DONE = "done"
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Where parts are while the plate rests.
+
+    Attributes
+    ----------
+    place : dict of str to (2,)
+        Mean centres in the images [m, plate_home].
+    error : float
+        Standard error of a coordinate [m]: root mean square over the parts.
+    """
+
+    place: Mapping[str, np.ndarray]
+    error: float
+
+    @classmethod
+    def of(cls, images: Sequence[Parts]) -> Rest | None:
+        """Return it from what some images show, at least two; None while a part still moves. Parts
+        that are not in each image are left out."""
+        ids = [name for name in images[0].ids if all(name in seen.ids for seen in images)]
+        if not ids:
+            return cls({}, 0.0)
+        places = np.array(
+            [[seen.position[seen.ids.index(name)] for name in ids] for seen in images]
+        )
+        scatter = np.std(places, axis=0, ddof=1)
+        if np.max(scatter) > STILL_M:
+            return None
+        error = float(np.sqrt(np.mean(scatter**2) / len(images)))
+        return cls(dict(zip(ids, places.mean(axis=0), strict=True)), error)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A push and what it did.
+
+    Attributes
+    ----------
+    push : Push
+    stage : Stage
+    lag : dict of str to float
+        How far each part was left behind, against the push [m].
+    place : dict of str to (2,)
+        Its mean place meanwhile [m].
+    error : float
+        Standard error of a lag [m].
+    curve : (2, n)
+        Values of mu, rising, and the lags [m] that they give.
+    """
+
+    push: Push
+    stage: Stage
+    lag: Mapping[str, float]
+    place: Mapping[str, np.ndarray]
+    error: float
+    curve: np.ndarray
+
+    def lag_at(self, mu: float) -> float:
+        """Return the lag that a part with this mu has [m]."""
+        return float(np.interp(mu, *self.curve))
+
+    def local(self, name: str) -> tuple[float, float]:
+        """Return mu of a part by this push alone, and its standard error."""
+        grid, lags = self.curve
+        mu = np.interp(self.lag[name], lags[::-1], grid[::-1])
+        slope = np.interp(mu, grid, np.gradient(lags, grid))
+        return float(mu), float(self.error / max(abs(slope), 1e-9))
+
+
+@dataclass(frozen=True)
+class PartFriction:
+    """Friction of one part.
+
+    Attributes
+    ----------
+    id : str
+    place : (2,)
+        [m, plate_home].
+    mu, error : float
+        Coefficient of dynamic friction, mean along its way, and its standard error.
+    static_ratio : float
+        Static over dynamic friction; NaN if it was not seen.
+    """
+
+    id: str
+    place: np.ndarray
+    mu: float
+    error: float
+    static_ratio: float
+
+
+@dataclass(frozen=True)
+class FrictionFound:
+    """Friction of all parts.
+
+    Attributes
+    ----------
+    parts : tuple of PartFriction
+    mu, error : float
+        Mean over the parts, and its standard error.
+    between_parts, over_plate : float
+        Standard deviations as fractions of the mean: of the parts' mu, and of one part's along its
+        way on the plate; what the camera's noise explains is taken off.
+    static_ratio, static_error : float
+        Static over dynamic friction, mean over the parts, and its standard error; NaN if it was not
+        seen.
+    notes : tuple of str
+        What else there is to know.
+    """
+
+    parts: tuple[PartFriction, ...]
+    mu: float
+    error: float
+    between_parts: float
+    over_plate: float
+    static_ratio: float
+    static_error: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """In a line."""
+        ratio = "not seen"
+        if np.isfinite(self.static_ratio):
+            ratio = f"{self.static_ratio:.2f} +- {self.static_error:.2f}"
+        return (
+            f"mu {self.mu:.4f} +- {self.error:.4f} ({len(self.parts)} parts), standard deviation "
+            f"between parts {100 * self.between_parts:.1f} %, over the plate "
+            f"{100 * self.over_plate:.1f} %, static over dynamic friction {ratio}"
+        )
+
+
+@dataclass(frozen=True)
+class FrictionMeasurement:
+    """A measurement under way.
+
+    Attributes
+    ----------
+    rig : Rig
+    most : float
+        Greatest acceleration of a push on this rig [m/s2].
+    stage : Stage
+    todo : tuple of Push
+        The next one first.
+    rest : Rest
+        Where parts are now.
+    trials : tuple of Trial
+    slow : float
+        Acceleration of slow motions [m/s2].
+    guess : dict of str to float
+        First estimates of mu.
+    notes : tuple of str
+    """
+
+    rig: Rig
+    most: float
+    stage: Stage
+    todo: tuple[Push, ...]
+    rest: Rest
+    trials: tuple[Trial, ...] = ()
+    slow: float = 0.0
+    guess: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def start(cls, rig: Rig, rest: Rest, corrected: bool = False) -> FrictionMeasurement:
+        """Return the measurement at its beginning.
+
+        Parameters
+        ----------
+        rig : Rig
+        rest : Rest
+        corrected : bool
+            Whether the plate's response was learned.
+
+        Raises
+        ------
+        PlateError
+            If no part is seen, one is too near an edge, or two are too near each other.
+        """
+        if not rest.place:
+            raise PlateError("friction: the camera sees no part, allowed: one or more, at rest")
+        names = list(rest.place)
+        for name in names:
+            far = float(np.min(rig.plate.half - np.abs(rest.place[name])))
+            least = rig.edge_margin(part_class(name)).wall_m + STEP_ROOM_M
+            if far < least:
+                raise PlateError(
+                    f"friction: {name} is {1e3 * far:.0f} mm from an edge, allowed: "
+                    f"{1e3 * least:.0f} mm or more"
+                )
+        _check_gaps(rig, rest, LEAST_GAP_M)
+        slow = SLOW_G * rig.friction.gravity
+        notes: tuple[str, ...] = ()
+        if rig.suspension is not None and not corrected:
+            notes = (
+                "the rig has flexures and the plate's response was not learned: call calibrate "
+                "first, or mu may be wrong",
+            )
+        first = make_push(rig, 0, 1, FIRST_G * rig.friction.gravity, slow)
+        most = most_accel(rig, slow)
+        if first.accel > most:
+            raise PlateError(
+                f"friction: the rig's limits allow pushes of {most:.2g} m/s2, allowed: "
+                f"{first.accel:.2g} m/s2 or more"
+            )
+        return cls(rig, most, Stage.SEARCH, (first,), rest, slow=slow, notes=notes)
+
+    @property
+    def push(self) -> Push | None:
+        """The next push; None at the end."""
+        return self.todo[0] if self.todo else None
+
+    @property
+    def progress(self) -> str:
+        """How far it is, in words."""
+        if self.push is None:
+            return "done"
+        axis = "xy"[self.push.axis]
+        return (
+            f"{self.stage.value}: push {len(self.trials) + 1}, along {axis}, "
+            f"{self.push.accel:.2f} m/s2"
+        )
+
+    @property
+    def fraction(self) -> float:
+        """Fraction that is done, roughly, 0 to 1."""
+        stages = {Stage.SEARCH: 0.0, Stage.DISTANCE: 0.25, Stage.ONSET: 0.6, Stage.DONE: 1.0}
+        done = sum(trial.stage is self.stage for trial in self.trials)
+        share = {Stage.SEARCH: 0.25, Stage.DISTANCE: 0.35, Stage.ONSET: 0.4, Stage.DONE: 0.0}
+        whole = 10 if self.stage is Stage.SEARCH else max(1, done + len(self.todo))
+        return stages[self.stage] + share[self.stage] * min(1.0, done / whole)
+
+    def after(self, rest: Rest, played: Push | None = None) -> FrictionMeasurement:
+        """Return the measurement after its push.
+
+        Parameters
+        ----------
+        rest : Rest
+            Where parts are now.
+        played : Push, optional
+            What was commanded, if the rig's limits made it less.
+
+        Raises
+        ------
+        PlateError
+            If parts are lost, move the wrong way, come too near each other, or do not slide.
+        """
+        assert self.push is not None
+        push = played or self.push
+        along = np.eye(2)[push.axis] * push.sign
+        ids = [name for name in self.rest.place if name in rest.place]
+        if 2 * len(ids) < len(self.rest.place) or not ids:
+            raise PlateError(
+                f"friction: the camera sees {len(ids)} of {len(self.rest.place)} parts again, "
+                "allowed: half of them or more"
+            )
+        lost = sorted(set(self.rest.place) - set(ids))
+        notes = self.notes + tuple(f"{name} was lost from sight: left out" for name in lost)
+        lag = {name: float(-along @ (rest.place[name] - self.rest.place[name])) for name in ids}
+        place = {name: (rest.place[name] + self.rest.place[name]) / 2 for name in ids}
+        error = float(np.hypot(np.hypot(rest.error, self.rest.error), FLOOR_M))
+        for name, value in lag.items():
+            if value < -max(SLID_M, NOISE_FACTOR * error):
+                raise PlateError(
+                    f"friction: {name} moved {-1e3 * value:.2f} mm with the push, allowed: against "
+                    "it; do the motors push as the rig file says, and are the camera's corners in "
+                    "its order?"
+                )
+        rest = replace(rest, place={name: rest.place[name] for name in ids})
+        _check_gaps(self.rig, rest, TOUCH_M)
+        curves = [t.curve for t in self.trials if t.push.accel == push.accel]
+        curve = curves[0] if curves else _curve(push, self.rig.friction.gravity)
+        trials = (*self.trials, Trial(push, self.stage, lag, place, error, curve))
+        new = replace(self, rest=rest, trials=trials, todo=self.todo[1:], notes=notes)
+        if self.stage is Stage.SEARCH:
+            return new._searched()
+        if self.stage is Stage.ONSET and all(new._held_and_slid(name)[1] for name in ids):
+            return replace(new, stage=Stage.DONE, todo=())
+        if not new.todo:
+            return new._onset() if self.stage is Stage.DISTANCE else replace(new, stage=Stage.DONE)
+        return new
+
+    # Stages
+
+    def _searched(self) -> FrictionMeasurement:
+        """Return it after a push of the search: with the next one, or in the next stage."""
+        trial, gravity = self.trials[-1], self.rig.friction.gravity
+        guess = dict(self.guess)
+        for name, value in trial.lag.items():
+            known = guess.get(name, np.inf) * gravity  # far above it a slip tells little of mu
+            slid = value > max(SLID_M, NOISE_FACTOR * trial.error)
+            if slid and trial.push.accel < ABOVE * known:
+                guess[name] = trial.local(name)[0]
+        new = replace(self, guess=guess)
+        if not guess:
+            new = replace(new, slow=max(self.slow, SLOW_SHARE * trial.push.accel))
+        left = sorted(set(self.rest.place) - set(guess))
+        accel = trial.push.accel * SEARCH_FACTOR
+        if 0 < len(left) <= len(guess):
+            typical = float(np.median(list(guess.values()))) * gravity
+            if accel > STUCK_FACTOR * typical:
+                notes = tuple(
+                    f"{name} does not slide at {trial.push.accel:.1f} m/s2 as others do: left out"
+                    for name in left
+                )
+                place = {name: new.rest.place[name] for name in guess}
+                new = replace(new, notes=new.notes + notes, rest=replace(new.rest, place=place))
+                left = []
+        if not left:
+            return new._distance()
+        if accel > self.most:
+            raise PlateError(
+                f"friction: {', '.join(left)} did not slide at {trial.push.accel:.1f} m/s2, and "
+                f"the rig's limits allow {self.most:.1f} m/s2: mu is more than "
+                f"{trial.push.accel / gravity:.2f}, or the plate does not move"
+            )
+        push = make_push(self.rig, 0, -trial.push.sign, accel, new.slow)
+        return replace(new, todo=(push,))
+
+    def _distance(self) -> FrictionMeasurement:
+        """Return it with the pushes for the distance."""
+        gravity = self.rig.friction.gravity
+        typical = float(np.median(list(self.guess.values())))
+        accel = min(ABOVE * typical * gravity, self.most)
+        grip = {name: self.guess[name] * gravity for name in self.rest.place}
+        kept = [name for name in grip if accel / RANGE < grip[name] < accel / LEAST_ABOVE]
+        if not kept:
+            raise PlateError(
+                f"friction: mu is about {typical:.2f}, and the rig's limits allow pushes of "
+                f"{accel:.1f} m/s2, allowed: {LEAST_ABOVE * typical * gravity:.1f} m/s2 or more"
+            )
+        notes = tuple(
+            f"mu of {name} is about {self.guess[name]:.2f}, others' about {typical:.2f}: left out, "
+            "measure it without them"
+            for name in sorted(set(grip) - set(kept))
+        )
+        rest = replace(self.rest, place={name: self.rest.place[name] for name in kept})
+        mu = np.array([self.guess[name] for name in kept])
+        todo: list[Push] = []
+        for axis in (0, 1):
+            there = make_push(self.rig, axis, 1, accel, self.slow)
+            step = float(np.max(slip(there, mu, 0.0, gravity)))
+            room = {sign: self._room(axis, -sign) for sign in (1, -1)}  # parts go against it
+            sign = max(room, key=lambda one: room[one])
+            count = int(np.clip(min(room[sign], TRAVEL_M) / max(step, 1e-6), 1, MOST_STEPS))
+            back = make_push(self.rig, axis, -sign, accel, self.slow)
+            todo += count * [replace(there, sign=sign, cycle=there.cycle.scaled(sign))]
+            todo += count * [back]
+        weakest = float(np.min(slip(todo[0], mu, 0.0, gravity)))
+        error = self.trials[-1].error
+        if weakest < LEAST_SIGNAL * error:
+            raise PlateError(
+                f"friction: parts slide {1e3 * weakest:.2f} mm, and the camera's noise is "
+                f"{1e3 * error:.2f} mm, allowed: {LEAST_SIGNAL:g} times as much slip as noise"
+            )
+        return replace(
+            self, stage=Stage.DISTANCE, todo=tuple(todo), rest=rest, notes=self.notes + notes
+        )
+
+    def _room(self, axis: int, sign: int) -> float:
+        """How far all parts may go along an axis [m]."""
+        return min(
+            float(
+                self.rig.plate.half[axis]
+                - self.rig.edge_margin(part_class(name)).wall_m
+                - sign * place[axis]
+            )
+            for name, place in self.rest.place.items()
+        )
+
+    def _onset(self) -> FrictionMeasurement:
+        """Return it with the pushes for the onset."""
+        gravity = self.rig.friction.gravity
+        mu = [self._dynamic(name)[0] for name in self.rest.place]
+        accel, last = ONSET_FROM * min(mu) * gravity, ONSET_TO * max(mu) * gravity
+        todo: list[Push] = []
+        while accel < min(last, self.most):
+            todo.append(make_push(self.rig, 0, 1 - 2 * (len(todo) % 2), accel, self.slow))
+            accel *= ONSET_FACTOR
+        stage = Stage.ONSET if todo else Stage.DONE
+        return replace(self, stage=stage, todo=tuple(todo))
+
+    # What pushes tell
+
+    def _of(self, name: str, stage: Stage) -> list[Trial]:
+        return [t for t in self.trials if t.stage is stage and name in t.lag]
+
+    def _local(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return mu of a part in each push for the distance (n,), standard errors (n,), and how far
+        away from its place now that was (n,) [m]."""
+        trials, here = self._of(name, Stage.DISTANCE), self.rest.place[name]
+        values, errors = np.array([trial.local(name) for trial in trials]).T
+        return values, errors, np.array([np.hypot(*(t.place[name] - here)) for t in trials])
+
+    def _dynamic(self, name: str) -> tuple[float, float]:
+        """Return mu of a part by least squares over its pushes for the distance, and its standard
+        error."""
+        trials = self._of(name, Stage.DISTANCE)
+
+        def misses(mu: np.ndarray) -> np.ndarray:
+            return np.array([(t.lag_at(mu[0]) - t.lag[name]) / t.error for t in trials])
+
+        local, errors, _ = self._local(name)
+        fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
+        # A place between two pushes counts in both, so errors of their lags are not independent:
+        # they cancel in pushes of one direction, and add up where it changes.
+        correlation = np.eye(len(trials))
+        for k, (one, other) in enumerate(pairwise(trials)):
+            if one.push.axis == other.push.axis:
+                shared = -0.5 * one.push.sign * other.push.sign
+                correlation[k, k + 1] = correlation[k + 1, k] = shared
+        slopes = fit.jac[:, 0]  # in standard errors of a lag
+        noise = slopes @ correlation @ slopes / (slopes @ slopes) ** 2
+        uneven = max(0.0, float(np.var(local, ddof=1) - np.mean(errors**2))) / len(trials)
+        return float(fit.x[0]), float(np.sqrt(noise + uneven))
+
+    def _held_and_slid(self, name: str) -> tuple[Trial | None, Trial | None]:
+        """Return the last push for the onset in which a part held, and the first one in which it
+        slid."""
+        held = None
+        for trial in self._of(name, Stage.ONSET):
+            if trial.lag[name] > _visible(trial):
+                return held, trial
+            held = trial
+        return held, None
+
+    def _static_ratio(self, name: str) -> float:
+        """Return static over dynamic friction of a part; NaN if its onset was not seen.
+
+        A push in which it held tells that mu_s g is more than its acceleration only if dynamic
+        friction alone would have let it slide visibly.
+        """
+        held, slid = self._held_and_slid(name)
+        if slid is None:
+            return np.nan
+        local, _, away = self._local(name)
+        mu = float(np.mean(local[away <= np.min(away) + HERE_M]))
+        least = grip = mu * self.rig.friction.gravity
+        if held is not None and held.lag_at(mu) > _visible(held):
+            least = max(least, held.push.accel)
+        return max(1.0, float(np.sqrt(least * max(slid.push.accel, grip))) / grip)
+
+    @property
+    def found(self) -> FrictionFound:
+        """What was found, at the end."""
+        parts, along, weights = [], [], []
+        for name in self.rest.place:
+            mu, error = self._dynamic(name)
+            local, errors, _ = self._local(name)
+            along.append(float(np.var(local, ddof=1) - np.mean(errors**2)) / mu**2)
+            weights.append(len(local) - 1)
+            ratio = self._static_ratio(name)
+            parts.append(PartFriction(name, self.rest.place[name], mu, error, ratio))
+        values = np.array([part.mu for part in parts])
+        errors = np.array([part.error for part in parts])
+        mean, count = float(np.mean(values)), len(parts)
+        between = (float(np.var(values, ddof=1)) if count > 1 else 0.0) - float(np.mean(errors**2))
+        spread = float(np.std(values, ddof=1)) if count > 1 else 0.0
+        error = float(np.hypot(spread, np.sqrt(np.mean(errors**2)) * (count == 1)) / np.sqrt(count))
+        ratios = np.array([part.static_ratio for part in parts])
+        ratios = ratios[np.isfinite(ratios)]
+        static = float(np.mean(ratios)) if len(ratios) else np.nan
+        width = np.log(ONSET_FACTOR) / np.sqrt(12)
+        scatter = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
+        static_error = float(np.hypot(width, scatter / np.sqrt(max(1, len(ratios)))))
+        notes = self.notes + self._types(parts)
+        if len(ratios) and ratios.size < count:
+            notes += (f"static friction was seen on {len(ratios)} of {count} parts",)
+        return FrictionFound(
+            tuple(parts), mean, error, float(np.sqrt(max(0.0, between)) / mean),
+            float(np.sqrt(max(0.0, np.average(along, weights=weights)))), static,
+            static_error if len(ratios) else np.nan, notes,
+        )  # fmt: skip
+
+    def _types(self, parts: Sequence[PartFriction]) -> tuple[str, ...]:
+        """Say what differs between types, if they do."""
+        kinds: dict[str, list[float]] = {}
+        for part in parts:
+            kinds.setdefault(part_class(part.id), []).append(part.mu)
+        means = {kind: float(np.mean(values)) for kind, values in kinds.items()}
+        low, high = (pick(means, key=lambda kind: means[kind]) for pick in (min, max))
+        errors = [
+            np.var(kinds[kind], ddof=1) / len(kinds[kind])
+            for kind in (low, high)
+            if len(kinds[kind]) > 1
+        ]
+        apart = means[high] - means[low]
+        if len(errors) < 2 or apart < max(AGREE * means[low], SURE * float(np.sqrt(sum(errors)))):
+            return ()
+        listed = ", ".join(f"{kind} {mu:.3f}" for kind, mu in sorted(means.items()))
+        return (f"types differ: {listed}",)
+
+
+def rig_mu(rig: Rig, found: FrictionFound) -> float:
+    """Return the mu for the rig file: the mean over parts whose type has none of its own there.
+
+    Raises
+    ------
+    PlateError
+        If all have.
+    """
+    values = [
+        part.mu
+        for part in found.parts
+        if (kind := rig.types.get(part_class(part.id))) is None or kind.mu is None
+    ]
+    if not values:
+        raise PlateError(
+            "friction: all parts are of types with a mu of their own, allowed: one or more "
+            f"without; change it in the file of types: {found.text}"
+        )
+    return float(np.mean(values))
+
+
+def _visible(trial: Trial) -> float:
+    """Return the lag that shows that a part has slid [m]."""
+    return max(BEGAN_M, NOISE_FACTOR * trial.error)
+
+
+def _curve(push: Push, gravity: float) -> np.ndarray:
+    """Return values of mu, rising, and the slips [m] (2, n) that a push gives then."""
+    grid = push.accel / gravity * np.geomspace(1 / RANGE, 1, CURVE)
+    return np.stack([grid, slip(push, grid, 0.0, gravity)])
+
+
+def _check_gaps(rig: Rig, rest: Rest, least: float) -> None:
+    """Refuse parts whose rims are nearer to each other than `least` [m]."""
+    names = list(rest.place)
+    for i, one in enumerate(names):
+        for other in names[i + 1 :]:
+            reach = sum(rig.part_type(part_class(name)).reach_m for name in (one, other))
+            gap = float(np.hypot(*(rest.place[one] - rest.place[other]))) - reach
+            if gap < least:
+                raise PlateError(
+                    f"friction: {one} and {other} are {max(0.0, 1e3 * gap):.1f} mm apart, allowed: "
+                    f"{1e3 * least:g} mm or more"
+                )

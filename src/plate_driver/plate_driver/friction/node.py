@@ -1,0 +1,207 @@
+"""The driver's services measure_friction and write_friction, and its topic friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from std_srvs.srv import Trigger
+
+from plate_core import Parts, PlateError, load_rig
+from plate_core.driver_status import DriverState
+from plate_core.rig import edit_rig, rig_path
+from plate_core.ros import CALLS, DATA, LATCHED, msg_to_parts, to_time
+from plate_interfaces.msg import Friction, PartFriction
+from plate_interfaces.msg import Parts as PartsMsg
+from plate_interfaces.srv import MeasureFriction
+
+from .measurement import FrictionFound, FrictionMeasurement, Rest, rig_mu
+from .push import Push
+
+if TYPE_CHECKING:
+    from ..node import DriverNode
+
+SETTLE_S = 0.4
+"""From the end of a push until images count [s]: those that were taken before have arrived then."""
+
+IMAGES = 4
+"""Images in which parts are looked at, at rest."""
+
+BLIND_S = 5.0
+"""Longest wait for images that show the parts at rest [s]."""
+
+
+class FrictionServer:
+    """Measures friction with the driver's transport, one push after the other.
+
+    The driver calls `configure` when it is configured, `watch` every 20 ms while it is active, and
+    `fail` when the motors are no longer ready.
+
+    Parameters
+    ----------
+    driver : DriverNode
+    """
+
+    def __init__(self, driver: DriverNode) -> None:
+        self._driver = driver
+        self._found: FrictionFound | None = None
+        self._end()
+
+    def _end(self) -> None:
+        self._running = False
+        self._measurement: FrictionMeasurement | None = None
+        self._played: Push | None = None
+        self._plays = False
+        self._images: list[Parts] = []
+        self._since = 0.0  # looking for parts at rest [s]
+
+    @property
+    def running(self) -> bool:
+        """Whether it measures."""
+        return self._running
+
+    def configure(self) -> None:
+        """Make the services, the topic and the subscription of parts."""
+        driver = self._driver
+        self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
+        driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
+        for kind, name, answer in (
+            (MeasureFriction, "measure_friction", self._on_measure),
+            (Trigger, "write_friction", self._on_write),
+        ):
+            service = driver.create_service(kind, name, answer, qos_profile=CALLS)
+            driver.keep(driver.destroy_service, service)
+
+    # Calls
+
+    def _on_measure(
+        self, request: MeasureFriction.Request, response: MeasureFriction.Response
+    ) -> MeasureFriction.Response:
+        driver, response.success = self._driver, False
+        status = driver.status
+        if not request.start:
+            response.success, response.message = True, "no measurement of friction was running"
+            if self._running:
+                self.fail("it was ended")
+                response.message = "ended: the plate rests after its push"
+        elif self._running:
+            response.message = "friction is measured already, allowed: one measurement at a time"
+        elif status.state is not DriverState.READY:
+            response.message = f"the driver is {status.text}, allowed: ready"
+        elif driver.task_runs:
+            response.message = "a task runs, allowed: none; end it with stop"
+        else:
+            self._end()
+            self._running, self._since = True, driver.play_time()
+            self._started = driver.get_clock().now().nanoseconds
+            self._publish(Friction.RUNNING, "looking for parts at rest", 0.0)
+            response.success, response.message = True, "see the topic friction"
+            response.started = to_time(self._started)
+        return response
+
+    def _on_write(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        driver, response.success = self._driver, False
+        try:
+            if self._found is None:
+                raise PlateError("friction was not measured, allowed: after measure_friction")
+            path = rig_path(driver.options.rig_file)
+            before, mu = load_rig(path), float(f"{rig_mu(driver.rig, self._found):.3g}")
+            edit_rig(
+                path, {("friction",): {"mu": f"{mu:g}"}},
+                lambda rig: rig == replace(before, friction=replace(before.friction, mu=mu)),
+            )  # fmt: skip
+            response.success = True
+            response.message = (
+                f"written: {path}: mu {before.friction.mu:g} -> {mu:g}; nodes use it from their "
+                "next configure on"
+            )
+        except PlateError as error:
+            response.message = str(error)
+        return response
+
+    # Work
+
+    def _on_parts(self, msg: PartsMsg) -> None:
+        """Keep what an image shows while the plate rests."""
+        if self._running and not self._plays:
+            try:
+                self._images.append(msg_to_parts(msg))
+            except PlateError as error:
+                self._driver.get_logger().warning(f"parts: {error}", throttle_duration_sec=2.0)
+
+    def watch(self, now: float) -> None:
+        """Go on, at `now` [s] by the clock by which cycles are played."""
+        driver = self._driver
+        try:
+            if self._plays:
+                if driver.guard.over(now) and now - driver.guard.sent_at > (
+                    driver.guard.lasts_s + SETTLE_S
+                ):
+                    driver.rest_guard()
+                    self._plays, self._images, self._since = False, [], now
+                return
+            if len(self._images) >= IMAGES:
+                rest = Rest.of(self._images[-IMAGES:])
+                if rest is not None:
+                    self._step(rest, now)
+                    return
+                self._images = self._images[-IMAGES + 1 :]
+            if now - self._since > BLIND_S:
+                seen = f"{len(self._images)} images" if self._images else "no message on parts"
+                raise PlateError(
+                    f"friction: {seen} within {BLIND_S:g} s, allowed: {IMAGES} that show all parts "
+                    "at rest; does the detector run?"
+                )
+        except PlateError as error:
+            self.fail(str(error))
+
+    def _step(self, rest: Rest, now: float) -> None:
+        """Take in where parts rest, and send the next push."""
+        driver = self._driver
+        self._images = []
+        if self._measurement is None:
+            new = FrictionMeasurement.start(driver.rig, rest, driver.guard.correction is not None)
+        else:
+            new = self._measurement.after(rest, self._played)
+        self._measurement, push = new, new.push
+        if push is None:
+            self._finish(new.found)
+            return
+        factor = driver.send_push(push.cycle, now)
+        self._plays, self._played = True, None
+        if factor < 1:
+            less = push.cycle.scaled(factor)
+            self._played = replace(push, accel=push.accel * factor, cycle=less)
+        self._publish(Friction.RUNNING, new.progress, new.fraction)
+
+    def _finish(self, found: FrictionFound) -> None:
+        self._found = found
+        text = "; ".join((found.text, *found.notes))
+        self._end()
+        self._driver.get_logger().info(text)
+        parts = [
+            PartFriction(
+                id=one.id, x=float(one.place[0]), y=float(one.place[1]), mu=one.mu,
+                mu_error=one.error, static_ratio=float(one.static_ratio),
+            )
+            for one in found.parts
+        ]  # fmt: skip
+        self._publish(
+            Friction.DONE, text, 1.0, mu=found.mu, mu_error=found.error,
+            between_parts=found.between_parts, over_plate=found.over_plate,
+            static_ratio=float(found.static_ratio),
+            static_ratio_error=float(found.static_error), parts=parts,
+        )  # fmt: skip
+
+    def fail(self, why: str) -> None:
+        """End a measurement without a result."""
+        if self._running:
+            self._end()
+            self._driver.get_logger().error(f"measure_friction failed: {why}")
+            self._publish(Friction.FAILED, why, 0.0)
+
+    def _publish(self, state: int, text: str, fraction: float, **result: object) -> None:
+        msg = Friction(state=state, text=text, fraction=float(fraction), **result)
+        msg.header.stamp = to_time(self._started)
+        msg.header.frame_id = "plate_home"
+        self._publisher.publish(msg)

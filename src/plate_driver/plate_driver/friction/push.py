@@ -1,0 +1,172 @@
+"""One push of the plate along x or y from which a part's friction follows, and the part's slip.
+
+From rest the plate accelerates with a over the way A, brakes with k a, and goes back to home so
+slowly that nothing slides. A part on it holds while a <= mu_s g. Else Coulomb's law (docs/model.md,
+Friction (1)) with r = mu g/a leaves it behind. While the plate accelerates, the part loses
+(1 - r) A. Then their velocities differ by w = (a - mu g) t with A = a t^2/2, and come together at
+mu g + k a, which takes a way of w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k). If k a <= mu g the part
+then holds, and the slip of the whole push is
+
+    s = A (1 - r) (1 + k)/(r + k)
+
+So the least a with a slip gives static friction, and s gives dynamic friction. `slip` integrates
+the same law over the motion that is really commanded, with its ramps, for all a.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plate_core import PlateCycle, Rig
+from plate_core.motion import usage
+
+BRAKE = 0.4
+"""Braking over accelerating, k: the closed form then holds up to 2.5 times the acceleration of the
+first slip."""
+
+RAMP = 0.12
+"""Length of the acceleration's first ramp over the time of accelerating: motors follow that."""
+
+STROKE_USED, LIMITS_USED = 0.8, 0.9
+"""Fractions of the motors' stroke, and of all limits, that a push uses at most."""
+
+LONGEST_WAY_M = 0.016
+"""Greatest way of a push [m]: parts then move by some millimetres."""
+
+QUINTIC_PEAK = 10 / np.sqrt(3)
+"""Peak acceleration of the quintic from rest to rest, times T^2 over its way."""
+
+FAST_STEPS, SLOW_STEPS = 800, 60
+"""Steps of the integration in the push, and in each slow motion."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A push of the plate.
+
+    Attributes
+    ----------
+    axis : int
+        0: along x, 1: along y.
+    sign : int
+        1 or -1: its direction.
+    accel : float
+        Greatest acceleration [m/s2].
+    cycle : PlateCycle
+        From rest at home to the end of the push, with the slow way back as its tail.
+    """
+
+    axis: int
+    sign: int
+    accel: float
+    cycle: PlateCycle
+
+
+def way_of(rig: Rig) -> float:
+    """Return the way [m] of a push on this rig."""
+    return min(2 * STROKE_USED * rig.limits.stroke_m, LONGEST_WAY_M)
+
+
+def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push:
+    """Return a push over `way_of(rig)`.
+
+    Parameters
+    ----------
+    axis, sign : int
+    accel : float
+        Greatest acceleration [m/s2].
+    slow : float
+        Greatest acceleration on the ways to its start and back home [m/s2].
+    """
+    way = way_of(rig)
+    unit_t, unit_a = _profile()
+    unit_v, unit_x = _integrated(unit_t, unit_a)
+    scale_s = np.sqrt(way / (accel * unit_x[-1]))
+    pause = np.sqrt(QUINTIC_PEAK * way / 2 / slow)
+    times = np.concatenate([[0.0], pause + scale_s * unit_t])
+    x = np.concatenate([[0.0], -way / 2 + accel * scale_s**2 * unit_x])
+    v = np.concatenate([[0.0], accel * scale_s * unit_v])
+    a = np.concatenate([[0.0], accel * unit_a])
+    v[-1] = a[-1] = 0.0
+    times = np.concatenate([times, times[-1:], times[-1:] + pause])
+    states = [np.zeros((len(times), 3)) for _ in range(3)]
+    for state, values in zip(states, (x, v, a), strict=True):
+        state[: len(values), axis] = sign * values
+        state[len(values), axis] = sign * values[-1]
+    return Push(axis, sign, accel, PlateCycle.from_knots(times, *states))
+
+
+def most_accel(rig: Rig, slow: float) -> float:
+    """Return the greatest acceleration of a push within the rig's limits [m/s2]."""
+    accel = LIMITS_USED * rig.limits.accel
+    for _ in range(8):  # limits are nearly linear in it, or in its root
+        worst = max(
+            usage(rig, make_push(rig, axis, 1, accel, slow).cycle).overall for axis in (0, 1)
+        )
+        if worst <= LIMITS_USED:
+            break
+        accel *= (LIMITS_USED / worst) ** 2 if worst < 2 else 0.5
+    return float(accel)
+
+
+def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -> np.ndarray:
+    """Return how far (m,) a push leaves parts behind [m], positive against its direction.
+
+    Parameters
+    ----------
+    push : Push
+    mu : (m,)
+        Coefficient of dynamic friction.
+    hold : (m,) or float
+        Greatest acceleration at which a part at rest on the plate holds [m/s2], mu_s g; where less
+        than mu g, that.
+    gravity : float
+        [m/s2].
+    """
+    cycle, tail = push.cycle, push.cycle.tail
+    assert tail is not None
+    start = float(cycle.times[1])
+    t = np.concatenate(
+        [
+            np.linspace(0, start, SLOW_STEPS, endpoint=False),
+            np.linspace(start, cycle.period, FAST_STEPS + 1),
+        ]
+    )
+    back = np.linspace(0, tail.period, 2 * SLOW_STEPS + 1)
+    t = np.concatenate([t, cycle.period + back[1:]])
+    plate = push.sign * np.concatenate(
+        [cycle.twist(t[: -2 * SLOW_STEPS])[:, push.axis], tail.twist(back[1:])[:, push.axis]]
+    )
+    grip = np.asarray(mu, dtype=float) * gravity
+    hold = np.maximum(hold, grip)
+    v, moved, stuck = np.zeros_like(grip), np.zeros_like(grip), np.ones(grip.shape, bool)
+    for dt, before, after in zip(np.diff(t), plate[:-1], plate[1:], strict=True):
+        rides = stuck & (abs(after - before) <= hold * dt)
+        change = np.clip(after - v, -grip * dt, grip * dt)
+        new = np.where(rides, after, v + change)
+        stuck = rides | (new == after)
+        moved += 0.5 * dt * (v + new)
+        v = new
+    return -moved
+
+
+def _profile() -> tuple[np.ndarray, np.ndarray]:
+    """Times and accelerations of a push with accelerations from 1 to -`BRAKE`, straight between
+    them; it begins and ends at rest."""
+    gain, cross, lose = RAMP, RAMP * (1 + BRAKE), RAMP * BRAKE
+    held = 1.0 - RAMP
+    # Area of the acceleration: up to zero of the crossing, and from there on.
+    positive = gain / 2 + held + cross / (1 + BRAKE) / 2
+    braking = (positive - BRAKE * (cross * BRAKE / (1 + BRAKE) + lose) / 2) / BRAKE
+    times = np.cumsum([0.0, gain, held, cross, braking, lose])
+    return times, np.array([0.0, 1.0, 1.0, -BRAKE, -BRAKE, 0.0])
+
+
+def _integrated(t: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity and way at times t (k,) under an acceleration a (k,) that is straight between."""
+    dt = np.diff(t)
+    v = np.concatenate([[0.0], np.cumsum(dt * (a[:-1] + a[1:]) / 2)])
+    x = np.concatenate([[0.0], np.cumsum(dt * v[:-1] + dt**2 * (2 * a[:-1] + a[1:]) / 6)])
+    return v, x
