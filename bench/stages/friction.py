@@ -107,6 +107,10 @@ def measured(
 
     tracker, now, rest = look(tracker, now)
     measurement, true = FrictionMeasurement.start(rig, rest), []
+    start = simulation.state.position
+    row_of = {  # the detector gives names of its own
+        name: int(np.argmin(np.hypot(*(start - place).T))) for name, place in rest.place.items()
+    }
     while measurement.push is not None:
         table, _ = prepare(rig, measurement.push.cycle, round(1e9 * now))
         for motion in table.cycle.parts:
@@ -116,4 +120,5 @@ def measured(
         true.append(simulation.mu)
         tracker, now, rest = look(tracker, now)
         measurement = measurement.after(rest)
-    return measurement.found, dict(zip(simulation.state.ids, np.mean(true, axis=0), strict=True))
+    mean = np.mean(true, axis=0)
+    return measurement.found, {name: float(mean[number]) for name, number in row_of.items()}

@@ -66,16 +66,12 @@ def test_a_part_holds_up_to_static_friction():
 
 def measured(mu, static=1.0, noise=1e-5, places=PLACES, rig=RIG, wrong=1.0, seed=0):
     """Measure in a world of the closed integral: mu and static ratio by part."""
-    rng = np.random.default_rng(seed)
+    rng, shape = np.random.default_rng(seed), (len(places), 2)
     place = {name: np.array(xy) for name, xy in places.items()}
 
     def look():
-        images = [
-            Parts.make(
-                tuple(place), np.array([*place.values()]).reshape(-1, 2) + rng.normal(0, noise, (len(place), 2))
-            )
-            for _ in range(4)
-        ]
+        true = np.array([*place.values()]).reshape(shape)
+        images = [Parts.make(tuple(place), true + rng.normal(0, noise, shape)) for _ in range(4)]
         return Rest.of(images)
 
     measurement = FrictionMeasurement.start(rig, look())

@@ -1,0 +1,131 @@
+"""The driver's services that measure friction: who may start one, and what ends it."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("shaking")  # of the workspace's own tests
+
+from driven import CALM, EMERGENCY, Driven, at_rest
+from rclpy.serialization import serialize_message
+
+from plate_core import Parts, load_rig
+from plate_core.driver_status import DriverState
+from plate_core.rig import default_rig_path
+from plate_core.ros import msg_to_motors, parts_to_msg, to_time
+from plate_driver.friction import Push, slip
+from plate_interfaces.msg import Friction, TaskStatus
+from plate_interfaces.srv import MeasureFriction
+
+RIG = load_rig()
+G = RIG.friction.gravity
+MU = {"black_1": 0.3, "grey_1": 0.34}
+
+
+@pytest.fixture
+def driven(monkeypatch, tmp_path):
+    rig = shutil.copy(default_rig_path(), tmp_path / "rig.yaml")
+    made = Driven(monkeypatch, f"rig_file:={rig}")
+    yield made
+    made.close()
+
+
+class Plate:
+    """Parts under the tables that the driver sends, and images of them."""
+
+    def __init__(self, driven):
+        self.driven, self.tables = driven, len(driven.setpoints)
+        self.place = {"black_1": np.array([-0.1, 0.0]), "grey_1": np.array([0.1, 0.0])}
+
+    def pass_time(self, seconds):
+        for _ in range(round(seconds / 0.1)):
+            self.driven.pass_time(0.1)
+            for msg in self.driven.setpoints[self.tables :]:
+                self.move(msg_to_motors(RIG, msg))
+            self.tables = len(self.driven.setpoints)
+            parts = Parts.make(tuple(self.place), np.array([*self.place.values()]))
+            msg = parts_to_msg(parts, to_time(self.driven.clock.time_ns()))
+            self.driven.node._friction._on_parts(msg)
+
+    def move(self, cycle):
+        if cycle.tail is None:
+            return
+        axis = int(np.argmax(np.max(np.abs(cycle.knot_pose), axis=0)[:2]))
+        push = Push(axis, int(np.sign(cycle.knot_pose[-1, axis])), 0.0, cycle)
+        lags = slip(push, np.array([*MU.values()]), 0.0, G)
+        for name, lag in zip(MU, lags, strict=True):
+            self.place[name] = self.place[name] - lag * push.sign * np.eye(2)[axis]
+
+
+def start(driven, on=True):
+    return driven.call("measure_friction", MeasureFriction.Request(start=on))
+
+
+def said(driven):
+    return driven.said["friction"][-1]
+
+
+def test_it_measures_writes_and_lets_cycles_through_again(driven):
+    plate = Plate(driven)
+    refused = driven.call("write_friction")
+    assert (refused.success, refused.message[:26]) == (False, "friction was not measured,")
+    answer = start(driven)
+    assert answer.success
+    assert driven.node.status.state is DriverState.CALIBRATING
+    assert driven.send(CALM).startswith("the driver is calibrating")
+    again = start(driven)
+    assert (again.success, "one measurement at a time" in again.message) == (False, True)
+    for _ in range(200):
+        plate.pass_time(1.0)
+        if said(driven).state != Friction.RUNNING:
+            break
+    assert said(driven).state == Friction.DONE, said(driven).text
+    assert said(driven).header.stamp == answer.started
+    assert {part.id: part.mu for part in said(driven).parts} == pytest.approx(MU, rel=0.01)
+    assert driven.node.status.state is DriverState.READY
+    assert isinstance(driven.send(CALM), int)
+    written = driven.call("write_friction")
+    assert written.success, written.message
+    assert load_rig(driven.node.options.rig_file).friction.mu == pytest.approx(0.32, abs=0.002)
+
+
+def test_a_task_or_motors_that_are_not_ready_come_first(driven):
+    msg = TaskStatus(state=TaskStatus.RUNNING)
+    data = serialize_message(msg)
+    driven.node.take_task(data, len(data), b"planner")
+    assert start(driven).message == "a task runs, allowed: none; end it with stop"
+    data = serialize_message(TaskStatus(state=TaskStatus.DONE))
+    driven.node.take_task(data, len(data), b"planner")
+    driven.call("emergency_stop")
+    assert "allowed: ready" in start(driven).message
+    assert not driven.setpoints
+
+
+def test_nobody_waits_for_images_that_do_not_come(driven):
+    assert start(driven).success
+    driven.pass_time(6.0)
+    assert said(driven).state == Friction.FAILED
+    assert "no message on parts within 5 s" in said(driven).text
+    assert driven.node.status.state is DriverState.READY
+    assert not driven.setpoints
+
+
+def test_a_stop_and_its_own_end_it(driven):
+    plate = Plate(driven)
+    start(driven)
+    plate.pass_time(5.0)
+    assert start(driven, on=False).message == "ended: the plate rests after its push"
+    assert said(driven).state == Friction.FAILED
+    count = len(driven.setpoints)
+    plate.pass_time(5.0)
+    assert len(driven.setpoints) == count
+    assert start(driven, on=False).message == "no measurement of friction was running"
+    start(driven)
+    plate.pass_time(5.0)
+    driven.call("emergency_stop")
+    plate.pass_time(1.0)
+    assert said(driven).state == Friction.FAILED
+    assert said(driven).text == EMERGENCY
+    assert at_rest(driven.setpoints[-1])
