@@ -55,7 +55,7 @@ class CameraParameters(NodeOptions):
 
     device: str = parameter(
         "/dev/video0",
-        "Number or path of a video device (best of /dev/v4l/by-id), genicam:FILE.cti, a pipe, a "
+        "Path of a video device (best of /dev/v4l/by-id), genicam:FILE.cti, a pipe, a "
         "video, a picture or a folder of pictures",
     )
     width: int = parameter(0, "Width of the images [px]; 0: the rig file's", 0, 16384)
