@@ -110,6 +110,7 @@ class GenicamSource:
                     )
                 self._set("PixelFormat", pixel_format)
             self._set_values()
+            self._set_trigger()
             self._camera.start()
         except BaseException:
             self.close()
@@ -129,10 +130,22 @@ class GenicamSource:
             self._set("ExposureTime", values.exposure_us)
         if values.gain >= 0:
             self._set("Gain", values.gain)
+
+    def _set_trigger(self) -> None:
+        """Have images begin with pulses, or at a rate."""
+        triggered = self.settings.trigger
+        if hasattr(self._nodes, "TriggerMode"):
+            if hasattr(self._nodes, "TriggerSelector"):
+                self._set("TriggerSelector", "FrameStart")
+            self._set("TriggerMode", "On" if triggered else "Off")
+        elif triggered:
+            raise CameraError(
+                f"{self.settings.device}: trigger is true, but the camera has no TriggerMode"
+            )
         if hasattr(self._nodes, "AcquisitionFrameRateEnable"):
-            self._set("AcquisitionFrameRateEnable", True)
-        if hasattr(self._nodes, "AcquisitionFrameRate"):
-            self._set("AcquisitionFrameRate", values.rate or LIVE_RATE)
+            self._set("AcquisitionFrameRateEnable", not triggered)
+        if not triggered and hasattr(self._nodes, "AcquisitionFrameRate"):
+            self._set("AcquisitionFrameRate", self.settings.rate or LIVE_RATE)
 
     def _set(self, feature: str, value: object) -> None:
         """Set a feature, or say what the device can."""
@@ -173,7 +186,10 @@ class GenicamSource:
                 )
             data = np.array(component.data)  # the buffer goes back to the camera
             pixels = data.reshape(shape if data.size == shape[0] * shape[1] else (*shape, 3))
-            taken = 1e-9 * float(buffer.timestamp_ns)
+            try:
+                taken = 1e-9 * float(buffer.timestamp_ns)
+            except Exception:  # of the maker's library: it has no clock
+                taken = arrival
         # The quickest of the last images says how the clocks of camera and computer differ.
         self._offsets.append(arrival - taken)
         end = taken + min(self._offsets)

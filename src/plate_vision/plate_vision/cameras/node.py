@@ -89,6 +89,10 @@ class CameraParameters(NodeOptions):
     auto_white_balance: bool = parameter(False, "The device chooses the white balance", live=True)
     auto_focus: bool = parameter(False, "The device chooses the focus", live=True)
 
+    trigger: bool = parameter(
+        False, "A GenICam camera takes one image for each pulse at its trigger input"
+    )
+
     def settings(self, size_px: tuple[int, int]) -> Settings:
         """Return how images are taken; `size_px` are the rig's width and height."""
         names = {item.name for item in fields(Settings)}

@@ -53,6 +53,8 @@ class Settings:
         In the device's units; -1 leaves them as they are (white balance: 0).
     auto_exposure, auto_gain, auto_white_balance, auto_focus : bool
         Whether the device chooses them.
+    trigger : bool
+        Whether a GenICam camera takes one image for each pulse at its trigger input.
     """
 
     device: str
@@ -69,6 +71,7 @@ class Settings:
     auto_gain: bool = False
     auto_white_balance: bool = False
     auto_focus: bool = False
+    trigger: bool = False
 
     @property
     def size_px(self) -> tuple[int, int]:

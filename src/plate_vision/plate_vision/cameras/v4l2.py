@@ -86,6 +86,11 @@ class V4l2Source:
 
     def open(self) -> None:
         """Open it, and have it take images as the settings say."""
+        if self.settings.trigger:
+            raise CameraError(
+                f"{self.path}: trigger is true, allowed of GenICam cameras; of this one set it by "
+                f"v4l2-ctl -d {self.path} (--list-ctrls), and leave trigger false"
+            )
         try:
             device = self._device = self._make_device(self.path)
             device.check_free()

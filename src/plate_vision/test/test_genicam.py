@@ -1,0 +1,148 @@
+"""A GenICam camera, with a stand-in for harvesters and the maker's library."""
+
+from contextlib import contextmanager
+from threading import Event
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from plate_vision.cameras import CameraError, Settings
+from plate_vision.cameras.genicam import GenicamSource, open_producer
+from plate_vision.errors import ImageError
+
+
+class Node:
+    """A feature: a number within a range, or one of some words."""
+
+    def __init__(self, value, low=None, high=None, symbolics=None):
+        self._value, self.min, self.max, self.symbolics = value, low, high, symbolics
+
+    @property
+    def value(self):
+        return self._value
+
+    @value.setter
+    def value(self, value):
+        if self.symbolics is not None and value not in self.symbolics:
+            raise ValueError("not an entry")
+        if self.min is not None and not self.min <= value <= self.max:
+            raise ValueError("out of range")
+        self._value = value
+
+
+class Maker:
+    """Harvester and camera in one; its clock is 500 s behind ours."""
+
+    def __init__(self, serials=("17",)):
+        self.device_info_list = [SimpleNamespace(serial_number=each) for each in serials]
+        self.nodes = SimpleNamespace(
+            Width=Node(0, 8, 64), Height=Node(0, 8, 48),
+            PixelFormat=Node("Mono8", symbolics=("Mono8", "Mono12")),
+            ExposureAuto=Node("Continuous", symbolics=("Off", "Continuous")),
+            ExposureTime=Node(900.0, 20.0, 10000.0), Gain=Node(1.0, 0.0, 24.0),
+            TriggerMode=Node("Off", symbolics=("Off", "On")), AcquisitionFrameRate=Node(1, 1, 100),
+        )  # fmt: skip
+        self.remote_device = SimpleNamespace(node_map=self.nodes)
+        self.buffers, self.started, self.gone = [], False, False
+
+    def create(self, key):
+        found = [each for each in self.device_info_list
+                 if key == 0 or each.serial_number == key["serial_number"]]  # fmt: skip
+        if not found:
+            raise ValueError("no such device")
+        return self
+
+    def start(self):
+        self.started = True
+
+    def update(self):
+        if self.gone:
+            self.device_info_list = []
+
+    def try_fetch(self, timeout):
+        if not self.buffers:
+            return None
+        pixels, kind, taken = self.buffers.pop(0)
+        part = SimpleNamespace(height=48, width=64, data_format=kind, data=pixels.reshape(-1))
+
+        @contextmanager
+        def buffer():
+            yield
+
+        found = buffer()
+        found.payload = SimpleNamespace(components=[part])
+        found.timestamp_ns = round(1e9 * taken)
+        return found
+
+    def destroy(self):
+        self.started = False
+
+    def reset(self):
+        pass
+
+
+def opened(maker, **settings):
+    values = Settings(**({"device": "genicam:x.cti", "width": 64, "height": 48} | settings))
+    source = GenicamSource(values, pytest.fail, lambda file: maker, lambda: maker.now)
+    source.open()
+    return source
+
+
+def test_what_is_set_and_how_images_are_stamped():
+    maker = Maker()
+    source = opened(maker, exposure_us=2000.0, gain=3, format="Y12", rate=60.0)
+    nodes = maker.nodes
+    assert (nodes.Width.value, nodes.PixelFormat.value) == (64, "Mono12")
+    assert (nodes.ExposureAuto.value, nodes.ExposureTime.value) == ("Off", 2000.0)
+    assert (nodes.TriggerMode.value, nodes.AcquisitionFrameRate.value) == ("Off", 60.0)
+    image, instants = np.full((48, 64), 4095, np.uint16), []
+    for k, delay in enumerate((0.010, 0.004, 0.030)):  # of the line
+        maker.buffers.append((image, "Mono12", 100 + 0.1 * k))
+        maker.now = 600 + 0.1 * k + delay
+        frame = source.read(Event())
+        instants.append(frame.instant - 600 - 0.1 * k)
+    # The quickest image counts: 4 ms remain of the line's delay.
+    assert instants == pytest.approx([0.010 - 0.002, 0.004 - 0.002, 0.004 - 0.002])
+    assert frame.encoding == "mono16"
+    assert int(frame.pixels.max()) == 4095 << 4
+    source.close()
+    assert not maker.started
+
+
+def test_a_trigger_takes_the_place_of_the_rate():
+    maker = Maker()
+    opened(maker, trigger=True, rate=60.0)
+    assert (maker.nodes.TriggerMode.value, maker.nodes.AcquisitionFrameRate.value) == ("On", 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"exposure_us": 1e5}, r"ExposureTime is 100000.0, allowed by the camera: 20.0 to 10000.0"),
+        ({"format": "MJPG"}, "format is MJPG, allowed of GenICam: GREY, Y10, Y12"),
+        ({"format": "Y10"}, "PixelFormat is Mono10, allowed by the camera: Mono8, Mono12"),
+        ({"device": "genicam:x.cti#18"}, "no such device; cameras that are there: 17"),
+    ],
+)
+def test_what_the_camera_cannot_do_is_said_with_what_it_can(settings, words):
+    with pytest.raises(CameraError, match=words):
+        opened(Maker(), **settings)
+
+
+def test_a_camera_that_goes_and_one_of_another_format():
+    maker = Maker()
+    maker.now = 0.0
+    source = opened(maker)
+    maker.buffers.append((np.zeros((48, 64), np.uint8), "YUV8", 0.0))
+    with pytest.raises(ImageError, match="format is YUV8, allowed: Mono8"):
+        source.read(Event())
+    maker.gone = True
+    with pytest.raises(CameraError, match="the camera is unplugged"):
+        source.read(Event())
+
+
+def test_without_harvesters_the_command_is_named(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "harvesters.core", None)
+    with pytest.raises(CameraError, match=r"pip install '\.\[genicam\]'"):
+        open_producer("x.cti")
