@@ -187,18 +187,22 @@ def observe(
     search = tracker.doubtful & (tracker.doubtful + 1) == 0
     discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow, search)
     found = discs.found
-    ring_px = discs.places[:, None] + outlines(discs.parts, found["radius_px"])
-    centre = vision.calibration.disc_centres(ring_px)
-    angle = _angles(vision, found, discs.places)
-    quality = _quality(vision, found, discs.places, centre)
-    things = discs.overlooked.copy()
-    things["x"], things["y"] = vision.calibration.to_home(
-        np.stack([things["x_px"], things["y_px"]], axis=1)
-    ).T
-    scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
-    unknown = may_be_parts(things, things["radius_px"] / scale, vision.radius, vision.inner, centre)
-    label = found["label"]
-    if np.any(unknown):  # no part may be driven into what may be another
+    places = discs.places
+    centre = vision.calibration.disc_centres(
+        places[:, None] + outlines(discs.parts, found["radius_px"])
+    )
+    angle = _angles(vision, found, places)
+    quality = _quality(vision, found, places, centre)
+    things, label = discs.overlooked, found["label"]
+    if len(things):
+        things = things.copy()
+        things["x"], things["y"] = vision.calibration.to_home(
+            np.stack([things["x_px"], things["y_px"]], axis=1)
+        ).T
+        scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
+        size = things["radius_px"] / scale
+        # No part may be driven into what may be another.
+        unknown = may_be_parts(things, size, vision.radius, vision.inner, centre)
         more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
         label = np.concatenate([label, np.full(len(more), UNKNOWN, label.dtype)])

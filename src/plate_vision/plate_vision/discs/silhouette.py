@@ -60,14 +60,13 @@ class SeenDiscs:
         """Return the silhouettes (n,) SILHOUETTE at image points (n, 2) [px]."""
         place = self.calibration.place if self.height else None
         slopes = self.calibration.slopes(point_px)
-        (a, b), (c, d) = np.moveaxis(slopes, 0, 2)
+        a, b, c, d = slopes.reshape(-1, 4).T
         area = np.abs(a * d - b * c)  # sqrt(det J'J) [m2/px2]
         found = np.zeros(len(slopes), SILHOUETTE)
-        square = np.array([[a * a + c * c + area, a * b + c * d], [0 * a, b * b + d * d + area]])
-        square[1, 0] = square[0, 1]
+        xx, xy, yy = a * a + c * c + area, a * b + c * d, b * b + d * d + area
         # S = (J'J + sqrt(det) 1) / sqrt(trace of that)
-        across = square / np.sqrt((square[0, 0] + square[1, 1]) * area)
-        found["across"] = np.moveaxis(across, 2, 0)
+        across = np.array([xx, xy, xy, yy]) / np.sqrt((xx + yy) * area)
+        found["across"] = across.T.reshape(-1, 2, 2)
         found["radius_px"] = self.radius / np.sqrt(area)
         found["growth"] = 1
         if place is not None:
@@ -78,7 +77,7 @@ class SeenDiscs:
             )
             # Q' l = S^-1 J' l, over the size of a pixel
             right, down = (a * x + c * y) / area, (b * x + d * y) / area
-            (p, q), (r, s) = across
+            p, q, r, s = across
             found["lean_px"][:, 0] = s * right - q * down
             found["lean_px"][:, 1] = p * down - r * right
             found["growth"] = place[2] / (place[2] - self.height)
@@ -92,11 +91,11 @@ def numbers(parts: np.ndarray) -> np.ndarray:
 
 def to_image(parts: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Return image offsets (n, 2) or (n, k, 2) [px] from as many in the frames of discs [px]."""
-    (p, q), (r, s) = np.moveaxis(parts["across"], 0, 2)
-    x, y = np.moveaxis(offset, -1, 0)
-    shape = (-1,) + (1,) * (x.ndim - 1)
-    p, q, r, s = (each.reshape(shape) for each in (p, q, r, s))
-    return np.stack([s * x - q * y, p * y - r * x], axis=-1)  # det(across) is 1
+    p, q, r, s = parts["across"].reshape(-1, 4).T
+    x, y = offset.T  # (n,) or (k, n)
+    seen = np.empty(offset.shape)
+    seen.T[0], seen.T[1] = s * x - q * y, p * y - r * x  # det(across) is 1
+    return seen
 
 
 def outlines(parts: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
