@@ -51,7 +51,7 @@ from .remains import (
     solid,
     without,
 )
-from .shadow_search import FEWEST, find_shadow
+from .shadow_search import FEWEST, GOOD_FIT, find_shadow
 from .shapes import find_outlines
 
 CLASSES = ("black", "grey")
@@ -332,8 +332,10 @@ class Scene:
 
 
 def _doubtful(discs: Discs) -> bool:
-    """Whether many things look like no part, or only roughly: as parts with shadows do."""
-    doubtful = np.count_nonzero(discs.found["misfit"] > GOOD_MISFIT)
+    """Whether many things look like no part, or only roughly: as parts with shadows do, that are
+    not known."""
+    good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
+    doubtful = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
         odd = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
         doubtful += np.count_nonzero(odd)
@@ -419,15 +421,37 @@ def _other_discs(
         return NO_DISCS
     if shadow is not None:
         parts = silhouettes(seeds)
+    discs = _fitted(contrast, seeds, parts, known, shadow)
+    there = (discs["darkness"] >= scene.limit) & ~_overlapping(discs, parts)
+    if not np.all(there):  # what is none must not hide its neighbours
+        seeds, parts = seeds[there], parts[there]
+        discs = _fitted(contrast, seeds, parts, known, shadow)
+        discs["misfit"][discs["darkness"] < scene.limit] = np.inf
     marks = find_marks(scene.plate, seeds, parts)
-    every = np.concatenate([seeds, known.places])
-    discs = fit_discs(contrast, every, np.concatenate([parts, known.parts]), shadow)[: len(seeds)]
-    discs["misfit"][discs["darkness"] < scene.limit] = np.inf
     centre = _places(discs)
     radii_px = parts["growth"] * parts["radius_px"]
     light = brightness(scene.channels, tops(centre, parts), radii_px)
     alone = np.zeros(len(discs), np.bool_)
     return _accepted(discs, parts, marks, light, alone, contrast.noise, scene.region, scene.options)
+
+
+def _overlapping(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Tell which discs (n,) DISC overlap one that fits better: two seeds in one part with its
+    shadow."""
+    place, reach = _places(discs), APART * parts["radius_px"]
+    if not np.any(crowded(place, float(np.max(reach, initial=0)))):
+        return np.zeros(len(discs), np.bool_)
+    gap = np.hypot(*(place[:, None] - place).T)
+    better = discs["misfit"] < discs["misfit"][:, None]
+    return np.any((gap < np.maximum(reach, reach[:, None])) & better, axis=1)
+
+
+def _fitted(
+    contrast: LitPlate, seeds: np.ndarray, parts: np.ndarray, known: Discs, shadow: Shadow | None
+) -> np.ndarray:
+    """Fit discs (n,) DISC from first guesses of their places (n, 2) [px], beside known ones."""
+    every = np.concatenate([seeds, known.places])
+    return fit_discs(contrast, every, np.concatenate([parts, known.parts]), shadow)[: len(seeds)]
 
 
 def _accepted(

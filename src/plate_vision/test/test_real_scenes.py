@@ -162,6 +162,17 @@ def test_no_part_overlaps_another(rng):
     assert gap.min() > 1.3 * 0.004
 
 
+@pytest.mark.parametrize("soft_px", [0.0, 1.5])
+def test_two_parts_show_a_shadow(soft_px, rng):
+    position = np.array([[-0.05, 0.03], [0.08, -0.04]])
+    given = {"shadow": (0.004, -0.003, 0.5), "soft_px": soft_px}
+    look = Look()
+    tracker = seen(look.rig(), cast(look, position, np.full(2, 40.0), rng, **given))
+    assert tracker.shadow is not None
+    assert tracker.shadow.way == pytest.approx([0.004, -0.003], abs=8e-4)
+    assert errors(tracker, position).max() < 0.25e-3
+
+
 def test_a_shadow_is_looked_for_in_fewer_and_fewer_images(rng, monkeypatch):
     """Where none explains the image, as with things of other shapes."""
     calls = []
