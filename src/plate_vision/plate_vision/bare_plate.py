@@ -62,7 +62,7 @@ def know_plate(
     plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
     """Take in one image (H, W) or (H, W, 3): learn the bare plate if that is wanted, model it if it
-    is not known, else follow its light.
+    is not known, else follow its light and focus.
 
     Returns what is then known, a vision that knows the background in this light, and what a user
     should know.
@@ -88,7 +88,8 @@ def know_plate(
         return BarePlate(False, vision.background), vision, Finding(Level.WARN, MODELLED)
     first = plate.first or vision.background
     light = first.light_of(image, vision.region, plate.light)
-    vision = replace(vision, background=first.under(light, vision.region))
+    lit = first.under(light, vision.region).softened(image, vision.region)
+    vision = replace(vision, background=lit)
     return replace(plate, first=first, light=light), vision, None
 
 

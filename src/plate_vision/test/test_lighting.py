@@ -95,6 +95,25 @@ def test_every_image_of_a_light_that_flickers_shows_all_parts():
         assert worst(image, vision.background) < 0.25
 
 
+@pytest.mark.parametrize("look", [np.asarray, grey], ids=["colour", "grey"])
+@pytest.mark.parametrize("softer_px", [1.0, 2.0, 3.0])
+def test_parts_near_the_plates_edge_are_seen_out_of_focus(softer_px, look, monkeypatch):
+    """The edge of the bare plate was sharper."""
+    near = [*SPOTS[:3], (125.8, 140.3)]
+    monkeypatch.setitem(globals(), "SPOTS", near)
+    image = look(cv2.GaussianBlur(picture(near, 7), (0, 0), softer_px))
+    vision = Vision(None, region(), None, None, None, 0.01, background=learned(look=look))
+    _, vision, _ = know_plate(BarePlate(True, vision.background), vision, image)
+    assert worst(image, vision.background) < 0.4
+
+
+def test_a_plate_that_is_elsewhere_is_not_out_of_focus():
+    moved = np.roll(picture(SPOTS, 7), 5, axis=1)
+    bare = learned()
+    assert bare.softened(moved, region()) is bare
+    assert bare.softened(picture(SPOTS, 8), region()) is bare
+
+
 def test_an_image_without_light_is_refused_and_the_next_one_is_not():
     vision = Vision(None, region(), None, None, None, 0.01, background=learned())
     plate = BarePlate(True, vision.background)

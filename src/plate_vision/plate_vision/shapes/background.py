@@ -64,6 +64,16 @@ TEXTURE_PERCENT, TEXTURE = 98, 1.25
 """Of what shows the background in a photograph so many per cent deviate less than its texture does;
 parts deviate so many times as much."""
 
+SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
+"""Blur of an image in addition to that of the bare plate's images that is tried [px]."""
+
+EDGE_PX = 4
+"""Width of the plate's edge that such a blur reaches [px]."""
+
+SOFTER, EXPLAINED = 0.2, 0.1
+"""Share of the pixels at the plate's edge that differ from the bare plate, from which on a blur is
+tried; share up to which it explains them: else the plate is elsewhere."""
+
 SPECK, SPECKS = 100.0, 0.004
 """Deviation of a pixel from those around it that makes it a speck [L], and the share of such pixels
 from which on an image is cleaned of them."""
@@ -134,6 +144,29 @@ class Background:
         """Return the background in another light within a region, the whole image if None."""
         region = region or make_region(self.lab.shape[1::-1])
         return replace(self, lab=relit(self.lab, light, region))
+
+    def softened(self, image: np.ndarray, region: Region) -> Background:
+        """Return the background as soft as an image (H, W) or (H, W, 3) uint8 is in its light: out
+        of focus since the bare plate was learned, the plate's edge reaches further inwards."""
+        usable = region.usable.astype(np.uint8)
+        inner = cv2.erode(usable, np.ones((2 * EDGE_PX + 1,) * 2, np.uint8), borderValue=0)
+        rows, columns = np.nonzero(usable > inner)
+        if not len(rows):
+            return self
+        pixels = np.asarray(image)[rows, columns][:, None]
+        here = compared(pixels, self.lab.shape[2])[:, 0, 0].astype(np.float32)
+        limit = self.limit[rows, columns]
+
+        def differing(light: np.ndarray) -> float:
+            return float(np.mean(np.abs(light[rows, columns] - here) > limit))
+
+        light = self.lab[:, :, 0].astype(np.float32)
+        if differing(light) < SOFTER:
+            return self
+        left, blur = min((differing(cv2.GaussianBlur(light, (0, 0), b)), b) for b in SOFTER_PX)
+        if left > EXPLAINED:
+            return self
+        return replace(self, lab=cv2.GaussianBlur(self.lab, (0, 0), blur).reshape(self.lab.shape))
 
     def followed(self, image: np.ndarray, region: Region | None = None) -> Background:
         """Return the background in the light of an image: see `light_of`."""
