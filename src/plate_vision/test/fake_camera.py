@@ -3,6 +3,7 @@
 import errno
 import queue
 import struct
+import time
 
 import cv2
 import numpy as np
@@ -59,8 +60,8 @@ class FakeCamera:
         self.opened += 1
         return FakeCapture(self)
 
-    def source(self, settings, warn):
-        return V4l2Source(settings, warn, self.device, self.capture)
+    def source(self, settings, warn, clock=time.monotonic):
+        return V4l2Source(settings, warn, self.device, self.capture, clock)
 
     # The kernel
 

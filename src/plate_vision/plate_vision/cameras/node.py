@@ -45,6 +45,9 @@ LOOK_S = 0.05
 END_S = 2.0
 """Wait for the reader to end [s]: OpenCV waits up to 10 s for an image; the reader ends then."""
 
+AUTO = "auto"
+"""In place of a format."""
+
 CLOCK_READS, CLOCKS_APART_NS = 5, 100_000
 """Both clocks are read at once: again, up to so often, if there is more between the reads [ns]."""
 
@@ -64,7 +67,9 @@ class CameraParameters(NodeOptions):
         0.0, "Images a second; 0: 30, a film's own, 2 of a folder of pictures", 0.0, 1000.0
     )
     format: str = parameter(
-        "", "Format of the pixels; empty: the first with this size and rate", choices=("", *FORMATS)
+        AUTO,
+        "Format of the pixels; auto: the first with this size and rate",
+        choices=(AUTO, *FORMATS),
     )
     camera_file: str = parameter("", "Lens for camera_info: camera.yaml; empty: not calibrated")
     exposure_us: float = parameter(
@@ -98,7 +103,8 @@ class CameraParameters(NodeOptions):
         names = {item.name for item in fields(Settings)}
         values = {name: getattr(self, name) for name in names}
         width, height = self.width or size_px[0], self.height or size_px[1]
-        return replace(Settings(**values), width=width, height=height)
+        form = "" if self.format == AUTO else self.format
+        return replace(Settings(**values), width=width, height=height, format=form)
 
 
 class CameraNode(SafeLifecycleNode[CameraParameters]):
@@ -108,7 +114,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     exposure. Exposure, gain, white balance and focus are set by hand unless a parameter auto_...
     is true.
 
-    `device` may be a V4L2 camera (number, /dev/videoN or better its path in /dev/v4l/by-id), a
+    `device` may be a V4L2 camera (/dev/videoN or better its path in /dev/v4l/by-id), a
     GenICam camera (genicam:FILE.cti, the GenTL file of its maker), a named pipe of raw frames, a
     video, a picture, or a folder of pictures. What is played begins when somebody subscribes to
     image_raw. `camera --list` prints devices, formats, rates and controls.
