@@ -38,7 +38,7 @@ def test_reports_come_though_simulated_time_stands_still(talker, clock):
         node,
         lambda now: Finding(Level.OK, "all well"),
         lambda: {"count": len(periods), "share": 0.5},
-        "plate",
+        lambda: "plate",
         lambda: periods.append(1),
     )
     executor.until(lambda: len(heard) >= 2)

@@ -284,6 +284,18 @@ def test_a_value_that_a_parameter_has_is_accepted_in_any_state(peer):
     assert peer.set("gain", 1).successful  # as 1.0, which it has
 
 
+@pytest.mark.parametrize(
+    ("rig_file", "hardware"), [("", "default"), ("desk", "desk"), ("/somewhere/mine.yaml", "mine")]
+)
+def test_diagnostics_name_the_rig(peer, rig_file, hardware):
+    heard = []
+    peer.node.create_subscription(
+        DiagnosticArray, "diagnostics", lambda msg: heard.append(msg.status[0].hardware_id), 10
+    )
+    assert peer.set("rig_file", rig_file).successful
+    assert peer.until(lambda: heard[-1:] == [hardware])
+
+
 def test_a_parameter_that_it_does_not_have_is_named_and_the_nearest(peer):
     result = peer.set("gian", 0.5)
     assert not result.successful

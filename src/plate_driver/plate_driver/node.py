@@ -171,7 +171,9 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._again = 0  # messages repeated between the last two
         # Ticks also while simulated time stands.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._diagnostics = Diagnostics(self, self._find, self._values, "plate", self._begin_report)
+        self._diagnostics = Diagnostics(
+            self, self._find, self._values, lambda: "plate", self._begin_report
+        )
         with urgent():  # for the participant's own threads too
             self._safety = SafetyNode(self)
 
@@ -261,10 +263,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._halted()
         order, end = transport.stop(), time.monotonic() + ANSWER_S
         done = transport.stopped(order, cut=False, end=end)
-        self._latch.late = None if done else order
-        if not done:
+        self._latch.late = order if transport.met and not done else None
+        if not done and transport.met:  # else there is no current to cut
             self.get_logger().error(UNANSWERED)
-        else:
+        if done:
             end = time.monotonic() + REST_S
             while transport.report.condition not in (Condition.OFF, Condition.GONE):
                 if time.monotonic() > end:
@@ -578,9 +580,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         hold_s = self._guard.lasts_s
         self._guard, over = self._guard.watched(now)
         if over:
-            self.get_logger().warning(
-                f"no plate_cycle for {hold_s:.3g} s: the plate rests",
-                throttle_duration_sec=QUIET_S,
+            # Without a task nobody sends one.
+            log = self.get_logger().warning if self._task else self.get_logger().debug
+            log(
+                f"no plate_cycle for {hold_s:.3g} s: the plate rests", throttle_duration_sec=QUIET_S
             )
 
     # Calibration
@@ -736,7 +739,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         if silent_s > UNPLAYED_S:
             unplayed = f"no plate_cycle has been played for {silent_s:.1f} s: {why}"
         statistics = self._guard.statistics
-        return health(self.status, statistics, self._again, quiet_s, lasting, unplayed)
+        return health(self.status, statistics, self._again, quiet_s, self.task_runs, lasting, unplayed)
 
     def _values(self) -> dict[str, str]:
         """Return what diagnostics tell, name to value."""

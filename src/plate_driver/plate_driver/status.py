@@ -23,6 +23,8 @@ UNCERTAIN = "error: the last stop was not acknowledged: cut the power by hand"
 UNANSWERED = "the device does not answer: cut the power by hand"
 """What a stop says that nobody has acknowledged."""
 
+AT_REST = "the plate rests: no task runs"
+
 MANY_RETRIES = 50
 """Messages repeated in a second beyond which the line is worth a warning."""
 
@@ -88,6 +90,7 @@ def health(
     statistics: Statistics,
     retries: int,
     quiet_s: float | None,
+    task: bool,
     lasting: Sequence[str] = (),
     unplayed: str = "",
 ) -> Finding:
@@ -102,6 +105,8 @@ def health(
         Messages that were repeated in it.
     quiet_s : float or None
         Time for which no cycle came [s], if the plate rests because of that.
+    task : bool
+        Whether a task runs. Without one rest is normal.
     lasting : sequence of str
         What is wrong until somebody changes it.
     unplayed : str
@@ -111,7 +116,7 @@ def health(
         return Finding(Level.ERROR, status.text)
     if status.state not in (DriverState.READY, DriverState.CALIBRATING):
         return Finding(Level.WARN, "; ".join([status.text, *lasting]))
-    if quiet_s is not None:
+    if quiet_s is not None and task:
         quiet = f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
         return Finding(Level.STALE, "; ".join([quiet, *lasting]))
     if unplayed:
@@ -121,4 +126,4 @@ def health(
         problems = (*problems, f"{retries} messages were repeated: the line is bad")
     if problems:
         return Finding(Level.WARN, ", ".join(problems))
-    return Finding(Level.OK, "all cycles as asked")
+    return Finding(Level.OK, "all cycles as asked" if quiet_s is None else AT_REST)

@@ -83,6 +83,11 @@ def refused(
     return why
 
 
+def tell_task(driven: Driven, state: int) -> None:
+    data = serialize_message(TaskStatus(state=state))
+    driven.node.take_task(data, len(data), b"")
+
+
 def test_good_and_bad_cycles(driven, rig):
     # A cycle within the limits is passed on as it is.
     stamp = driven.send(GENTLE)
@@ -149,6 +154,7 @@ def test_a_cycle_in_motion_is_taken_where_the_last_one_ends(driven, rig):
     assert driven.setpoints[0].points[16] == driven.setpoints[0].points[17]
     # It does not follow itself; and where nothing follows the plate comes to rest by its tail.
     assert "from the state in which the last table ends" in refused(driven, cycle=SECOND)
+    tell_task(driven, TaskStatus.RUNNING)
     driven.pass_time(0.29)
     silence = "no plate_cycle for 0.3 s: the plate rests"
     assert silence not in driven.log.lines
@@ -296,6 +302,7 @@ def test_a_foreign_cycle_is_faded_and_silence_lets_the_plate_rest(make, rig):
     assert applied.starts_at_rest
     assert applied.period == pytest.approx(3 * PERIOD)
     # No more cycles: the plate rests by itself, and the driver says so; nothing is sent for it.
+    tell_task(driven, TaskStatus.RUNNING)
     silence = "no plate_cycle for 0.6 s: the plate rests"
     driven.pass_time(0.59)
     assert silence not in driven.log.lines
@@ -309,6 +316,23 @@ def test_a_foreign_cycle_is_faded_and_silence_lets_the_plate_rest(make, rig):
     why = refused(driven, cycle=SECOND)
     driven.pass_time(1.0)
     assert driven.report.message.endswith(f"the plate rests; the last was refused: {why}")
+
+
+@pytest.mark.parametrize("state", [None, TaskStatus.DONE])
+def test_without_a_task_rest_is_normal(driven, state):
+    if state is not None:
+        tell_task(driven, TaskStatus.RUNNING)
+        tell_task(driven, state)
+    driven.pass_time(0.2)
+    driven.send(GENTLE)
+    driven.pass_time(3.0)
+    assert driven.values()[-1]["rests"] == "1"
+    assert not [line for line in driven.log.lines if "rests" in line]
+    assert driven.report.level == DiagnosticStatus.OK
+    assert driven.report.message == "the plate rests: no task runs"
+    refused(driven, cycle=SECOND)
+    driven.pass_time(1.0)
+    assert driven.report.level == DiagnosticStatus.WARN
 
 
 def test_what_came_while_the_driver_stood_still_moves_nothing(driven):

@@ -236,7 +236,8 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     assert not change("configure")
     assert state() == "active"
     peer.moved()
-    # Nobody sends a cycle any more: it rests by itself, and says so.
+    # Nobody sends a cycle any more, though a task runs: it rests by itself, and says so.
+    peer.tasks.publish(TaskStatus(state=TaskStatus.RUNNING))
     peer.until(lambda: peer.level == DiagnosticStatus.STALE)
     assert "no plate_cycle for 0.6 s: the plate rests" in peer.output
     assert change("deactivate")
@@ -281,3 +282,15 @@ def test_wrong_parameter_ends_the_process():
     assert result.returncode == 2
     assert "error: transport is 'can', allowed: serial, sim" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_a_device_that_was_never_met_has_no_current_to_cut(tmp_path):
+    port = tmp_path / "nowhere"
+    words = ["--ros-args", "-p", "transport:=serial", "-p", f"port:={port}"]
+    with subprocess.Popen([*DRIVER, *words], stderr=subprocess.PIPE, text=True) as driver:
+        lines = iter(driver.stderr.readline, "")
+        assert any(f"serial port {port} is not there" in line for line in lines)
+        driver.send_signal(signal.SIGINT)
+        _, errors = driver.communicate(timeout=60)
+    assert driver.returncode == 0
+    assert "ERROR" not in errors

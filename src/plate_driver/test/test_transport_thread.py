@@ -378,6 +378,19 @@ def test_each_enable_has_another_time():
     assert latch.enabled_ns > first
 
 
+def test_a_device_has_been_met_once_it_was_heard():
+    motors = Motors()
+    motors.told = Condition.GONE
+    thread = TransportThread(motors, Latch(), pytest.fail)
+    thread.poll()
+    assert not thread.met
+    motors.told = Condition.OFF
+    thread.poll()
+    motors.told = Condition.GONE
+    thread.poll()
+    assert thread.met
+
+
 @pytest.mark.parametrize("active", [False, True])
 def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(active):
     latch = closed(CUT, unanswered=True)
@@ -388,24 +401,28 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(activ
 
 
 @pytest.mark.parametrize(
-    ("state", "text", "troubles", "retries", "quiet_s", "level", "message"),
+    ("state", "text", "troubles", "retries", "quiet_s", "task", "level", "message"),
     [
-        (DriverState.READY, "", (), 0, None, Level.OK, "all cycles as asked"),
-        (DriverState.CALIBRATING, "", (), 50, None, Level.OK, "all cycles as asked"),
-        (DriverState.READY, "", ("a cycle was refused",), 0, None, Level.WARN,
+        (DriverState.READY, "", (), 0, None, True, Level.OK, "all cycles as asked"),
+        (DriverState.CALIBRATING, "", (), 50, None, True, Level.OK, "all cycles as asked"),
+        (DriverState.READY, "", ("a cycle was refused",), 0, None, True, Level.WARN,
          "a cycle was refused"),
-        (DriverState.READY, "", (), 51, None, Level.WARN,
+        (DriverState.READY, "", (), 51, None, True, Level.WARN,
          "51 messages were repeated: the line is bad"),
-        (DriverState.READY, "", (), 0, 1.2, Level.STALE,
+        (DriverState.READY, "", (), 0, 1.2, True, Level.STALE,
          "no plate_cycle for 1.2 s, the plate rests"),
-        (DriverState.DISABLED, OFF, (), 0, 5.0, Level.WARN, OFF),
-        (DriverState.INACTIVE, "inactive", (), 0, None, Level.WARN, "inactive"),
-        (DriverState.ERROR, "error: x", (), 0, 5.0, Level.ERROR, "error: x"),
-        (DriverState.STOPPED, "stopped: y", (), 0, None, Level.ERROR, "stopped: y"),
+        (DriverState.READY, "", (), 0, 1.2, False, Level.OK, "the plate rests: no task runs"),
+        (DriverState.READY, "", ("a cycle was refused",), 0, 1.2, False, Level.WARN,
+         "a cycle was refused"),
+        (DriverState.DISABLED, OFF, (), 0, 5.0, True, Level.WARN, OFF),
+        (DriverState.INACTIVE, "inactive", (), 0, None, True, Level.WARN, "inactive"),
+        (DriverState.ERROR, "error: x", (), 0, 5.0, True, Level.ERROR, "error: x"),
+        (DriverState.STOPPED, "stopped: y", (), 0, None, True, Level.ERROR, "stopped: y"),
     ],
 )  # fmt: skip
-def test_levels(state, text, troubles, retries, quiet_s, level, message):
-    found = health(DriverStatus(state, text=text), Statistics(problems=troubles), retries, quiet_s)
+def test_levels(state, text, troubles, retries, quiet_s, task, level, message):
+    status, statistics = DriverStatus(state, text=text), Statistics(problems=troubles)
+    found = health(status, statistics, retries, quiet_s, task)
     assert found == Finding(level, message)
 
 

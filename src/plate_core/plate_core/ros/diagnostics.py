@@ -53,7 +53,8 @@ class Diagnostics:
         Given the time [s, steady clock], returns the level and its reason.
     values : callable
         Returns what is published with it, name to value.
-    hardware_id : str
+    hardware_id : callable
+        Returns what it is about, as the name of a rig.
     reported : callable, optional
         Called after each periodic report: what is counted per report begins anew.
     stamp : callable, optional
@@ -65,7 +66,7 @@ class Diagnostics:
         node: Node,
         find: Callable[[float], Finding],
         values: Callable[[], Mapping[str, Any]],
-        hardware_id: str = "",
+        hardware_id: Callable[[], str] = str,
         reported: Callable[[], None] = lambda: None,
         stamp: Callable[[], Time] | None = None,
     ) -> None:
@@ -103,7 +104,7 @@ class Diagnostics:
             level=bytes([finding.level]),
             name=self._node.get_fully_qualified_name(),
             message=finding.message,
-            hardware_id=self._hardware_id,
+            hardware_id=self._hardware_id(),
         )
         status.values = [KeyValue(key=k, value=str(v)) for k, v in self._values().items()]
         msg = DiagnosticArray(status=[status])

@@ -7,6 +7,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from builtin_interfaces.msg import Time
@@ -238,7 +239,8 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
     ) -> Diagnostics:
         """Publish diagnostics, also while the node is not active: that, and why it is not.
 
-        To be called in the constructor. Parameters as of `Diagnostics`.
+        To be called in the constructor. Parameters as of `Diagnostics`, but for `hardware_id`: a
+        name; the rig's if left out.
         """
 
         def idle() -> Finding:
@@ -254,7 +256,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
             self,
             lambda now: find(now) if self.active else idle(),
             lambda: values() if self.active else {},
-            hardware_id,
+            lambda: hardware_id or Path(self.options.rig_file).stem or "default",
             lambda: reported() if self.active else None,
             now_or_seen,
         )

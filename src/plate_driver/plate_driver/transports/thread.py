@@ -154,6 +154,7 @@ class TransportThread:
         self._troubles: list[str] = []
         self._thread = threading.Thread(target=self._run, name="transport", daemon=True)
         self.report: Report = transport.report()
+        self.met = self.report.condition is not Condition.GONE  # whether the device ever was there
 
     @property
     def motors(self) -> bool:
@@ -253,6 +254,7 @@ class TransportThread:
 
     def _reported(self) -> None:
         self.report = self._transport.report()
+        self.met |= self.report.condition is not Condition.GONE
 
     # What threads ask
 
