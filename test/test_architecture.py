@@ -17,6 +17,7 @@ COMPOSED = {"plate_bringup", "plate_drives", "plate_gym"}
 ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ament_\w+|launch\w*")
 # What a core may import besides the standard library, and the rosdep key that declares it.
 LIBRARIES = {
+    "can": "python3-can",
     "cv2": "python3-opencv",
     "matplotlib": "python3-matplotlib",
     "numpy": "python3-numpy",
@@ -26,8 +27,9 @@ LIBRARIES = {
     "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }
-BY_PIP = {"can", "gymnasium", "harvesters"}
-"""What pip alone installs: by rosdep's key pip would change the system's Python, which refuses."""
+BY_PIP = {"gymnasium", "harvesters"}
+"""What pip alone installs, as package.xml says in a comment: by rosdep's key pip would change the
+system's Python, which refuses."""
 TESTED_WITH = {"hypothesis": "python3-hypothesis", "pytest": "python3-pytest"}
 
 
@@ -158,6 +160,24 @@ def test_only_known_libraries_and_package_xml_names_them():
         for name in sorted(undeclared(package, tests, "exec_|test_", LIBRARIES | TESTED_WITH)):
             offenders.append(f"src/{package}/package.xml: test_depend of {name} is missing")
     assert not offenders, f"known: {sorted(LIBRARIES)}\n" + "\n".join(offenders)
+
+
+def test_package_xml_says_in_a_comment_what_pip_alone_installs():
+    for package in PACKAGES:
+        needed = {root for path in sources(package) for root in roots(path)} & BY_PIP
+        text = (ROOT / "src" / package / "package.xml").read_text(encoding="utf-8")
+        comments = " ".join(re.findall(r"<!--(.*?)-->", text, re.DOTALL))
+        assert not [name for name in needed if f"pip install {name}" not in comments], package
+
+
+def test_rosdep_knows_all_that_package_xml_names():
+    """Each key is in the list of those that were looked up in the public index, and each of these
+    is needed."""
+    lines = (ROOT / "test/rosdep_keys.txt").read_text(encoding="utf-8").splitlines()
+    known = {line for line in lines if line and not line.startswith("#")}
+    packages = {path.parent.name for path in files("src/*/package.xml")}
+    named = {key for package in packages for key in declared(package, r"\w+_")}
+    assert named - packages == known
 
 
 def test_others_import_only_public_names():

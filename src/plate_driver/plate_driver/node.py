@@ -580,11 +580,11 @@ class DriverNode(SafeLifecycleNode[Options]):
         hold_s = self._guard.lasts_s
         self._guard, over = self._guard.watched(now)
         if over:
-            # Without a task nobody sends one.
-            log = self.get_logger().warning if self._task else self.get_logger().debug
-            log(
-                f"no plate_cycle for {hold_s:.3g} s: the plate rests", throttle_duration_sec=QUIET_S
-            )
+            text = f"no plate_cycle for {hold_s:.3g} s: the plate rests"
+            if self.task_runs:
+                self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+            else:  # nobody sends one
+                self.get_logger().debug(text, throttle_duration_sec=QUIET_S)
 
     # Calibration
 
@@ -739,7 +739,9 @@ class DriverNode(SafeLifecycleNode[Options]):
         if silent_s > UNPLAYED_S:
             unplayed = f"no plate_cycle has been played for {silent_s:.1f} s: {why}"
         statistics = self._guard.statistics
-        return health(self.status, statistics, self._again, quiet_s, self.task_runs, lasting, unplayed)
+        return health(
+            self.status, statistics, self._again, quiet_s, self.task_runs, lasting, unplayed
+        )
 
     def _values(self) -> dict[str, str]:
         """Return what diagnostics tell, name to value."""

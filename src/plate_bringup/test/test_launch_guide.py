@@ -1,0 +1,124 @@
+"""The launch file of docs/guide/launch.md: what it starts, by stand-ins of `launch`, and by itself
+where that is there; and its file of parameters."""
+
+import json
+import re
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+import yaml
+
+from plate_bringup import RunOptions, load_graph
+
+ROOT = Path(__file__).resolve().parents[3]
+GUIDE = (ROOT / "docs/guide/launch.md").read_text(encoding="utf-8")
+FILE, PARAMETERS = (
+    re.search(rf"```{kind}\n(.*?)```", GUIDE, re.DOTALL)[1] for kind in ("python", "yaml")
+)
+NAMES = {node.name for node in RunOptions().nodes(load_graph())}
+
+
+class StandIn(types.ModuleType):
+    """A module that has every name: a callable that keeps what it was called with."""
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return lambda *args, **values: types.SimpleNamespace(kind=name, args=args, **values)
+
+
+def test_it_includes_files_that_are_there_with_arguments_that_they_have(monkeypatch):
+    for name in ("launch", "launch.actions", "launch.event_handlers", "launch.substitutions",
+                 "launch_ros", "launch_ros.actions", "launch_ros.substitutions"):  # fmt: skip
+        monkeypatch.setitem(sys.modules, name, StandIn(name))
+    monkeypatch.delitem(sys.modules, "plate_bringup.actions", raising=False)
+    from plate_bringup.actions import CHOICES, arguments_of
+
+    scope = {}
+    exec(compile(FILE, "cell.launch.py", "exec"), scope)
+    description = scope["generate_launch_description"]()
+    del sys.modules["plate_bringup.actions"]
+    groups = [each for each in description.args[0] if each.kind == "GroupAction"]
+    assert len(groups) == 2
+    for group in groups:
+        push, _, include = group.args[0]
+        assert push.args[0] in ("cell/left", "cell/right")
+        ((_, folder, file),) = include.args[0].args
+        assert (ROOT / "src/plate_bringup" / folder / file).exists()
+        arguments = dict(include.launch_arguments)
+        assert arguments.keys() <= arguments_of(hardware=False).keys()
+        assert all(value in CHOICES.get(name, [value]) for name, value in arguments.items())
+
+
+RUN = """
+import json, sys, yaml
+from launch import LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+def execute(self, context):
+    self._perform_substitutions(context)
+    given = {}
+    for value, is_file in self._Node__expanded_parameter_arguments or ():
+        if is_file:
+            with open(value, encoding="utf-8") as file:
+                sections = yaml.safe_load(file) or {}
+            for section, values in sections.items():
+                if section.rpartition("/")[2] in ("**", self.node_name.rpartition("/")[2]):
+                    given |= values["ros__parameters"]
+    remaps = [":=".join(pair) for pair in self.expanded_remapping_rules or ()]
+    remaps += [":=".join(pair) for pair in context.launch_configurations.get("ros_remaps", ())]
+    print(json.dumps([self.node_name, given, remaps]), flush=True)
+
+Node.execute = execute
+service = LaunchService(noninteractive=True)
+include = IncludeLaunchDescription(
+    PythonLaunchDescriptionSource(sys.argv[1]),
+    launch_arguments=[word.split(":=") for word in sys.argv[2:]],
+)
+service.include_launch_description(LaunchDescription([include]))
+sys.exit(service.run())
+"""
+
+
+@pytest.mark.needs("launch_ros")
+def test_launch_starts_both_plates_and_the_robot(tmp_path):
+    file = tmp_path / "cell.launch.py"
+    file.write_text(FILE)
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, str(file), "port:=/dev/robot", "views:=2", "scenaro:=x"],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith('["')]
+    nodes = {name: (given, remaps) for name, given, remaps in lines}
+    assert nodes.keys() == {
+        "/cell/arm",
+        *(f"/cell/left/{name}" for name in NAMES | {"page"}),
+        *(f"/cell/right/{name}" for name in NAMES | {"device"}),
+    }
+    assert nodes["/cell/arm"][0] == {"port": "/dev/robot"}
+    for name, (given, remaps) in nodes.items():
+        side = name.split("/")[2]
+        if side != "arm":
+            assert given["frame_prefix"] == f"cell/{side}/"
+            assert "ground_truth:=truth" in remaps
+    assert nodes["/cell/left/simulator"][0]["scenario"] == "sort_4"
+    assert nodes["/cell/right/driver"][0]["port"] == "/tmp/plate_device_cell_right"
+    assert "port" not in nodes["/cell/left/driver"][0]
+
+
+def test_its_parameters_are_those_of_the_nodes():
+    from plate_solver.node import Options as SolverOptions
+    from plate_vision.node import DetectorParameters
+
+    read = yaml.safe_load(PARAMETERS)
+    names = {key.rpartition("/")[2]: [*value["ros__parameters"]] for key, value in read.items()}
+    assert set(names["solver"]) <= SolverOptions.__dataclass_fields__.keys()
+    assert set(names["detector"]) <= DetectorParameters.__dataclass_fields__.keys()
+    assert names["**"] == ["robot_name"]
