@@ -57,9 +57,9 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
     )  # fmt: skip
     assert done.returncode == 1, done.stdout + done.stderr
     before, after = done.stdout.split("\nStarting ")
-    assert "\n  - lens: not calibrated. " in before
-    assert "\n  - corners: " in before
-    assert "friction" not in before
+    assert "\n  - corners: corners_px are those of a shipped rig file. " in before
+    assert "lens:" not in before
+    assert "friction:" not in before
     assert "does not react to the plate" in before
     assert after.startswith("device, camera, detector, planner, solver, driver.")
     result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
@@ -83,6 +83,7 @@ def test_nothing_moves_where_nobody_can_enable_the_motors(monkeypatch):
     ("words", "said"),
     [
         (["--camera", "nowhere.mp4"], "nowhere.mp4: no such device or file, allowed: a number or"),
+        (["--camera", "/dev/video99"], "/dev/video99: no such device: is the camera plugged in?"),
         (["--camera", "0", "--transport", "sim"], "camera is '0' with transport sim, allowed with"),
         (["--camera", "0", "--image-rate", "30"], "image rate is 30, allowed: 0 with a camera"),
     ],

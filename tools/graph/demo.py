@@ -37,7 +37,7 @@ from plate_driver.transports import check_transport, installed, open_port
 from plate_planner import Planner
 from plate_sim.world import Disturbances
 from plate_solver import METHODS
-from plate_vision.cameras import Settings, is_played, make_source
+from plate_vision.cameras import check_device, is_played
 
 from .domains import own_domain
 from .firmware import build
@@ -209,7 +209,7 @@ def checked(args: argparse.Namespace) -> Plan:
 def check_camera(camera: str, port: str) -> None:
     """Check that there are a camera and a port, if they are given; see `checked`."""
     if camera:
-        make_source(Settings(camera), lambda _: None)
+        check_device(camera)
     if port:
         open_port(port).close()
 

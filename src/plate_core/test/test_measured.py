@@ -16,6 +16,9 @@ def test_nothing_is_said_of_what_is_measured():
     rig = load_rig()
     corners = tuple((x + 1, y) for x, y in rig.camera.corners_px)
     rig = replace(rig, camera=replace(rig.camera, corners_px=corners))
+    assert [text.split(":")[0] for text in unmeasured(rig)] == ["lens", "friction"]
+    lens = replace(rig.camera.lens, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))
+    rig = replace(rig, camera=replace(rig.camera, lens=lens))
     assert [text.split(":")[0] for text in unmeasured(rig)] == ["friction"]
     rig = replace(rig, friction=replace(rig.friction, mu=0.2371))
     assert unmeasured(rig) == []

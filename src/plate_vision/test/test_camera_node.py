@@ -276,6 +276,15 @@ def test_a_folder_begins_when_somebody_looks_and_ends_with_its_last_picture(
     assert [image.encoding for image in graph.images] == ["bgr8"] * 3
 
 
+def test_a_damaged_picture_ends_a_folder(start, tmp_path, draw, rng):
+    path = folder(tmp_path, draw, rng)
+    (path / "1.png").write_bytes(b"no picture")
+    graph = start(device=path, rate=50.0)
+    graph.report("no more pictures: ")
+    graph.until(lambda: graph.images)
+    assert [text for text in graph.notes if " is " in text] == ["image 1 is 0.png"]
+
+
 def test_the_detector_tells_what_each_photograph_holds(start, tmp_path, draw, rng):
     path = folder(tmp_path, draw, rng)
     graph = start(device=path, rate=50.0, detector={"photographs": True}, listen=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .lens import Lens
 from .rig import Rig, load_rig, rig_names
 
 
@@ -16,8 +17,10 @@ def unmeasured(rig: Rig) -> list[str]:
     shipped = [load_rig(name) for name in ("", *rig_names())]
     corners = np.array(rig.camera.corners_px)
     copied = any(np.array_equal(corners, other.camera.corners_px) for other in shipped)
+    lens = rig.camera.lens
+    typical = any(_alike(lens, other.camera.lens) for other in shipped)
     found = []
-    if rig.camera.lens is None or copied:
+    if lens is None or typical:
         found.append(
             "lens: not calibrated. Take pictures of a printed board, then: ros2 run plate_vision "
             "calibrate lens PICTURES --board 9x7 --square 0.03 --marker 0.022"
@@ -33,3 +36,12 @@ def unmeasured(rig: Rig) -> list[str]:
             "plate and the motors enabled: plate friction"
         )
     return found
+
+
+def _alike(one: Lens | None, other: Lens | None) -> bool:
+    return (
+        one is not None
+        and other is not None
+        and np.array_equal(one.matrix, other.matrix)
+        and list(one.distortion) == list(other.distortion)
+    )

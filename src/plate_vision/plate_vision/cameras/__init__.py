@@ -1,7 +1,7 @@
 """Sources of images for the camera node: V4L2, GenICam, a pipe, a film or a folder of pictures."""
 
 from .source import FORMATS, CameraError, Frame, Settings, Source
-from .sources import is_played, listing, make_source, video_devices
+from .sources import check_device, is_played, listing, make_source, video_devices
 from .watch import Watch
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "Settings",
     "Source",
     "Watch",
+    "check_device",
     "is_played",
     "listing",
     "make_source",

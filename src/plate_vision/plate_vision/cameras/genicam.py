@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from threading import Event
 from typing import Any
 
@@ -224,12 +225,13 @@ class GenicamSource:
 
     def state(self) -> Mapping[str, object]:
         """Return exposure and gain in force."""
-        exposure_us = self._exposure_us()
-        gain = getattr(self._nodes, "Gain", None) if self._camera is not None else None
+        found: dict[str, object] = {"exposure_us": "unknown", "gain": "unknown"}
+        with suppress(Exception):  # of GenApi: the camera is gone, or has no such feature
+            found["gain"] = self._nodes.Gain.value
+            found["exposure_us"] = f"{self._exposure_us():g}"
         return {
             "format": self.settings.format or "as the camera has it",
-            "exposure_us": "unknown" if exposure_us is None else f"{exposure_us:g}",
-            "gain": "unknown" if gain is None else gain.value,
+            **found,
             "stamp": "end of exposure, by the camera's clock",
         }
 

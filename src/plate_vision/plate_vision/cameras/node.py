@@ -202,6 +202,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 continue
             except PlateError as error:
                 self._fail(error)
+                if not source.live:  # it would begin anew
+                    break
                 self._open = False
                 source.close()
                 stop.wait(RETRY_S)

@@ -50,6 +50,18 @@ def make_source(settings: Settings, warn: Warn) -> Source:
     raise CameraError(f"{name or 'device'}: {there}, allowed: {ALLOWED}")
 
 
+def check_device(device: str) -> None:
+    """Refuse a name that stands for nothing, or a video device that cannot be opened.
+
+    Raises
+    ------
+    CameraError
+    """
+    source = make_source(Settings(device), lambda _: None)
+    if isinstance(source, V4l2Source):
+        V4l2Device(source.path).close()
+
+
 def video_devices() -> list[str]:
     """Return the paths of all video devices, by id where they have one."""
     named = {link.resolve(): link for link in sorted(BY_ID.glob("*")) if link.exists()}

@@ -278,7 +278,8 @@ class V4l2Source:
         return 1e-6 * (exposure_us + self.settings.readout_us)
 
     def _exposure_us(self) -> float | None:
-        value = self._device.get(EXPOSURE) if self._device else None
+        device = self._device
+        value = device.get(EXPOSURE) if device else None
         return None if value is None else float(EXPOSURE_US * value)
 
     def state(self) -> Mapping[str, object]:

@@ -129,9 +129,9 @@ class V4l2Device:
 
     def close(self) -> None:
         """Let go of it."""
-        if self._file >= 0:
-            os.close(self._file)
-        self._file = -1
+        file, self._file = self._file, -1  # another thread may ask for a control meanwhile
+        if file >= 0:
+            os.close(file)
 
     def _ask(self, request: int, data: bytearray) -> bytearray:
         self._ioctl(self._file, request, data)
@@ -235,7 +235,7 @@ class V4l2Device:
         data = bytearray(struct.pack("Ii", number, 0))
         try:
             return int(struct.unpack_from("i", self._ask(G_CTRL, data), 4)[0])
-        except OSError:
+        except (OSError, ValueError):  # the latter: it is closed
             return None
 
     def set(self, number: int, value: int) -> bool:
