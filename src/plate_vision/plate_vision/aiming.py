@@ -11,7 +11,7 @@ import numpy as np
 from plate_core import Rig
 from plate_core.status import Finding, Level
 
-from .camera import grey_levels
+from .camera import Lens, grey_levels
 from .overlooked import Expected
 from .plate import light_problem
 from .plate.outline import (
@@ -314,6 +314,8 @@ class Situation:
         Of the last image that was used.
     findings : tuple of (str, Finding)
         Name and state of the steps that the detector knows itself.
+    lens : Lens or None
+        That in use; None: the rig's, if it has one.
     moving : bool
         Whether the plate may be away from home.
     """
@@ -323,4 +325,5 @@ class Situation:
     expected: Expected
     things: tuple[Thing, ...]
     findings: tuple[tuple[str, Finding], ...]
+    lens: Lens | None = None
     moving: bool = False

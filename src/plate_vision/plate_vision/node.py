@@ -477,6 +477,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             expected,
             self._things(things, radius, expected),
             tuple(findings),
+            self._lens,
             moving=self._expected is not None,
         )
 
@@ -507,7 +508,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return tuple(shown)
 
     def _lens_finding(self) -> Finding:
-        lens = self._vision.calibration.lens
+        lens = self._lens or rig_lens(self._rig)
         if self._lens_problem:
             return Finding(Level.ERROR, self._lens_problem)
         if lens is None:

@@ -33,8 +33,9 @@ from plate_core.ros import (  # noqa: E402
     wanted_to_msg,
 )
 from plate_core.status import Level  # noqa: E402
-from plate_interfaces.msg import PartForces  # noqa: E402
+from plate_interfaces.msg import Aim, AimCheck, LensPictures, PartForces  # noqa: E402
 from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
+from plate_interfaces.srv import TakeLensPictures  # noqa: E402
 from plate_vision import OVERLOOKED, observe  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 from plate_vision.tracking import update  # noqa: E402
@@ -928,3 +929,105 @@ def test_a_type_is_taught_live(draw_types, rng, tmp_path):
         assert names(graph.answer(shown(LYING[:2], 3.2))) == ["nut_2", "unknown_1"]
     finally:
         graph.close()
+
+
+LONG_S = 60.0
+"""A bound on what the thread of the view does in less than a second [s]."""
+
+
+class Aimed:
+    """The view to aim by, as a subscriber sees it."""
+
+    def __init__(self, graph):
+        self.graph, self.aims = graph, []
+        graph.probe.create_subscription(Aim, "aim", self.aims.append, DATA)
+        graph.until(lambda: graph.detector.count_subscribers("aim"))
+        self.before = None
+
+    def show(self, msg):
+        """The view of an image; steps of it by name."""
+        aiming, count = self.graph.detector._aiming, len(self.aims)
+        self.graph.executor.spin_for(0.5)
+        self.graph.images.publish(msg)
+        self.graph.until(lambda: aiming._job not in (None, self.before))
+        self.before = aiming._job
+        self.before.result(LONG_S)
+        self.graph.until(lambda: len(self.aims) > count and self.aims[-1].width)
+        return self.aims[-1], {check.name: check for check in self.aims[-1].checks}
+
+
+def test_nothing_is_measured_while_nobody_aims(graph, draw, rng):
+    for k in range(3):
+        graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0 + k))
+        graph.executor.spin_for(1.0)
+    assert graph.detector._aiming._job is None
+
+
+def test_the_view_to_aim_by(graph, draw, rng):
+    aimed = Aimed(graph)
+    graph.until(lambda: aimed.aims)
+    assert aimed.aims[0].width == 0
+    assert aimed.aims[0].checks[0].text == "no image comes: does the camera run?"
+    for k in range(3):  # an id takes two images
+        msg, checks = aimed.show(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0 + k))
+    assert (msg.width, msg.height) == (640, 480)
+    assert msg.header.stamp == to_time(3 * 10**9)
+    assert {name for name, check in checks.items() if check.level != AimCheck.OK} == set()
+    assert [one.id for one in msg.things] == ["black_1", "grey_1"]
+    seen = np.array([[one.x_px, one.y_px, one.radius_px] for one in msg.things])
+    assert np.abs(seen - np.column_stack([CENTRE_PX, [7.9, 7.9]])).max() < 0.3
+    assert len(msg.seen) == 36
+    assert sum(map(int, msg.histogram)) == pytest.approx(593 * 295, rel=0.02)
+    assert msg.lens.state == LensPictures.IDLE
+    msg, checks = aimed.show(image(np.zeros((200, 300), np.uint8), 9.0))
+    assert checks["picture"].level == AimCheck.ERROR
+    assert "size is 300 x 200 px, allowed: 640 x 480" in checks["picture"].text
+    assert len(msg.things) == 0
+
+
+def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, rng):
+    graph = Graph(rig_file=marked_rig)
+    try:
+        aimed, plate = Aimed(graph), make_plate()
+        assert called(graph, "find_home").success
+        msg, _ = aimed.show(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0))
+        assert msg.home.startswith("not found: fiducials: 0, 1, 2, 3 not seen")
+        assert called(graph, "find_home").success
+        msg, _ = aimed.show(image(plate.take([0, 0, 0], rng), 2.0))
+        assert msg.home.startswith("found, corners of the markers fit within 0.")
+    finally:
+        graph.close()
+    graph = Graph()
+    try:
+        aimed = Aimed(graph)
+        moved = CORNERS_PX + [6.0, -9.0]
+        frame = draw(CENTRE_PX + [6.0, -9.0], LABEL, rng, radius=7.9, corners=moved)
+        _, checks = aimed.show(image(frame, 1.0))
+        assert checks["outline"].level != AimCheck.OK
+        assert called(graph, "find_home").success
+        aimed.show(image(frame, 2.0))
+        _, checks = aimed.show(image(frame, 3.0))
+        assert checks["outline"].level == AimCheck.OK
+        assert np.abs(np.array(graph.detector._rig.camera.corners_px) - moved).max() < 0.3
+    finally:
+        graph.close()
+
+
+def test_what_the_lens_services_refuse(graph):
+    assert called(graph, "fit_lens").message == "0 pictures are taken, allowed: at least 5"
+    assert called(graph, "save_lens").message == "no lens is fitted, allowed: after ~/fit_lens"
+    client = graph.probe.create_client(TakeLensPictures, "detector/take_lens_pictures")
+    graph.until(client.service_is_ready)
+
+    def take(**values):
+        future = client.call_async(TakeLensPictures.Request(**values))
+        graph.until(future.done)
+        return future.result()
+
+    good = {"on": True, "columns": 9, "rows": 7, "square_m": 0.03, "marker_m": 0.022}
+    assert "board: 2 x 7 squares, allowed" in take(**{**good, "columns": 2}).message
+    assert "model is 'fish', allowed: plumb_bob" in take(**good, model="fish").message
+    assert take(**good).success
+    assert graph.detector._aiming.wanted  # also without a subscriber
+    assert take(on=False).success
+    assert not graph.detector._aiming.wanted

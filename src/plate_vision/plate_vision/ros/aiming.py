@@ -36,7 +36,7 @@ from ..aiming import (
     sharpness_of,
     size_finding,
 )
-from ..camera import Board, Lens, LensFit, grey_levels, save_lens
+from ..camera import Board, Lens, LensFit, grey_levels, rig_lens, save_lens
 from ..camera.boards import LEAST_PICTURES, find_board
 from ..camera.lens_pictures import COLUMNS, ROWS
 from ..camera.lens_pictures import LensPictures as Pictures
@@ -198,13 +198,13 @@ class AimingView:
             self._lens = replace(lens, pictures=pictures, text=text, seen_px=seen_px)
 
     def _find_home(self, image: np.ndarray, situation: Situation) -> None:
-        rig, lens = situation.rig, situation.vision.calibration.lens
+        rig, lens = situation.rig, situation.lens
         try:
             if rig.fiducials is None:
                 corners_px, error = find_plate_corners(image, rig, lens)
                 by = f"edges are straight within {1e3 * error:.2f} mm"
             else:
-                calibration, error = find_home(image, rig.fiducials, lens)
+                calibration, error = find_home(image, rig.fiducials, lens or rig_lens(rig))
                 corners_px = calibration.to_image(rig.plate.corners)
                 by = f"corners of the markers fit within {1e3 * error:.2f} mm"
         except PlateError as error:
