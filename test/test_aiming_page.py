@@ -92,7 +92,8 @@ def graph(folder):
     for key in ("focal_px", "centre_px", "distortion"):
         del data["camera"][key]
     data["camera"]["corners_px"] = MOUNTED.see(load_rig().plate.corners).tolist()
-    (folder / "rig.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    for name in ("rig.yaml", "rig_before.yaml"):
+        (folder / name).write_text(yaml.safe_dump(data), encoding="utf-8")
     arguments = ["--ros-args", "-p", f"rig_file:={folder / 'rig.yaml'}"]
     arguments += ["-p", f"detector:lens_file:={folder / 'camera.yaml'}", "-p", "page:port:=8390"]
     rclpy.init(args=arguments)
@@ -213,13 +214,20 @@ def test_what_is_taken_and_what_is_left(graph, page, shows):
     shows("size", "parts are 15.8 to 15.8 px across")
 
 
-def test_home_is_found_where_the_camera_is_mounted(graph, page, shows):
-    graph[0].show(picture(View(distance=1.1, roll=8.0, tilt_x=10.0), small=False))
+def test_home_is_found_where_the_camera_is_mounted(graph, page, shows, folder):
+    view = View(distance=1.1, roll=8.0, tilt_x=10.0)
+    graph[0].show(picture(view, small=False))
     shows("outline", "not seen|not where corners_px")
     page.get_by_role("button", name="Find home").click()
-    await_text(page, "#camera-home", "for the rig file: corners_px")
+    await_text(page, "#camera-home", "corners_px.*Write them to the rig file")
     shows("outline", "as predicted, within 0", "7_home")
     shows("parts", "4 taken, nothing else is seen")
+    before = (folder / "rig.yaml").read_text(encoding="utf-8")
+    assert before == (folder / "rig_before.yaml").read_text(encoding="utf-8")  # it asks first
+    page.get_by_role("button", name="Write to the rig file").click()
+    await_text(page, "#camera-home", "written: .*rig.yaml")
+    rig = load_rig(folder / "rig.yaml")
+    assert np.abs(np.array(rig.camera.corners_px) - view.see(rig.plate.corners)).max() < 0.3
 
 
 def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from plate_core import PlateError, RigError, config_path, load_rig
-from plate_core.rig import CameraTrigger, default_rig_path
+from plate_core.rig import CameraTrigger, default_rig_path, edit_rig
 
 
 @pytest.fixture(name="data")
@@ -176,3 +176,20 @@ def test_fiducials(data, load):
 def test_wrong_fiducials_are_refused(data, load, words, change):
     with pytest.raises(RigError, match=words):
         load({**data, "fiducials": {**MARKERS, **change}})
+
+
+@pytest.mark.parametrize("block", [False, True])
+def test_a_rig_file_is_changed_in_either_style_of_yaml(tmp_path, block):
+    path, corners = tmp_path / "rig.yaml", ((9.5, 400), (600, 401.25), (590, 80), (12, 90))
+    text = config_path("rig.yaml").read_text(encoding="utf-8")
+    path.write_text(yaml.safe_dump(yaml.safe_load(text)) if block else text, encoding="utf-8")
+    before = load_rig(path)
+    camera = dataclasses.replace(before.camera, corners_px=corners)
+    after = dataclasses.replace(before, camera=camera)
+    values = {("camera",): {"corners_px": str([list(each) for each in corners])}}
+    edit_rig(path, values, lambda rig: rig == after)
+    assert load_rig(path) == after
+    changed = path.read_text(encoding="utf-8").splitlines()
+    if not block:
+        lines = zip(text.splitlines(), changed, strict=True)
+        assert [old.split(":")[0].strip() for old, new in lines if old != new] == ["corners_px"]

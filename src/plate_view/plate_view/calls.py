@@ -18,6 +18,7 @@ SERVICES = {
     "learn_plate": ("/detector/learn_plate", "std_srvs/srv/Trigger"),
     "teach": ("/detector/teach", "std_srvs/srv/Trigger"),
     "find_home": ("/detector/find_home", "std_srvs/srv/Trigger"),
+    "save_home": ("/detector/save_home", "std_srvs/srv/Trigger"),
     "take_lens_pictures": (
         "/detector/take_lens_pictures",
         "plate_interfaces/srv/TakeLensPictures",

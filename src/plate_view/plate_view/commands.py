@@ -187,6 +187,7 @@ COMMANDS: Mapping[str, Mapping[str, Reader]] = {
     "learn_plate": {},
     "teach": {"name": _text},
     "find_home": {},
+    "save_home": {},
     "take_lens_pictures": {"on": _flag, "columns": _maybe(_whole), "rows": _maybe(_whole),
                            "square_m": _maybe(_number), "marker_m": _maybe(_number)},
     "fit_lens": {},

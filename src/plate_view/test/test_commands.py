@@ -25,7 +25,7 @@ GOOD = {
     "remove": {"id": "black_1"},
     "reset": {"seed": 3},
     "teach": {"name": "nut"},
-    "find_home": {},
+    "find_home": {}, "save_home": {},
     "take_lens_pictures": {"on": True, "columns": 9, "rows": 7, "square_m": 0.03, "marker_m": 0.0},
     "fit_lens": {},
     "save_lens": {},

@@ -195,7 +195,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     again with the same name, from all images since (place a part, call; place it otherwise, call).
 
     Publishes aim while somebody subscribes: what the camera shows while it is aimed, focused and
-    lit. Services for that: ~/find_home; ~/take_lens_pictures, ~/fit_lens and ~/save_lens.
+    lit. Services for that: ~/find_home, ~/save_home; ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
     image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate

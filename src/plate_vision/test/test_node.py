@@ -1015,6 +1015,7 @@ def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, rng):
 
 def test_what_the_lens_services_refuse(graph):
     assert called(graph, "fit_lens").message == "0 pictures are taken, allowed: at least 5"
+    assert called(graph, "save_home").message == "home was not found, allowed: after ~/find_home"
     assert called(graph, "save_lens").message == "no lens is fitted, allowed: after ~/fit_lens"
     client = graph.probe.create_client(TakeLensPictures, "detector/take_lens_pictures")
     graph.until(client.service_is_ready)

@@ -61,7 +61,7 @@ def _edited(text: str, values: Values) -> str:
         for key, value in new.items():
             old = _item(mapping, key)
             if old is not None:
-                edits.append((old.start_mark.index, old.end_mark.index, value))
+                edits.append((_start(mapping, key), _end(old), f": {value}"))
             elif mapping.flow_style:
                 edits.append((last.end_mark.index, last.end_mark.index, f", {key}: {value}"))
             else:  # above the last one, which may have a comment behind it
@@ -70,6 +70,20 @@ def _edited(text: str, values: Values) -> str:
     for start, end, value in sorted(edits, reverse=True):
         text = text[:start] + value + text[end:]
     return text
+
+
+def _start(mapping: Any, key: str) -> int:
+    """Return where a key of a mapping ends: a block begins on the next line."""
+    return int(next(name for name, _ in mapping.value if name.value == key).end_mark.index)
+
+
+def _end(node: Any) -> int:
+    """Return where a node's text ends: that of a block ends with its last value, not at the next
+    key."""
+    while not isinstance(node, yaml.ScalarNode) and node.value and not node.flow_style:
+        last = node.value[-1]
+        node = last[1] if isinstance(last, tuple) else last
+    return int(node.end_mark.index)
 
 
 def _item(node: Any, key: str) -> Any:

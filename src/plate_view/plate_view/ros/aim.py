@@ -47,7 +47,7 @@ def aim_scene(msg: Aim) -> Scene:
             {"name": one.name, "level": LEVELS.get(one.level, "error"), "text": one.text}
             for one in msg.checks
         ],
-        "home": msg.home,
+        "home": msg.home, "home_found": msg.home_found,
         "lens": {
             "state": STATES.get(lens.state, "idle"), "kept": lens.kept, "needed": lens.needed,
             "columns": lens.cover_columns, "rows": lens.cover_rows, "cover": list(lens.cover),

@@ -469,6 +469,7 @@ DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
     "reset": Operator._reset,
     "teach": Operator._teach,
     "find_home": Operator._trigger,
+    "save_home": Operator._trigger,
     "take_lens_pictures": Operator._take_lens_pictures,
     "fit_lens": Operator._trigger,
     "save_lens": Operator._trigger,

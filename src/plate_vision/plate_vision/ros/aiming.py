@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,8 +18,8 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from plate_core import PlateError
-from plate_core.rig import LENS_MODELS
+from plate_core import PlateError, load_rig
+from plate_core.rig import LENS_MODELS, edit_rig, rig_path
 from plate_core.ros import DATA, SafeLifecycleNode, seconds
 from plate_core.status import Finding, Level
 from plate_interfaces.msg import Aim, AimCheck, LensPictures, SeenThing
@@ -88,7 +88,8 @@ class LensJob:
 
 
 class AimingView:
-    """Publishes `aim` and answers ~/find_home, ~/take_lens_pictures, ~/fit_lens and ~/save_lens.
+    """Publishes `aim` and answers ~/find_home, ~/save_home, ~/take_lens_pictures, ~/fit_lens and
+    ~/save_lens.
 
     Parameters
     ----------
@@ -116,6 +117,7 @@ class AimingView:
         self._take_corners, self._take_lens = take_corners, take_lens
         self._publisher = node.managed_publisher(Aim, "aim", DATA)
         node.managed_service(Trigger, "~/find_home", self._on_find_home)
+        node.managed_service(Trigger, "~/save_home", self._on_save_home)
         node.managed_service(TakeLensPictures, "~/take_lens_pictures", self._on_take)
         node.managed_service(Trigger, "~/fit_lens", self._on_fit)
         node.managed_service(Trigger, "~/save_lens", self._on_save)
@@ -134,6 +136,7 @@ class AimingView:
         self._focus = Focus()
         self._lens: LensJob | None = None
         self._home, self._wants_home = "", False
+        self._corners: tuple[tuple[float, float], ...] = ()  # found, and not written
         self._looked = self._came = -math.inf
 
     def rest(self) -> None:
@@ -208,10 +211,10 @@ class AimingView:
                 corners_px = calibration.to_image(rig.plate.corners)
                 by = f"corners of the markers fit within {1e3 * error:.2f} mm"
         except PlateError as error:
-            self._home = f"not found: {error}"
+            self._home, self._corners = f"not found: {error}", ()
             return
-        shown = ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in corners_px.tolist())
-        self._home = f"found, {by}; for the rig file: corners_px: [{shown}]"
+        self._corners = tuple((round(x, 2), round(y, 2)) for x, y in corners_px.tolist())
+        self._home = f"found, {by}; corners_px: {corners_text(self._corners)}"
         self._tell(lambda: self._take_corners(corners_px))
 
     def _fit(self, lens: LensJob) -> None:
@@ -252,7 +255,7 @@ class AimingView:
             AimCheck(name=name, level=LEVELS[found.level], text=found.message)
             for name, found in checks
         ]
-        msg.home = self._home
+        msg.home, msg.home_found = self._home, bool(self._corners)
         msg.lens = self._progress()
         return msg
 
@@ -319,13 +322,34 @@ class AimingView:
         if math.isfinite(silence):
             text = f"no image for {silence:.0f} s: does the camera run?"
         msg.checks = [AimCheck(name="picture", level=AimCheck.ERROR, text=text)]
-        msg.home, msg.lens = self._home, self._progress()
+        msg.home, msg.home_found = self._home, bool(self._corners)
+        msg.lens = self._progress()
         self._publisher.publish(msg)
 
     def _on_find_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._home, self._wants_home = "the next image is searched", True
+        self._home, self._corners, self._wants_home = "the next image is searched", (), True
         self._looked = -math.inf
         response.success, response.message = True, self._home
+        return response
+
+    def _on_save_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Write the corners that were found into the rig file."""
+        corners = self._corners
+        if not corners:
+            response.message = "home was not found, allowed: after ~/find_home"
+            return response
+        try:
+            path = rig_path(self._node.options.rig_file)
+            before = load_rig(path)
+            after = replace(before, camera=replace(before.camera, corners_px=corners))
+            text = corners_text(corners)
+            edit_rig(path, {("camera",): {"corners_px": text}}, lambda rig: rig == after)
+        except (PlateError, OSError) as error:
+            response.message = str(error)
+            return response
+        self._home, self._corners = f"written: {path}", ()
+        response.success = True
+        response.message = f"{self._home}; other nodes use it from their next configure on"
         return response
 
     def _on_take(
@@ -382,6 +406,11 @@ class AimingView:
         response.success = True
         response.message = f"{self._file} is written and used: set camera_file to it for later"
         return response
+
+
+def corners_text(corners: Sequence[tuple[float, float]]) -> str:
+    """Return corners (4, 2) [px] as a rig file has them."""
+    return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in corners) + "]"
 
 
 def points(place_px: np.ndarray) -> list[Point]:

@@ -18,6 +18,8 @@ export function camera(panel, ask, aim) {
   const checks = el("ol", { className: "checks", id: "camera-checks" });
   const left = el("ul", { className: "small", id: "camera-left" });
   const home = el("p", { className: "small", id: "camera-home" });
+  const keep = button("Write to the rig file", () => ({ do: "save_home" }), answers.home, "main");
+  keep.hidden = true;
   const number = (id, words, value, step = 1) => {
     const input = el("input", { id, type: "number", value, step, min: 0 });
     return [input, el("label", { htmlFor: id }, `${words} `, input)];
@@ -49,7 +51,7 @@ export function camera(panel, ask, aim) {
     el("fieldset", { className: "controls stack" }, el("legend", {}, words), el("p", { className: "small" }, text), ...content);
   panel.append(el("h2", {}, "Camera"), state, checks,
     step("1. Home", "The plate at rest, the whole of it in the picture. With markers on the plate these are searched, else its outline.",
-      el("div", { className: "row" }, button("Find home", () => ({ do: "find_home" }), answers.home)), answers.home, home),
+      el("div", { className: "row" }, button("Find home", () => ({ do: "find_home" }), answers.home), keep), answers.home, home),
     step("2. The lens", "Hold a printed board before the camera: into each corner, tilted to each side, still for a second. Marker 0: a chessboard.",
       el("div", { className: "row" }, columnsBox, rowsBox, squareBox, markerBox), taking,
       el("div", { className: "row" }, take, fit, save, drop), answers.lens),
@@ -88,7 +90,8 @@ export function camera(panel, ask, aim) {
     state.dataset.grade = next ? "" : "good";
     if (words !== said) tell(byId("spoken"), next ? `${words} ${next.text}` : words);
     said = words;
-    tell(home, now.home && `Home: ${now.home}`);
+    tell(home, now.home && `Home: ${now.home}${now.home_found ? ". Write them to the rig file?" : ""}`);
+    keep.hidden = !now.home_found;
     const { change, sharpness } = now;
     const trend = change === null || Math.abs(change) <= RISES ? "\u2192 steady" : change > 0 ? "\u2197 rises" : "\u2198 falls";
     tell(byId("sharpness-note"), sharpness === null ? "not measured" : `${sharpness.toFixed(3)} per px, ${trend}`);
