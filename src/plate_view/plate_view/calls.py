@@ -25,6 +25,8 @@ SERVICES = {
     ),
     "fit_lens": ("/detector/fit_lens", "std_srvs/srv/Trigger"),
     "save_lens": ("/detector/save_lens", "std_srvs/srv/Trigger"),
+    "measure_friction": ("/measure_friction", "plate_interfaces/srv/MeasureFriction"),
+    "write_friction": ("/write_friction", "std_srvs/srv/Trigger"),
     "reset": ("/simulator/reset", "std_srvs/srv/Trigger"),
     "place": ("/simulator/place_part", "plate_interfaces/srv/PlacePart"),
     "remove": ("/simulator/remove_part", "plate_interfaces/srv/RemovePart"),
@@ -60,7 +62,7 @@ def call_text(command: Command) -> str:
                 f"plate set simulator seed {values['seed']} && "
                 "ros2 service call /simulator/reset std_srvs/srv/Trigger"
             )
-        case "place" | "remove" | "take_lens_pictures":
+        case "place" | "remove" | "take_lens_pictures" | "measure_friction":
             service, kind = SERVICES[command.name]
             given = {key: value for key, value in values.items() if value is not None}
             return f"ros2 service call {service} {kind} {_flow(given)}"

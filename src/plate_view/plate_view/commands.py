@@ -192,6 +192,8 @@ COMMANDS: Mapping[str, Mapping[str, Reader]] = {
                            "square_m": _maybe(_number), "marker_m": _maybe(_number)},
     "fit_lens": {},
     "save_lens": {},
+    "measure_friction": {"start": _flag},
+    "write_friction": {},
     "watch": {"image": _flag, "field": _flag, "camera": _maybe(_flag)},
     "replay": {"playing": _maybe(_flag), "seek": _maybe(_number), "rate": _maybe(_number)},
 }  # fmt: skip

@@ -59,8 +59,8 @@ class PageNode(SafeLifecycleNode[Options]):
     actions, topics, services and parameters.
 
     Subscribes, while a browser looks on: parts, part_forces, part_targets, cycle_started,
-    motor_setpoints, task_status, driver_status, diagnostics, /rosout, and image_raw if a browser
-    wants it. Publishes targets. Without a browser it hears nothing.
+    motor_setpoints, task_status, driver_status, friction, diagnostics, /rosout, and image_raw if a
+    browser wants it. Publishes targets. Without a browser it hears nothing.
     """
 
     def __init__(self) -> None:

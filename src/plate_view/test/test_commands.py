@@ -29,6 +29,8 @@ GOOD = {
     "take_lens_pictures": {"on": True, "columns": 9, "rows": 7, "square_m": 0.03, "marker_m": 0.0},
     "fit_lens": {},
     "save_lens": {},
+    "measure_friction": {"start": True},
+    "write_friction": {},
     "watch": {"image": True, "field": False, "camera": True},
     "replay": {"playing": False},
 }  # fmt: skip

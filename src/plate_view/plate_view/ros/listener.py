@@ -29,7 +29,7 @@ from plate_core.ros import (
     nanoseconds,
     seconds,
 )
-from plate_interfaces.msg import Aim, DriverStatus, PartForces, Parts, Targets, TaskStatus
+from plate_interfaces.msg import Aim, DriverStatus, Friction, PartForces, Parts, Targets, TaskStatus
 
 from ..scene import (
     Scene,
@@ -67,6 +67,7 @@ DRIVER_STATES = _names(
     DriverStatus, "UNCONFIGURED", "INACTIVE", "DISABLED", "ENABLING", "READY", "CALIBRATING",
     "BRAKING", "STOPPED", "ERROR",
 )  # fmt: skip
+FRICTION_STATES = _names(Friction, "NONE", "RUNNING", "DONE", "FAILED")
 SEVERITIES = {20: "info", 30: "warn", 40: "error", 50: "error"}
 """Of rcl_interfaces/Log; what is less is not shown."""
 
@@ -161,6 +162,18 @@ class Listener:
             {
                 "kind": "driver", "state": DRIVER_STATES.get(msg.state, "error"),
                 "reason": int(msg.reason), "text": msg.text,
+            }
+        )  # fmt: skip
+
+    def _on_friction(self, msg: Friction) -> None:
+        self._tell(
+            {
+                "kind": "friction", "state": FRICTION_STATES.get(msg.state, "failed"),
+                "text": msg.text, "fraction": _plain(msg.fraction), "mu": _plain(msg.mu),
+                "parts": [
+                    {"id": one.id, "mu": _plain(one.mu), "error": _plain(one.mu_error)}
+                    for one in msg.parts
+                ],
             }
         )  # fmt: skip
 
@@ -288,6 +301,7 @@ TOPICS: Mapping[str, Topic] = {
     "motor_setpoints": Topic(JointTrajectory, DATA, Listener._on_setpoints, at_once=True),
     "task_status": Topic(TaskStatus, LATCHED, Listener._on_task, at_once=True),
     "driver_status": Topic(DriverStatus, LATCHED, Listener._on_driver, at_once=True),
+    "friction": Topic(Friction, LATCHED, Listener._on_friction, at_once=True),
     "diagnostics": Topic(DiagnosticArray, DATA, Listener._on_diagnostics, at_once=True),
     "/rosout": Topic(Log, ROSOUT, Listener._on_log, at_once=True),
     "image_raw": Topic(Image, CAMERA, Listener._show_image, watched=("image", "camera")),

@@ -37,7 +37,7 @@ from plate_core.tasks import (
 from plate_core.yaml_fields import Fields
 from plate_interfaces.action import FollowPaths, MoveParts
 from plate_interfaces.msg import PartCount, Path, Target, Targets, TaskStatus
-from plate_interfaces.srv import PlacePart, RemovePart, TakeLensPictures
+from plate_interfaces.srv import MeasureFriction, PlacePart, RemovePart, TakeLensPictures
 
 from ..calls import SERVICES, call_text, goal_text
 from ..commands import Command
@@ -172,6 +172,10 @@ class Operator:
                 raise PlateError(f"{side} is {given[side]}, allowed: 3 to 40")
         service = SERVICES[asked.command.name][0].removeprefix("/")
         self._call(asked, TakeLensPictures, service, TakeLensPictures.Request(**given), asked.done)
+
+    def _measure_friction(self, asked: Asked) -> None:
+        request = MeasureFriction.Request(start=asked.values["start"])
+        self._call(asked, MeasureFriction, "measure_friction", request, asked.done)
 
     def _set(self, asked: Asked) -> None:
         values = asked.values
@@ -473,6 +477,8 @@ DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
     "take_lens_pictures": Operator._take_lens_pictures,
     "fit_lens": Operator._trigger,
     "save_lens": Operator._trigger,
+    "measure_friction": Operator._measure_friction,
+    "write_friction": Operator._trigger,
 }
 """By command: what does it; what stops is done by `Stops`."""
 

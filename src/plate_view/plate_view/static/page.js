@@ -10,6 +10,7 @@ import { LAYERS, PlateView } from "./plate.js";
 import { Connection } from "./socket.js";
 import { EmergencyStop } from "./stop.js";
 import { camera } from "./panels/camera.js";
+import { friction } from "./panels/friction.js";
 import { log } from "./panels/log.js";
 import { motors } from "./panels/motors.js";
 import { nodes } from "./panels/nodes.js";
@@ -181,7 +182,11 @@ const aim = new AimView();
 layers();
 tabs([
   ["Task", (panel) => tasks(panel, ask)],
-  ["Parts", (panel) => parts(panel, view, drag)],
+  ["Parts", (panel) => {
+    const refresh = parts(panel, view, drag);
+    friction(panel, ask);
+    return refresh;
+  }],
   ["Settings", (panel) => parameters(panel, ask)],
   ["Simulator", (panel) => simulator(panel, ask, view)],
   ["Camera", (panel) => camera(panel, ask, aim)],

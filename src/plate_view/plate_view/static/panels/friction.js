@@ -1,0 +1,34 @@
+// Friction of the parts: measured by small pushes of the plate, then written into the rig file.
+
+import { on } from "../bus.js";
+import { el, tell } from "../dom.js";
+
+export function friction(panel, ask) {
+  const answer = el("output", { className: "answer" });
+  const button = (words, command, className = "") => {
+    const node = el("button", { type: "button", className }, words);
+    node.addEventListener("click", () => ask(command, answer));
+    return node;
+  };
+  const measure = button("Measure friction", { do: "measure_friction", start: true });
+  const end = button("End", { do: "measure_friction", start: false });
+  const write = button("Write", { do: "write_friction" }, "main");
+  const done = el("progress", { max: 1, value: 0, "aria-label": "Friction that is measured" });
+  const text = el("p", { className: "small", id: "friction-text" });
+  const list = el("ul", { className: "small", id: "friction-parts" });
+  panel.append(el("fieldset", { className: "controls stack" }, el("legend", {}, "Friction"),
+    el("p", { className: "small" }, "The plate makes about 40 small pushes in a minute; parts move by some millimetres and come back. Parts apart, away from the edges, no task."),
+    el("div", { className: "row" }, measure, end, write), done, answer, text, list));
+  const show = ({ state, text: words, fraction, mu, parts }) => {
+    measure.hidden = state === "running";
+    [end.hidden, done.hidden] = [state !== "running", state !== "running"];
+    write.hidden = state !== "done";
+    done.value = fraction;
+    tell(text, words);
+    text.toggleAttribute("data-bad", state === "failed");
+    if (state === "done") tell(write, `Write mu ${mu.toFixed(3)} into the rig file`);
+    list.replaceChildren(...parts.map((one) => el("li", {}, `${one.id}: ${one.mu.toFixed(4)} \u00b1 ${one.error.toFixed(4)}`)));
+  };
+  on("friction", show);
+  show({ state: "none", text: "", fraction: 0, mu: 0, parts: [] });
+}
