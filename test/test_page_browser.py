@@ -174,6 +174,11 @@ def test_every_control_works_without_an_error(page):
                     control.press("ArrowLeft")
                 else:
                     control.click()
+    page.get_by_role("tab", name="Parts").click()  # friction may be measured now
+    end = page.get_by_role("button", name="End", exact=True)
+    if end.is_visible():
+        end.click()
+    wait_for(page, "known.driver.state === 'ready'")
     for box in page.locator("#layers input").all():
         box.click()
     page.keyboard.press("Escape")

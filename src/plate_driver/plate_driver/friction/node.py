@@ -6,11 +6,20 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import Parts, PlateError, load_rig
+from plate_core import Parts, PlateCycle, PlateError, load_rig
 from plate_core.driver_status import DriverState
 from plate_core.rig import edit_rig, rig_path
-from plate_core.ros import CALLS, DATA, LATCHED, msg_to_parts, to_time
+from plate_core.ros import (
+    CALLS,
+    DATA,
+    LATCHED,
+    msg_to_cycle,
+    msg_to_parts,
+    nanoseconds,
+    to_time,
+)
 from plate_interfaces.msg import Friction, PartFriction
 from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.srv import MeasureFriction
@@ -22,7 +31,13 @@ if TYPE_CHECKING:
     from ..node import DriverNode
 
 SETTLE_S = 0.4
-"""From the end of a push until images count [s]: those that were taken before have arrived then."""
+"""From the end of a push to the stamps of images that count [s]: stamps may be that late."""
+
+LATE_S = 5.0
+"""Longest delay of a push [s], where starts of cycles are reported."""
+
+SAME_S = 1e-6
+"""Greatest difference of the lengths of a cycle that was sent and of one that has begun [s]."""
 
 IMAGES = 4
 """Images in which parts are looked at, at rest."""
@@ -51,7 +66,8 @@ class FrictionServer:
         self._running = False
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
-        self._plays = False
+        self._plays: PlateCycle | None = None
+        self._after_ns: int | None = None  # stamps of images at rest; None: not known yet
         self._images: list[Parts] = []
         self._since = 0.0  # looking for parts at rest [s]
 
@@ -65,6 +81,8 @@ class FrictionServer:
         driver = self._driver
         self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
         driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
+        self._starts_heard = False
+        driver.managed_subscription(JointTrajectory, "cycle_started", self._on_start, DATA)
         for kind, name, answer in (
             (MeasureFriction, "measure_friction", self._on_measure),
             (Trigger, "write_friction", self._on_write),
@@ -93,7 +111,7 @@ class FrictionServer:
         else:
             self._end()
             self._running, self._since = True, driver.play_time()
-            self._started = driver.get_clock().now().nanoseconds
+            self._started = self._after_ns = driver.get_clock().now().nanoseconds
             self._publish(Friction.RUNNING, "looking for parts at rest", 0.0)
             response.success, response.message = True, "see the topic friction"
             response.started = to_time(self._started)
@@ -122,23 +140,42 @@ class FrictionServer:
     # Work
 
     def _on_parts(self, msg: PartsMsg) -> None:
-        """Keep what an image shows while the plate rests."""
-        if self._running and not self._plays:
+        """Keep what an image shows while the plate rests, by its stamp: on a busy computer it may
+        come much later."""
+        after_ns = self._after_ns
+        if self._running and after_ns is not None and nanoseconds(msg.header.stamp) >= after_ns:
             try:
                 self._images.append(msg_to_parts(msg))
             except PlateError as error:
                 self._driver.get_logger().warning(f"parts: {error}", throttle_duration_sec=2.0)
 
+    def _on_start(self, msg: JointTrajectory) -> None:
+        """Take note of when a push has begun, and so of when it ends."""
+        self._starts_heard = True
+        push = self._plays
+        if push is None or self._after_ns is not None:
+            return
+        try:
+            cycle = msg_to_cycle(msg)
+        except PlateError:  # its publisher is told by others
+            return
+        if cycle.moves and abs(cycle.period - push.period) < SAME_S:
+            length_s = SETTLE_S + sum(part.period for part in push.parts)
+            self._after_ns = nanoseconds(msg.header.stamp) + round(1e9 * length_s)
+
     def watch(self, now: float) -> None:
         """Go on, at `now` [s] by the clock by which cycles are played."""
         driver = self._driver
         try:
-            if self._plays:
-                if driver.guard.over(now) and now - driver.guard.sent_at > (
-                    driver.guard.lasts_s + SETTLE_S
-                ):
+            if self._plays is not None:
+                over_s = now - driver.guard.sent_at - driver.guard.lasts_s
+                if over_s > SETTLE_S and not self._starts_heard:
+                    self._after_ns = driver.get_clock().now().nanoseconds
+                elif over_s > LATE_S and self._after_ns is None:
+                    raise PlateError(f"friction: a push has not begun within {LATE_S:g} s")
+                if over_s > SETTLE_S and self._after_ns is not None:
                     driver.rest_guard()
-                    self._plays, self._images, self._since = False, [], now
+                    self._plays, self._since = None, now
                 return
             if len(self._images) >= IMAGES:
                 rest = Rest.of(self._images[-IMAGES:])
@@ -150,15 +187,14 @@ class FrictionServer:
                 seen = f"{len(self._images)} images" if self._images else "no message on parts"
                 raise PlateError(
                     f"friction: {seen} within {BLIND_S:g} s, allowed: {IMAGES} that show all parts "
-                    "at rest; does the detector run?"
+                    "at rest; does the detector run, and is the camera's clock this computer's?"
                 )
         except PlateError as error:
             self.fail(str(error))
 
     def _step(self, rest: Rest, now: float) -> None:
         """Take in where parts rest, and send the next push."""
-        driver = self._driver
-        self._images = []
+        driver, self._images = self._driver, []
         if self._measurement is None:
             new = FrictionMeasurement.start(driver.rig, rest, driver.guard.correction is not None)
         else:
@@ -167,8 +203,8 @@ class FrictionServer:
         if push is None:
             self._finish(new.found)
             return
+        self._plays, self._played, self._after_ns = push.cycle, None, None
         factor = driver.send_push(push.cycle, now)
-        self._plays, self._played = True, None
         if factor < 1:
             less = push.cycle.scaled(factor)
             self._played = replace(push, accel=push.accel * factor, cycle=less)

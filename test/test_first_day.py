@@ -1,0 +1,45 @@
+"""The page of the first day: its commands run, its buttons and pictures are there."""
+
+import re
+from pathlib import Path
+
+from test_tutorial import ROOT, printed_by, shell, steps
+
+from plate_client.command import OTHERS, SERVICES
+
+PAGE = ROOT / "docs/guide/first_day.md"
+TEXT = PAGE.read_text(encoding="utf-8")
+STATIC = ROOT / "src/plate_view/plate_view/static"
+
+
+def test_its_commands_run(tmp_path):
+    (tmp_path / "my").mkdir()
+    found = steps(TEXT.replace("my/", f"{tmp_path}/my/"))
+    assert len(found) >= 3
+    together = " && ".join(step.command for step in found)
+    process = shell(f"set -e; {together}")
+    printed = printed_by(process)
+    assert process.returncode == 0, printed
+    assert "ERROR" not in printed
+
+
+def test_buttons_and_checks_that_it_names_are_on_the_page():
+    said = "".join(path.read_text(encoding="utf-8") for path in STATIC.rglob("*.[jh][st]*"))
+    buttons = re.findall(r"[Pp]ress \*([^*]+)\*", TEXT)
+    assert len(buttons) >= 6
+    assert [name for name in buttons if f'"{name}"' not in said and f">{name}<" not in said] == []
+
+
+def test_commands_of_plate_that_it_names_exist():
+    names = re.findall(r"`plate (\w+)`|^\$ plate (\w+)", TEXT, re.MULTILINE)
+    known = {*SERVICES, *OTHERS}
+    assert {one or other for one, other in names} <= known
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    given = set(re.findall(r"\b([A-Z]+)=", TEXT))
+    assert given <= set(re.search(r"^NAMES := (.*)$", makefile, re.MULTILINE)[1].split())
+
+
+def test_its_pictures_are_there_and_small():
+    pictures = [PAGE.parent / name for name in re.findall(r"!\[.*?\]\((\S+)\)", TEXT)]
+    assert len(pictures) == 3
+    assert all(Path(one).stat().st_size < 60_000 for one in pictures)

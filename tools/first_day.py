@@ -1,0 +1,90 @@
+"""Photograph the live page for docs/guide/first_day.md: docs/first_day/NAME.webp.
+
+python tools/first_day.py [--out docs/first_day]
+
+Needs Chromium, and: make test-tools
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from graph.session import Session, session
+from needs import program
+from PIL import Image
+
+from plate_bringup import RunOptions
+from plate_core import PlateError, piped
+
+SIZE: Any = {"width": 1366, "height": 768}
+WIDTH_PX, QUALITY = 860, 55
+
+DEFOCUS_PX = 2.5
+"""Of the camera before its lens is turned."""
+
+STEADY_S, MEASURED_S = 6.0, 300.0
+"""How long the page watches before a picture, and the longest measurement of friction [s]."""
+
+
+def shoot(page: Any, graph: Session, out: Path) -> None:
+    """Photograph each step."""
+
+    def save(name: str) -> None:
+        image = Image.open(io.BytesIO(page.screenshot(type="png"))).convert("RGB")
+        size = WIDTH_PX, round(image.height * WIDTH_PX / image.width)
+        path = out / f"{name}.webp"
+        image.resize(size, Image.Resampling.LANCZOS).save(path, quality=QUALITY, method=6)
+        print(path)
+
+    page.get_by_role("tab", name="Camera").click()
+    for name, blur in (("focus", DEFOCUS_PX), ("ready", 0.0)):
+        graph.observer.set_parameter("simulator", "defocus_px", blur)
+        page.wait_for_timeout(1e3 * STEADY_S)
+        save(name)
+    page.get_by_role("tab", name="Parts").click()
+    page.get_by_role("button", name="Measure friction").click()
+    page.get_by_role("button", name="Write mu").wait_for(timeout=1e3 * MEASURED_S)
+    save("friction")
+
+
+@piped()
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("docs/first_day"), help="(docs/first_day)")
+    out = parser.parse_args().out
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        parser.error("playwright is missing: make test-tools")
+    chromium = program("chromium")
+    if chromium is None:
+        parser.error("chromium is missing: apt install chromium")
+    out.mkdir(parents=True, exist_ok=True)
+    options = RunOptions(scenario="sort_6", seed=1, view=True)
+    try:
+        with (
+            TemporaryDirectory() as logs,
+            session(options, Path(logs), pictures=False) as graph,
+            sync_playwright() as playwright,
+        ):
+            graph.observer.await_ready()
+            graph.observer.set_parameter("simulator", "friction_spread", 0.1)
+            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+            page = browser.new_page(viewport=SIZE)
+            page.goto(graph.page())
+            page.wait_for_timeout(3000)
+            shoot(page, graph, out)
+            browser.close()
+    except PlateError as error:
+        parser.error(str(error))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
