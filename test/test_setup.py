@@ -41,3 +41,18 @@ def test_it_tells_how_far_a_step_is(tmp_path):
     assert said[0] == "set-up: [0 s] compiling all\n"
     assert all(line.endswith(" s] still compiling [2/3]\n") for line in said[1:])
     assert (process.returncode, errors) == (0, "")
+
+
+def test_on_another_processor_it_says_at_once_to_install_ros(tmp_path):
+    script = (ROOT / "tools" / "setup.sh").read_text()
+    functions = script[script.index("say() {") : script.index("trap ")]
+    functions += script[script.index("choose_ros() {") : script.index("# A name on the PATH")]
+    for machine, distro, code in (
+        ("aarch64", "", 1), ("aarch64", "jazzy", 0), ("x86_64", "jazzy", 0)
+    ):  # fmt: skip
+        words = f"uname() {{ echo {machine}; }}; {functions} choose_ros; echo $ros"
+        environment = os.environ | {"ROS_DISTRO": distro}
+        command = ["bash", "-c", words.replace("/opt/ros/jazzy", str(tmp_path))]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        assert (done.returncode, done.stdout) == (code, f"{distro}\n" if distro else "")
+        assert ("this machine is aarch64" in done.stderr) is bool(code)

