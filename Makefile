@@ -42,7 +42,7 @@ play: workspace ## Play on a live page: [SCENARIO=play] [RIG=...] [METHOD=...] [
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
-test-tools: checks ## Install what some tests need beyond set-up: [SOURCES=https://github.com]
+test-tools: checks ## Install Chromium, the ARM compiler and launch, for some tests: [SOURCES=https://github.com]
 	@$(ENTER) exec python tools/needs.py --install
 
 # What was made of the tests' code is kept, or each worker makes it anew, in 7 s, before its first one.

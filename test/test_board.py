@@ -232,7 +232,6 @@ def test_flash_takes_what_was_built_as_told_and_says_what_that_is(bench):
     assert STANDARD in told
 
 
-@emulated
 def test_build_without_the_projects_python_says_what_to_do(bench):
     line = bench.refused(f"RIG={bench.rig}", "PYTHON=no_python")
     assert "no_python" in line

@@ -5,6 +5,9 @@ import os
 import subprocess
 from pathlib import Path
 
+import needs
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -56,3 +59,32 @@ def test_on_another_processor_it_says_at_once_to_install_ros(tmp_path):
         done = subprocess.run(command, env=environment, capture_output=True, text=True)
         assert (done.returncode, done.stdout) == (code, f"{distro}\n" if distro else "")
         assert ("this machine is aarch64" in done.stderr) is bool(code)
+
+
+def test_wheels_of_tests_are_installed_once_and_their_size_is_given_before(
+    tmp_path, monkeypatch, capsys
+):
+    commands: list[list[str]] = []
+    monkeypatch.setattr(needs, "ROOT", tmp_path)
+
+    def run(words):
+        commands.append(words)
+        return True
+
+    monkeypatch.setattr(needs, "run", run)
+    installed = f"-c constraints.txt\npytest=={pytest.__version__}  # it\n"
+    (tmp_path / needs.WHEELS).write_text(installed)
+    assert needs.install_wheels(needs.WHEELS)
+    assert (commands, capsys.readouterr().out) == ([], "")
+    for pin in ("pytest==0.0.1", "no-such-package==1.0"):
+        (tmp_path / needs.WHEELS).write_text(f"{pin}\n")
+        assert needs.install_wheels(needs.WHEELS)
+        assert commands.pop()[1:] == ["tools/install.py", "-r", needs.WHEELS]
+        assert "180 MB to download" in capsys.readouterr().out
+
+
+def test_each_module_that_tests_need_is_of_a_pinned_wheel():
+    wheels = [pin for file in (needs.WHEELS, needs.BROWSER_WHEELS) for pin in needs.pins(file)]
+    names = {pin.partition("==")[0].replace("-", "_").lower() for pin in wheels}
+    by_module = {"skimage": "scikit_image", "can": "python_can"}
+    assert {by_module.get(module, module) for module in needs.MODULES} <= names

@@ -1,7 +1,7 @@
-"""What tests need beyond set-up: says which of it is missing; with --install, installs it.
+"""Tools that some tests need beyond set-up: installs the wheels and lists what is still missing.
 
-A test names it, `@pytest.mark.needs("chromium", "plotly")`, and is left out where one of these is
-missing (conftest.py).
+--install adds the programs, the browser's driver and ROS's launch. A test names its tools,
+`@pytest.mark.needs("chromium", "plotly")`. It is left out if one of them is missing (conftest.py).
 """
 
 from __future__ import annotations
@@ -12,11 +12,17 @@ import shutil
 import subprocess
 import sys
 import time
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-REQUIREMENTS = "requirements-test.txt"
+WHEELS = "requirements-test.txt"
+BROWSER_WHEELS = "requirements-browser.txt"
+SIZES = {
+    WHEELS: "180 MB to download, 700 MB on disk",
+    BROWSER_WHEELS: "54 MB to download, 175 MB on disk",
+}
 
 PROGRAMS = {
     "chromium": (("chromium", "chromium-browser", "google-chrome"), "chromium"),
@@ -29,7 +35,7 @@ MODULES = (
     "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "gymnasium", "playwright",
     "axe_playwright_python", "can", "canopen", "cantools", "odrive_can",
 )  # fmt: skip
-"""Of the wheels in `REQUIREMENTS`."""
+"""Modules of `WHEELS` and `BROWSER_WHEELS`."""
 
 LAUNCH = "launch_ros"
 """Has no wheel: tools/cli.sh fetches its sources."""
@@ -51,10 +57,32 @@ def packages(needs: list[str]) -> str:
     return " ".join(PROGRAMS[need][1] for need in needs if need in PROGRAMS)
 
 
+def pins(requirements: str) -> list[str]:
+    """Return the pins in a file of requirements, "name==version"."""
+    lines = (ROOT / requirements).read_text(encoding="utf-8").splitlines()
+    return [pin for line in lines if "==" in (pin := line.partition("#")[0].strip())]
+
+
+def is_installed(pin: str) -> bool:
+    """Return whether a package is installed in the pinned version."""
+    name, _, pinned = pin.partition("==")
+    try:
+        return version(name) == pinned
+    except PackageNotFoundError:
+        return False
+
+
+def install_wheels(requirements: str) -> bool:
+    """Install a file of requirements unless all of it is there; returns whether it is."""
+    if all(map(is_installed, pins(requirements))):
+        return True
+    say(f"installing {requirements} ({SIZES[requirements]})")
+    return run([sys.executable, "tools/install.py", "-r", requirements])
+
+
 def install() -> int:
     """Install what is missing, each by itself; returns 1 if something still is."""
     apt = ["apt-get", "-q", "-y", "-o", "DPkg::Lock::Timeout=300"]
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q", "install"]
     lacking = missing()
     if debian := packages(lacking):
         if os.geteuid() == 0 and shutil.which("apt-get"):
@@ -63,14 +91,14 @@ def install() -> int:
                 run([*apt, "--no-install-recommends", "install", *packages([need]).split()])
         else:
             say(f"not root; type: sudo apt-get install --no-install-recommends {debian}")
-    if not run([*pip, "-r", REQUIREMENTS]):  # one of them cannot be had: the others can
-        lines = (ROOT / REQUIREMENTS).read_text(encoding="utf-8").splitlines()
-        for line in filter(None, (line.split("#")[0].strip() for line in lines)):
-            run([*pip, "--only-binary", ":all:", line])
+    for requirements in (WHEELS, BROWSER_WHEELS):
+        if not install_wheels(requirements):  # one of them is not available: install the others
+            for pin in pins(requirements):
+                run([sys.executable, "tools/install.py", "--only-binary", ":all:", pin])
     if LAUNCH in lacking:
         run(["tools/cli.sh"])
     left = missing()
-    say(f"cannot be had here: {', '.join(left)}" if left else "all that tests need is here")
+    say(f"not available on this machine: {', '.join(left)}" if left else "all tools are installed")
     return bool(left)
 
 
@@ -96,11 +124,12 @@ def say(text: str) -> None:
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--install", action="store_true", help="install what is missing")
+    parser.add_argument("--install", action="store_true", help="install all tools")
     if parser.parse_args().install:
         return install()
+    install_wheels(WHEELS)
     if left := missing():
-        print(f"Left out for want of {', '.join(left)}: `make test-tools` installs them")
+        say(f"tests are left out that need {', '.join(left)}: `make test-tools` installs them")
     return 0
 
 
