@@ -11,10 +11,10 @@ pytest.importorskip("shaking")  # of the workspace's own tests
 from driven import CALM, EMERGENCY, Driven, at_rest
 from rclpy.serialization import serialize_message
 
-from plate_core import Parts, load_rig
+from plate_core import Parts, PlateCycle, load_rig
 from plate_core.driver_status import DriverState
 from plate_core.rig import default_rig_path
-from plate_core.ros import msg_to_motors, parts_to_msg, to_time
+from plate_core.ros import cycle_to_msg, msg_to_motors, parts_to_msg, to_time
 from plate_driver.friction import Push, slip
 from plate_interfaces.msg import Friction, TaskStatus
 from plate_interfaces.srv import MeasureFriction
@@ -129,3 +129,27 @@ def test_a_stop_and_its_own_end_it(driven):
     assert said(driven).state == Friction.FAILED
     assert said(driven).text == EMERGENCY
     assert at_rest(driven.setpoints[-1])
+
+
+def test_images_count_from_the_end_of_a_push_that_begins_late(driven):
+    """Where starts of cycles are reported, as by the simulator on a busy computer."""
+    plate, server = Plate(driven), driven.node._friction
+
+    def begin(cycle):
+        server._on_start(cycle_to_msg(cycle, to_time(driven.clock.time_ns())))
+
+    begin(PlateCycle.rest(0.1))
+    start(driven)
+    plate.pass_time(1.0)
+    sent = server._plays
+    assert sent is not None
+    plate.pass_time(3.0)  # far longer than the push lasts: it has not begun
+    assert not server._images
+    begin(sent)
+    plate.pass_time(sum(part.period for part in sent.parts))
+    assert not server._images
+    plate.pass_time(2.0)
+    assert server._plays is not sent  # the next one was sent
+    plate.pass_time(8.0)
+    assert said(driven).state == Friction.FAILED
+    assert said(driven).text == "friction: a push has not begun within 5 s"
