@@ -64,8 +64,11 @@ def test_a_part_holds_up_to_static_friction():
     assert slips[2] > 1e-3
 
 
-def measured(mu, static=1.0, noise=1e-5, places=PLACES, rig=RIG, wrong=1.0, seed=0):
-    """Measure in a world of the closed integral: mu and static ratio by part."""
+def measured(
+    mu, static=1.0, noise=1e-5, places=PLACES, rig=RIG, wrong=1.0, seed=0, along=(1.0, 1.0)
+):
+    """Measure in a world of the closed integral: mu and static ratio by part; `along` are factors
+    of mu along x and y."""
     rng, shape = np.random.default_rng(seed), (len(places), 2)
     place = {name: np.array(xy) for name, xy in places.items()}
 
@@ -77,7 +80,7 @@ def measured(mu, static=1.0, noise=1e-5, places=PLACES, rig=RIG, wrong=1.0, seed
     measurement = FrictionMeasurement.start(rig, look())
     while (push := measurement.push) is not None:
         assert usage(rig, push.cycle).overall < 1
-        values = np.array([mu[name] for name in place])
+        values = along[push.axis] * np.array([mu[name] for name in place])
         lags = slip(push, values, static * values * G, G)
         for name, lag in zip(place, lags, strict=True):
             place[name] = place[name] - wrong * lag * push.sign * np.eye(2)[push.axis]
@@ -118,6 +121,13 @@ def test_the_standard_error_is_that_of_repeated_measurements():
     assert np.mean([part.error for part in parts]) > 1e-4
 
 
+@pytest.mark.parametrize("along", [(1.15, 0.85), (0.85, 1.15)])
+def test_mu_that_differs_along_x_and_y_is_told_and_does_not_change_the_static_ratio(along):
+    found = measured(dict.fromkeys(PLACES, 0.3), 1.1, along=along)
+    assert found.static_ratio == pytest.approx(1.1, abs=0.04)
+    assert f"along x and y: {0.3 * along[0]:.3f}, {0.3 * along[1]:.3f}" in found.notes[0]
+
+
 def test_a_part_that_does_not_slide_is_left_out():
     found = measured({"black_1": 0.2, "black_2": 0.2, "grey_1": 3.0})
     assert [part.id for part in found.parts] == ["black_1", "black_2"]
@@ -144,6 +154,9 @@ def test_what_cannot_be_measured_is_refused_with_the_reason():
     weak = replace(RIG, limits=replace(RIG.limits, accel=2.0))
     refused("did not slide at .* mu is more than 0.1", rig=weak)
     refused("did not slide .*, or the plate does not move", wrong=0.0)
+    refused("slid .* Either mu is less than 0.033", mu=0.02)
+    refused("does not slide at .* static friction may be more than 1.7", static=1.8)
+    refused("slid .* or static friction is about twice dynamic", static=2.49)
     refused("the camera's noise is .* allowed: 20 times as much", noise=2.5e-4)
 
 

@@ -23,8 +23,9 @@ from plate_core import Parts, PlateError, Rig, part_class
 
 from .push import Push, make_push, most_accel, slip
 
-FIRST_G, SLOW_G = 0.08, 0.03
-"""Accelerations of the first push, and of slow motions until the first slip is known [g]."""
+FIRST_G, SLOW_G = 0.08, 0.01
+"""Accelerations of the first push, and of slow motions until the first slip is known [g]: parts
+that slide in these, too, would pass for parts with more friction."""
 
 SEARCH_FACTOR, ONSET_FACTOR = 1.25, 1.05
 """From one push of a search, and of the onset, to the next."""
@@ -81,7 +82,7 @@ RANGE, CURVE = 2.4, 80
 
 AGREE = 0.05
 SURE = 3.0
-"""Difference of types worth a word: as a fraction, and in standard errors."""
+"""Difference of types, or of directions, worth a word: as a fraction, and in standard errors."""
 
 
 class Stage(Enum):
@@ -366,7 +367,10 @@ class FrictionMeasurement:
         _check_gaps(self.rig, rest, TOUCH_M)
         curves = [t.curve for t in self.trials if t.push.accel == push.accel]
         curve = curves[0] if curves else _curve(push, self.rig.friction.gravity)
-        trials = (*self.trials, Trial(push, self.stage, lag, place, error, curve))
+        trial = Trial(push, self.stage, lag, place, error, curve)
+        if self.stage is Stage.DISTANCE:
+            _check_slips(trial, self.rig.friction.gravity)
+        trials = (*self.trials, trial)
         new = replace(self, rest=rest, trials=trials, todo=self.todo[1:], notes=notes)
         if self.stage is Stage.SEARCH:
             return new._searched()
@@ -386,6 +390,7 @@ class FrictionMeasurement:
             known = guess.get(name, np.inf) * gravity  # far above it a slip tells little of mu
             slid = value > max(SLID_M, NOISE_FACTOR * trial.error)
             if slid and trial.push.accel < ABOVE * known:
+                _check_slip(trial, name, gravity)
                 guess[name] = trial.local(name)[0]
         new = replace(self, guess=guess)
         if not guess:
@@ -530,6 +535,8 @@ class FrictionMeasurement:
         if slid is None:
             return np.nan
         local, _, away = self._local(name)
+        along = [trial.push.axis == slid.push.axis for trial in self._of(name, Stage.DISTANCE)]
+        local, away = local[along], away[along]  # friction may differ along x and y
         mu = float(np.mean(local[away <= np.min(away) + HERE_M]))
         least = grip = mu * self.rig.friction.gravity
         if held is not None and held.lag_at(mu) > _visible(held):
@@ -559,7 +566,7 @@ class FrictionMeasurement:
         width = np.log(ONSET_FACTOR) / np.sqrt(12)
         scatter = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
         static_error = float(np.hypot(width, scatter / np.sqrt(max(1, len(ratios)))))
-        notes = self.notes + self._types(parts)
+        notes = self.notes + self._types(parts) + self._axes()
         if len(ratios) and ratios.size < count:
             notes += (f"static friction was seen on {len(ratios)} of {count} parts",)
         return FrictionFound(
@@ -586,6 +593,20 @@ class FrictionMeasurement:
         listed = ", ".join(f"{kind} {mu:.3f}" for kind, mu in sorted(means.items()))
         return (f"types differ: {listed}",)
 
+    def _axes(self) -> tuple[str, ...]:
+        """Say that friction along x differs from friction along y, if it does."""
+        pairs = []
+        for name in self.rest.place:
+            axis = np.array([trial.push.axis for trial in self._of(name, Stage.DISTANCE)])
+            local, _, _ = self._local(name)
+            pairs.append([np.mean(local[axis == k]) for k in (0, 1)])
+        x, y = np.mean(pairs, axis=0)
+        apart = np.diff(pairs)[:, 0]
+        error = float(np.std(apart, ddof=1)) / np.sqrt(len(apart)) if len(apart) > 1 else np.inf
+        if abs(y - x) < max(AGREE * min(x, y), SURE * error):
+            return ()
+        return (f"mu differs along x and y: {x:.3f}, {y:.3f}; the rig file has one for both",)
+
 
 def rig_mu(rig: Rig, found: FrictionFound) -> float:
     """Return the mu for the rig file: the mean over parts whose type has none of its own there.
@@ -611,6 +632,30 @@ def rig_mu(rig: Rig, found: FrictionFound) -> float:
 def _visible(trial: Trial) -> float:
     """Return the lag that shows that a part has slid [m]."""
     return max(BEGAN_M, NOISE_FACTOR * trial.error)
+
+
+def _check_slip(trial: Trial, name: str, gravity: float) -> None:
+    """Refuse a slip that is longer than any mu of the push's curve gives: its mu is not known."""
+    longest = float(np.max(trial.curve[1]))
+    if trial.lag[name] > longest + NOISE_FACTOR * trial.error:
+        accel = trial.push.accel
+        raise PlateError(
+            f"friction: {name} slid {1e3 * trial.lag[name]:.1f} mm at {accel:.2f} m/s2, allowed: "
+            f"{1e3 * longest:.1f} mm. Either mu is less than {accel / RANGE / gravity:.2g}, or "
+            "static friction is about twice dynamic friction or more"
+        )
+
+
+def _check_slips(trial: Trial, gravity: float) -> None:
+    """Refuse slips of a push for the distance from which mu does not follow."""
+    for name, lag in trial.lag.items():
+        _check_slip(trial, name, gravity)
+        if lag <= NOISE_FACTOR * trial.error:
+            raise PlateError(
+                f"friction: {name} does not slide at {trial.push.accel:.2f} m/s2, allowed: parts "
+                f"that do. Its static friction may be more than {ABOVE:g} times dynamic friction, "
+                "or it sticks: clean the plate and the part, or take the part away"
+            )
 
 
 def _curve(push: Push, gravity: float) -> np.ndarray:

@@ -78,7 +78,7 @@ class FrictionServer:
 
     def configure(self) -> None:
         """Make the services, the topic and the subscription of parts."""
-        driver = self._driver
+        driver, self._found = self._driver, None  # it may be of another rig
         self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
         driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
         self._starts_heard = False
@@ -110,6 +110,7 @@ class FrictionServer:
             response.message = "a task runs, allowed: none; end it with stop"
         else:
             self._end()
+            self._found, self._stops = None, driver.latch.number
             self._running, self._since = True, driver.play_time()
             self._started = self._after_ns = driver.get_clock().now().nanoseconds
             self._publish(Friction.RUNNING, "looking for parts at rest", 0.0)
@@ -167,6 +168,8 @@ class FrictionServer:
         """Go on, at `now` [s] by the clock by which cycles are played."""
         driver = self._driver
         try:
+            if driver.latch.number != self._stops:  # also if they were enabled since
+                raise PlateError("the motors were stopped")
             if self._plays is not None:
                 over_s = now - driver.guard.sent_at - driver.guard.lasts_s
                 if over_s > SETTLE_S and not self._starts_heard:
