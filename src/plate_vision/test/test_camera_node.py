@@ -1,5 +1,6 @@
 """The camera node in real time: its images over topics, its faults in diagnostics."""
 
+import threading
 import time
 from collections import deque
 
@@ -254,7 +255,53 @@ def test_after_a_rest_the_device_is_opened_anew(start, camera):
     camera.stalled = False
     graph.camera.trigger_activate()
     shown(graph, camera)
-    assert camera.opened == 2
+    assert camera.opened >= 2  # a busy reader tries in between, too
+
+
+def test_a_reader_that_still_waits_ends_before_the_next_one_opens_the_device(start, camera):
+    graph = start(camera, device=camera.path, **SIZE)
+    shown(graph, camera)
+    waits = threading.Event()  # for an image, longer than the node waits for its reader
+    capture = graph.camera._source._capture
+    grab, busy = capture.grab, []
+
+    def slow():
+        busy.append(1)
+        waits.wait(LONGEST_S)
+        return grab()
+
+    capture.grab = slow
+    graph.until(lambda: busy)
+    graph.camera.trigger_deactivate()
+    graph.camera.trigger_activate()
+    assert camera.opened == 1
+    camera.stalled = True
+    waits.set()
+    graph.until(lambda: camera.opened == 2)
+    camera.stalled = False
+    shown(graph, camera)
+    assert len(busy) == 1
+
+
+@pytest.mark.parametrize("age_s", [-1e6, -20.0, 5.0])
+def test_an_image_whose_stamp_jumps_is_refused(start, camera, age_s):
+    graph = start(camera, device=camera.path, **SIZE)
+    shown(graph, camera)
+    wrong_s = 1e-9 * graph.camera.get_clock().now().nanoseconds - age_s
+    camera.show(noise(), time.monotonic() - age_s)
+    graph.until(lambda: any("after its stamp, allowed: 0 to 2 s" in text for text in graph.notes))
+    shown(graph, camera)
+    assert all(abs(1e-9 * nanoseconds(one.header.stamp) - wrong_s) > 1 for one in graph.images)
+
+
+def test_a_lens_of_another_size_than_a_folders_pictures_ends_it(start, tmp_path, draw, rng):
+    path, file = tmp_path / "pictures", tmp_path / "camera.yaml"
+    path.mkdir()
+    matrix = np.array([[900.0, 0, 319.5], [0, 900.0, 239.5], [0, 0, 1]])
+    save_lens(file, "camera", (1280, 960), Lens(matrix, np.zeros(5)))
+    graph = start(device=folder(path, draw, rng), rate=50.0, camera_file=file)
+    graph.report("camera.yaml: image size is 1280 x 960")
+    assert not graph.images
 
 
 def folder(path, draw, rng):

@@ -146,7 +146,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._open = True
         size = None if self._played else settings.size_px
         lens = load_lens(values.camera_file, size) if values.camera_file else None
-        self._lens = lens
+        self._lens, self._lens_px = lens, size
         self._rig_camera = replace(camera, lens=None)
         self._image_raw = self.managed_publisher(Image, "image_raw", IMAGE)
         self._camera_info = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
@@ -163,8 +163,9 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._warned_at = -WARN_PERIOD_S
         self._halt = threading.Event()
         self._thread = threading.Thread(
-            target=self._work, args=(self._source, self._halt), name="camera", daemon=True
-        )
+            target=self._work, args=(self._source, self._halt, self._thread), name="camera",
+            daemon=True,
+        )  # fmt: skip
         self._thread.start()
 
     def rest(self) -> None:
@@ -187,8 +188,11 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
     # The reader's thread
 
-    def _work(self, source: Source, stop: threading.Event) -> None:
-        """Read and publish until the end."""
+    def _work(self, source: Source, stop: threading.Event, before: threading.Thread | None) -> None:
+        """Read and publish until the end; `before` is the reader before, which may still wait for
+        an image and then closes the source."""
+        if before is not None:
+            before.join()
         while self._waits and not stop.wait(LOOK_S):
             self._waits = not self._image_raw.get_subscription_count()
         while not stop.is_set():
@@ -197,6 +201,9 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                     source.open()
                     self._open = True
                 frame = source.read(stop)
+                if frame is not None and not stop.is_set():
+                    self._publish(frame)
+                    continue
             except ImageError as error:
                 self._refuse(str(error))
                 continue
@@ -208,12 +215,9 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 source.close()
                 stop.wait(RETRY_S)
                 continue
-            if stop.is_set():
-                break
-            if frame is None:
+            if not stop.is_set():
                 self._end()
-                break
-            self._publish(frame)
+            break
         self._open = False
         source.close()
 
@@ -249,6 +253,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
         camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
         info = camera_to_info(camera, image.header)
+        if self._lens is not None and size_px != self._lens_px:  # of what is played
+            self._lens, self._lens_px = load_lens(self.options.camera_file, size_px), size_px
         lens = self._lens
         if lens is not None:
             (fx, _, cx), (_, fy, cy) = lens.matrix[:2].tolist()

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..errors import ImageError
 from .source import FORMATS, LIVE_RATE, CameraError, Frame, Settings, Warn, unpack_frame
 from .v4l2_device import (
     AUTO_EXPOSURE,
@@ -253,6 +254,11 @@ class V4l2Source:
             self._learn_stamps(arrival - stamp)
         if not there:
             raise CameraError(f"{self.path}: the camera gives no images: is it unplugged?")
+        if self._at_start is not None and not 0 <= arrival - stamp < OLDEST_S:
+            raise ImageError(
+                f"{self.path}: an image arrives {arrival - stamp:.3g} s after its stamp, allowed: "
+                f"0 to {OLDEST_S:g} s. Did the computer stand still?"
+            )
         form = self._form
         pixels, encoding = unpack_frame(np.asarray(data), form, self.settings.size_px)
         end = arrival if self._at_start is None else stamp
