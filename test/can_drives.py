@@ -1,12 +1,13 @@
-"""Drives of CiA 402 for the firmware in simulated time: the stack is `canopen`, the bus that of
-`python-can`; the power state machine and the motion are written here."""
+"""Drives of CiA 402 for the firmware in simulated time: the stack is `canopen`; the bus, the power
+state machine and the motion are written here."""
 
 import io
 import math
 import subprocess
+from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import can
 import canopen
@@ -103,6 +104,31 @@ def frame_bits(identifier: int, data: bytes) -> int:
     return len(head) + 15 + stuffed + 10 + 3
 
 
+class Wire:
+    """One end of a CAN bus within this process, as `can.Bus(interface="virtual")` is one: without
+    its locks, and with one copy of the data for all ends."""
+
+    channels: ClassVar[dict[str, list["Wire"]]] = {}
+
+    def __init__(self, channel: str) -> None:
+        self.messages: deque[can.Message] = deque()
+        self.ends = self.channels.setdefault(channel, [])
+        self.ends.append(self)
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        message.data = bytearray(message.data)  # the sender's buffer may change
+        for end in self.ends:
+            if end is not self:
+                end.messages.append(message)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Return the next message, or None if there is none now."""
+        return self.messages.popleft() if self.messages else None
+
+    def shutdown(self) -> None:
+        self.ends.remove(self)
+
+
 @dataclass
 class Beat:
     """What a node sends again and again, in simulated time [ms]."""
@@ -123,8 +149,8 @@ class Beat:
 class SteppedNetwork(canopen.Network):
     """A network without threads: what comes is handed on when it is asked."""
 
-    def __init__(self, channel: str) -> None:
-        super().__init__(can.Bus(interface="virtual", channel=channel))
+    def __init__(self, bus: Any) -> None:
+        super().__init__(bus)
         self.now = 0.0
         self.beats: list[Beat] = []
 
@@ -309,10 +335,11 @@ class Drive(canopen.LocalNode):
     def pass_ms(self) -> None:
         if self.deaf:
             return
-        silent = self.network.now - self.heard > (self.value(0x1016, 1) & 0xFFFF)
-        if silent and self.value(0x1016, 1) and self.state == "enabled":
-            self.emcy.send(0x8130, 0x11)
-            self.enter({2: "switch on disabled", 3: "quick stop"}[self.value(0x6007)])
+        if self.state == "enabled":
+            consumer = self.value(0x1016, 1)
+            if consumer and self.network.now - self.heard > consumer & 0xFFFF:
+                self.emcy.send(0x8130, 0x11)
+                self.enter({2: "switch on disabled", 3: "quick stop"}[self.value(0x6007)])
         if self.state == "enabled" and not self.jammed:
             period = self.value(0x60C2, 1) * 10.0 ** (self.value(0x60C2, 2) + 3)
             self.into = min(self.into + 1, period)
@@ -338,8 +365,8 @@ class CanBench:
     plate: Plate | None = None  # that all drives move
 
     def __post_init__(self) -> None:
-        self.network = self.network or SteppedNetwork(self.channel)
-        self.own = can.Bus(interface="virtual", channel=self.channel)
+        self.network = self.network or SteppedNetwork(Wire(self.channel))
+        self.own = Wire(self.channel)
         self.process = subprocess.Popen(
             [self.program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )

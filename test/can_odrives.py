@@ -1,12 +1,13 @@
 """ODrives for the firmware in simulated time: frames are read and written by the DBC of CANSimple
-(firmware 0.6.10) that the package `odrive_can` brings, on the bus of `python-can`; states and
-motion are written here, from the manual."""
+(firmware 0.6.10) that the package `odrive_can` brings; states and motion are written here, from the
+manual."""
 
 from importlib.util import find_spec
 from pathlib import Path
 
 import can
 import cantools
+from can_drives import Wire
 
 REMOTE = 0x800
 IDLE, CLOSED_LOOP = 1, 8
@@ -31,7 +32,7 @@ class Bus:
     """The drives' end of a bus: what comes is handed on when it is asked."""
 
     def __init__(self, channel: str) -> None:
-        self.bus = can.Bus(interface="virtual", channel=channel)
+        self.bus = Wire(channel)
         self.now = 0.0
         self.drives: list[ODrive] = []
 

@@ -515,7 +515,8 @@ def test_where_home_may_be_lost_it_takes_a_person_to_say_where_it_is(bench, trou
     bench.run(5)
     enable(bench, 501)
     assert (bench.state, bench.faults) == (State.READY, 0)
-    told = [led(bench)[led(bench)[:, 1] == motor][-1, 3] for motor in range(4)]
+    rows = led(bench)
+    told = [rows[rows[:, 1] == motor][-1, 3] for motor in range(4)]
     assert told == [*places[:3], 0]
 
 
@@ -614,9 +615,9 @@ def test_a_wrong_drive_is_named_and_none_gets_current(bench, of_eds, kind, index
 
 
 def test_two_drives_of_one_number_get_no_current(bench):
-    from can_drives import Drive, SteppedNetwork
+    from can_drives import Drive, SteppedNetwork, Wire
 
-    network = SteppedNetwork(bench.channel)
+    network = SteppedNetwork(Wire(bench.channel))
     other, take = Drive(network, NODES[1]), bench.network.take
     bench.network.take = lambda: (network.take(), take())
     other.deaf = False

@@ -82,7 +82,7 @@ class Bench:
         from can_drives import SteppedNetwork
 
         self.channel, self.others = channel, []
-        self.network = SteppedNetwork(channel)
+        self.network = SteppedNetwork(can.Bus(interface="virtual", channel=channel))
         self.drives = [drive_of(self.network, node) for node in NODES]
         for drive, place in zip(self.drives, PLACES, strict=True):
             drive.position = float(place)
@@ -202,9 +202,10 @@ def in_fault(bench):
 
 
 def twice(bench):
+    import can
     from can_drives import SteppedNetwork
 
-    second = SteppedNetwork(bench.channel)
+    second = SteppedNetwork(can.Bus(interface="virtual", channel=bench.channel))
     drive_of(second, 2).boot()
     take = bench.network.take
     bench.network.take = lambda: (take(), second.take())

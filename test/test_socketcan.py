@@ -53,12 +53,11 @@ class Bench:
     """Drives, bus, process and transport in the same simulated time."""
 
     def __init__(self, program, name):
-        import can
-        from can_drives import Drive, SteppedNetwork
+        from can_drives import Drive, SteppedNetwork, Wire
 
         self.program, self.name = program, name
-        self.network = SteppedNetwork(name)
-        self.bus = can.Bus(interface="virtual", channel=name)
+        self.network = SteppedNetwork(Wire(name))
+        self.bus = Wire(name)
         self.drives = [Drive(self.network, node) for node in NODES]
         for drive, place in zip(self.drives, PLACES, strict=True):
             drive.position = float(place)
