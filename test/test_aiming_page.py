@@ -21,7 +21,7 @@ from sensor_msgs.msg import Image  # noqa: E402
 from plate_core import config_path, load_rig  # noqa: E402
 from plate_core.ros import IMAGE, array_to_image, start_nodes  # noqa: E402
 from plate_view.node import PageNode  # noqa: E402
-from plate_vision.camera import Board, draw_board, load_lens  # noqa: E402
+from plate_vision.camera import Board, draw_board  # noqa: E402
 from plate_vision.node import DetectorNode  # noqa: E402
 
 pytestmark = pytest.mark.needs("chromium", "playwright")
@@ -95,7 +95,7 @@ def graph(folder):
     for name in ("rig.yaml", "rig_before.yaml"):
         (folder / name).write_text(yaml.safe_dump(data), encoding="utf-8")
     arguments = ["--ros-args", "-p", f"rig_file:={folder / 'rig.yaml'}"]
-    arguments += ["-p", f"detector:lens_file:={folder / 'camera.yaml'}", "-p", "page:port:=8390"]
+    arguments += ["-p", "page:port:=8390"]
     rclpy.init(args=arguments)
     try:
         camera_node = rclpy.create_node("camera")
@@ -245,18 +245,20 @@ def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(
             assert "tilt it" not in page.inner_text("#lens-missing")
     await_text(page, "#lens-missing", "enough: fit the lens")
     assert page.inner_text("#camera-state") == "Next: lens."
-    assert not (folder / "camera.yaml").exists()
+    before = (folder / "rig.yaml").read_text(encoding="utf-8")
     page.get_by_role("button", name="Fit the lens").click()
-    await_text(page, "#lens-text", "Write it to")
+    await_text(page, "#lens-text", "Write it to .*rig.yaml")
     shoot(page, "9_fitted")
     error = float(re.search(r"Error (\S+) px", page.inner_text("#lens-text"))[1])
     assert error < 0.3
-    assert not (folder / "camera.yaml").exists()  # it asks first
-    page.get_by_role("button", name="Write camera.yaml").click()
+    assert (folder / "rig.yaml").read_text(encoding="utf-8") == before  # it asks first
+    page.get_by_role("button", name="Write the lens to the rig file").click()
     page.get_by_role("button", name="Take pictures for the lens").wait_for()
-    lens = load_lens(folder / "camera.yaml", (640, 480))
-    assert lens.matrix[0, 0] == pytest.approx(FOCAL, rel=0.01)
+    assert page.locator("#lens-text").text_content() == ""
+    lens = load_rig(folder / "rig.yaml").camera.lens
+    assert lens.focal_px[0] == pytest.approx(FOCAL, rel=0.01)
     shows("lens", "plumb_bob, focal length")
+    shows("home", "found before the lens")
 
 
 def test_it_is_ready(graph, page, shows):
@@ -266,4 +268,5 @@ def test_it_is_ready(graph, page, shows):
     shows("light", "nothing clipped")  # the board is gone, which is a quadrilateral too
     page.get_by_role("button", name="Find home").click()
     await_text(page, "#camera-state", "Ready")
+    assert page.locator("#camera-checks [data-check=home]").count() == 0
     shoot(page, "10_ready")

@@ -7,7 +7,8 @@ import pytest
 import yaml
 
 from plate_core import PlateError, RigError, config_path, load_rig
-from plate_core.rig import CameraTrigger, default_rig_path, edit_rig
+from plate_core.rig import CameraTrigger, Lens, default_rig_path, edit_rig
+from plate_core.rig.edit import edited
 
 
 @pytest.fixture(name="data")
@@ -193,3 +194,47 @@ def test_a_rig_file_is_changed_in_either_style_of_yaml(tmp_path, block):
     if not block:
         lines = zip(text.splitlines(), changed, strict=True)
         assert [old.split(":")[0].strip() for old, new in lines if old != new] == ["corners_px"]
+
+
+LENS = {"focal_px": "[812.5, 811.0]", "centre_px": "[320.0, 241.5]", "distortion": "[-0.1, 1e-05]"}
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (
+            "camera:\n  a: 1  # one\n  # of the last\n  b: [2,\n    3]  # two\n"
+            "# next\nparts: {c: 1}\n",
+            "camera:\n  a: 1  # one\n  # of the last\n  b: [2,\n    3]  # two\n"
+            "  focal_px: [812.5, 811.0]\n  centre_px: [320.0, 241.5]\n  distortion: [-0.1, 1e-05]\n"
+            "# next\nparts: {c: 1}\n",
+        ),
+        (
+            "parts:\n  c: 1\ncamera:\n  a: 1\n  distortion: [0]  # k1",
+            "parts:\n  c: 1\ncamera:\n  a: 1\n  distortion: [-0.1, 1e-05]  # k1\n"
+            "  focal_px: [812.5, 811.0]\n  centre_px: [320.0, 241.5]",
+        ),
+        (
+            "camera: {a: 1,  # one\n  b: [2, 3]}  # two\nparts: {c: 1}\n",
+            "camera: {a: 1,  # one\n  b: [2, 3], focal_px: [812.5, 811.0], "
+            "centre_px: [320.0, 241.5], distortion: [-0.1, 1e-05]}  # two\nparts: {c: 1}\n",
+        ),
+    ],
+    ids=["block", "block, one is there and the file has no last newline", "flow"],
+)
+def test_missing_keys_are_added_and_comments_stay(before, after):
+    assert edited(before, {("camera",): LENS}) == after
+
+
+@pytest.mark.parametrize("block", [False, True])
+def test_a_lens_is_added_to_a_rig_file(tmp_path, data, block):
+    path = tmp_path / "rig.yaml"
+    for key in LENS:
+        del data["camera"][key]
+    path.write_text(yaml.safe_dump(data, default_flow_style=not block), encoding="utf-8")
+    lens = Lens((812.5, 811.0), (320.0, 241.5), (-0.1, 1e-5, 0, 0))
+    before = load_rig(path)
+    after = dataclasses.replace(before, camera=dataclasses.replace(before.camera, lens=lens))
+    values = {**LENS, "distortion": "[-0.1, 1e-05, 0, 0]", "distortion_model": "plumb_bob"}
+    edit_rig(path, {("camera",): values}, lambda rig: rig == after)
+    assert load_rig(path) == after

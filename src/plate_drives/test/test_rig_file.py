@@ -37,9 +37,9 @@ def test_values_change_and_all_else_stays(path):
     )
     added = {
         "node: 1, counts_per_m: 1.0e6}":
-        "node: 9, counts_per_m: 250000, home: absolute, serial: 77, sign: -1}",
+        "node: 9, counts_per_m: 250000, sign: -1, home: absolute, serial: 77}",
         "    node: 2                # of the switch\n":
-        "    serial: 4711\n    sign: -1\n    node: 2                # of the switch\n",
+        "    node: 2                # of the switch\n    sign: -1\n    serial: 4711\n",
     }  # fmt: skip
     for old, there in added.items():
         before = before.replace(old, there)

@@ -111,7 +111,6 @@ class DetectorParameters(NodeOptions):
     )
     teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
     teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")
-    lens_file: str = parameter("camera.yaml", "Camera file that ~/save_lens writes")
     bits: int = parameter(16, "Bits that are used of encodings with 16 bits", 8, 16, live=True)
     threshold: float = _option(
         DetectorOptions,
@@ -248,9 +247,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.managed_service(Trigger, "~/reset", self._on_reset)
         self.managed_service(Trigger, "~/learn_plate", self._on_learn_plate)
         self.managed_service(Trigger, "~/teach", self._on_teach)
-        self._aiming = AimingView(
-            self, values.lens_file, self._situation, self._take_corners, self._take_lens
-        )
+        self._aiming = AimingView(self, self._situation, self._take_corners, self._take_lens)
 
     def begin(self) -> None:
         """Know nothing of what was seen before."""

@@ -37,7 +37,9 @@ from plate_interfaces.msg import Aim, AimCheck, LensPictures, PartForces  # noqa
 from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
 from plate_interfaces.srv import TakeLensPictures  # noqa: E402
 from plate_vision import OVERLOOKED, observe  # noqa: E402
+from plate_vision.camera import Board, Lens, LensFit  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
+from plate_vision.ros.aiming import LensJob  # noqa: E402
 from plate_vision.tracking import update  # noqa: E402
 
 CORNERS_PX = np.array([[21.01, 387.25], [617.82, 389.5], [614.33, 93.94], [26.86, 91.35]])
@@ -931,6 +933,7 @@ def test_a_type_is_taught_live(draw_types, rng, tmp_path):
         graph.close()
 
 
+LENS_KEYS = ("  focal_px", "  centre_px", "  distortion")
 LONG_S = 60.0
 """A bound on what the thread of the view does in less than a second [s]."""
 
@@ -1009,6 +1012,52 @@ def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, rng):
         _, checks = aimed.show(image(frame, 3.0))
         assert checks["outline"].level == AimCheck.OK
         assert np.abs(np.array(graph.detector._rig.camera.corners_px) - moved).max() < 0.3
+    finally:
+        graph.close()
+
+
+def test_a_lens_is_written_into_the_rig_file_and_home_is_to_be_found_again(draw, rng, tmp_path):
+    path, seen = tmp_path / "rig.yaml", draw(CENTRE_PX, LABEL, rng, radius=7.9)
+    text = config_path("rig.yaml").read_text(encoding="utf-8")
+    lines = [one for one in text.splitlines() if not one.startswith(LENS_KEYS)]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    matrix = np.array([[850.1234, 0, 320.0], [0, 851.0, 240.0], [0, 0, 1]])
+    lens = Lens(matrix, np.array([-0.0123456789, 1e-5, 0.0, -0.0, 0.0]))
+
+    def fitted(size_px):
+        fit = LensFit(lens, size_px, 0.1, (), (), np.zeros(9), (1.0, 1.0))
+        return LensJob(None, Board(9, 7, 0.03), "plumb_bob", LensPictures.FITTED, "", fit=fit)
+
+    graph = Graph(rig_file=path)
+    try:
+        aimed, view = Aimed(graph), graph.detector._aiming
+        assert called(graph, "find_home").success
+        msg, checks = aimed.show(image(seen, 1.0))
+        assert msg.home_found
+        assert "home" not in checks
+        view._lens = fitted((320, 240))
+        refused = called(graph, "save_lens").message
+        assert refused == "size of the pictures is 320 x 240 px, allowed: 640 x 480 px"
+        assert path.read_text(encoding="utf-8") == "\n".join(lines)
+        view._lens = fitted((640, 480))
+        assert called(graph, "save_lens").success
+        assert called(graph, "save_home").message.startswith("home was not found")
+        msg, checks = aimed.show(image(seen, 2.0))
+        assert (msg.home, msg.lens.state) == ("", LensPictures.IDLE)
+        assert checks["home"].level == AimCheck.WARN
+        assert called(graph, "find_home").success
+        aimed.show(image(seen, 3.0))
+        assert "home" not in aimed.show(image(seen, 4.0))[1]
+    finally:
+        graph.close()
+    changed = path.read_text(encoding="utf-8").splitlines()
+    added = [one for one in changed if one.startswith(LENS_KEYS)]
+    assert [one for one in changed if one not in added] == lines
+    graph = Graph(rig_file=path)  # the next start
+    try:
+        used = graph.detector._vision.calibration.lens
+        assert np.allclose(used.matrix, matrix, atol=1e-3)
+        assert np.allclose(used.distortion, lens.distortion, atol=1e-6)
     finally:
         graph.close()
 

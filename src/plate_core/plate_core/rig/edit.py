@@ -39,7 +39,7 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     except OSError as error:
         raise PlateError(f"rig file {path}: cannot be read ({error})") from None
     with draft(path, "rig file") as file:
-        file.write(_edited(text, values).encode())
+        file.write(edited(text, values).encode())
         file.flush()
         shutil.copymode(path, file.name)
         try:
@@ -49,8 +49,9 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
             raise PlateError(f"{path} stays as it was, change it by hand: {error}") from None
 
 
-def _edited(text: str, values: Values) -> str:
-    """Return the file's text with other values."""
+def edited(text: str, values: Values) -> str:
+    """Return a rig file's text with other values; keys that are missing stand behind the others of
+    their mapping, in its style."""
     root: Any = yaml.compose(text, yaml.SafeLoader)
     edits = []  # from, to, what stands there then
     for keys, new in values.items():
@@ -58,18 +59,22 @@ def _edited(text: str, values: Values) -> str:
         for key in keys:
             mapping = _item(mapping, key)
         last_key, last = mapping.value[-1]
+        indent = " " * last_key.start_mark.column
         for key, value in new.items():
             old = _item(mapping, key)
             if old is not None:
                 edits.append((_start(mapping, key), _end(old), f": {value}"))
             elif mapping.flow_style:
                 edits.append((last.end_mark.index, last.end_mark.index, f", {key}: {value}"))
-            else:  # above the last one, which may have a comment behind it
-                at, indent = last_key.start_mark.index, " " * last_key.start_mark.column
-                edits.append((at, at, f"{key}: {value}\n{indent}"))
-    for start, end, value in sorted(edits, reverse=True):
-        text = text[:start] + value + text[end:]
-    return text
+            else:  # below the last one, and the comment behind it
+                at = text.find("\n", _end(last))
+                at = len(text) if at < 0 else at
+                edits.append((at, at, f"\n{indent}{key}: {value}"))
+    done, parts = 0, []
+    for start, end, value in sorted(edits, key=lambda edit: edit[0]):
+        parts += [text[done:start], value]
+        done = end
+    return "".join(parts) + text[done:]
 
 
 def _start(mapping: Any, key: str) -> int:

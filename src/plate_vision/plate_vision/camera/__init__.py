@@ -12,6 +12,7 @@ from .lens import (
     calibrate,
     calibrate_by_matrix,
     calibrate_by_rig,
+    lens_keys,
     rig_lens,
 )
 from .markers import draw_marker, find_markers, square_corners
@@ -36,6 +37,7 @@ __all__ = [
     "grey_levels",
     "is_wide",
     "is_wide_file",
+    "lens_keys",
     "load_lens",
     "read_pictures",
     "rig_lens",

@@ -30,7 +30,7 @@ from .boards import (
     fit_lens,
 )
 from .files import Pictures, load_lens, read_pictures, save_lens, write_picture
-from .lens import rig_lens
+from .lens import lens_keys, rig_lens
 from .markers import draw_marker
 
 PRINT_DPI = 300
@@ -207,14 +207,8 @@ def _summary(fit: LensFit) -> str:
     lines.append(f"error {fit.error_px:.3f} px rms over {len(fit.errors)} pictures")
     if fit.warning:
         lines.append(f"warning: {fit.warning}")
-    lines += [
-        "for the rig file, section camera:",
-        f"  focal_px: [{matrix[0, 0]:.3f}, {matrix[1, 1]:.3f}]",
-        f"  centre_px: [{matrix[0, 2]:.3f}, {matrix[1, 2]:.3f}]",
-        f"  distortion: [{', '.join(f'{d:.6g}' for d in lens.distortion)}]",
-    ]
-    if lens.model != "plumb_bob":
-        lines.append(f"  distortion_model: {lens.model}")
+    lines.append("for the rig file, section camera:")
+    lines += [f"  {key}: {value}" for key, value in lens_keys(lens).items()]
     return "\n".join(lines)
 
 

@@ -291,6 +291,17 @@ def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
     return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens, place)
 
 
+def lens_keys(lens: Lens) -> dict[str, str]:
+    """Return a lens as the section `camera` of a rig file has it: values by key."""
+    matrix = lens.matrix
+    return {
+        "focal_px": f"[{matrix[0, 0]:.3f}, {matrix[1, 1]:.3f}]",
+        "centre_px": f"[{matrix[0, 2]:.3f}, {matrix[1, 2]:.3f}]",
+        "distortion": f"[{', '.join(f'{value:.6g}' for value in lens.distortion + 0.0)}]",
+        "distortion_model": str(lens.model),
+    }
+
+
 def rig_lens(rig: Rig) -> Lens | None:
     """Return the lens that the rig file gives, if it does."""
     lens = rig.camera.lens

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -18,7 +17,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError, Rig, load_rig
 from plate_core.rig import LENS_MODELS, edit_rig, rig_path
 from plate_core.ros import DATA, SafeLifecycleNode, seconds
 from plate_core.status import Finding, Level
@@ -36,11 +35,11 @@ from ..aiming import (
     sharpness_of,
     size_finding,
 )
-from ..camera import Board, Lens, LensFit, grey_levels, rig_lens, save_lens
+from ..camera import Board, Lens, LensFit, grey_levels, lens_keys, rig_lens
 from ..camera.boards import LEAST_PICTURES, find_board
 from ..camera.lens_pictures import COLUMNS, ROWS
 from ..camera.lens_pictures import LensPictures as Pictures
-from ..errors import CalibrationError
+from ..errors import CalibrationError, check_size
 from ..plate import find_home
 from ..plate.corners import find_plate_corners
 from ..plate.outline import measure_outline
@@ -95,8 +94,6 @@ class AimingView:
     ----------
     node : SafeLifecycleNode
         Which is being configured.
-    lens_file : str
-        That ~/save_lens writes.
     situation : callable
         Returns what the detector knows now.
     take_corners : callable
@@ -108,12 +105,12 @@ class AimingView:
     def __init__(
         self,
         node: SafeLifecycleNode,
-        lens_file: str,
         situation: Callable[[], Situation],
         take_corners: Callable[[np.ndarray], None],
         take_lens: Callable[[Lens], None],
     ) -> None:
-        self._node, self._file, self._situation = node, Path(lens_file), situation
+        self._node, self._situation = node, situation
+        self._path = rig_path(node.options.rig_file)
         self._take_corners, self._take_lens = take_corners, take_lens
         self._publisher = node.managed_publisher(Aim, "aim", DATA)
         node.managed_service(Trigger, "~/find_home", self._on_find_home)
@@ -136,6 +133,7 @@ class AimingView:
         self._focus = Focus()
         self._lens: LensJob | None = None
         self._home, self._wants_home = "", False
+        self._home_is_old = False  # it was found before the lens
         self._corners: tuple[tuple[float, float], ...] = ()  # found, and not written
         self._looked = self._came = -math.inf
 
@@ -214,6 +212,7 @@ class AimingView:
             self._home, self._corners = f"not found: {error}", ()
             return
         self._corners = tuple((round(x, 2), round(y, 2)) for x, y in corners_px.tolist())
+        self._home_is_old = False
         self._home = f"found, {by}; corners_px: {corners_text(self._corners)}"
         self._tell(lambda: self._take_corners(corners_px))
 
@@ -251,6 +250,9 @@ class AimingView:
         ]  # fmt: skip
         waits = [("lens", Finding(Level.STALE, "pictures of a board are taken for it"))]
         checks += waits if board else situation.findings
+        if self._home_is_old and not board:
+            again = Finding(Level.WARN, "it was found before the lens: find home again")
+            checks.insert([name for name, _ in checks].index("lens") + 1, ("home", again))
         msg.checks = [
             AimCheck(name=name, level=LEVELS[found.level], text=found.message)
             for name, found in checks
@@ -288,7 +290,7 @@ class AimingView:
         ]
 
     def _progress(self) -> LensPictures:
-        lens, msg = self._lens, LensPictures(needed=LEAST_PICTURES, file=str(self._file))
+        lens, msg = self._lens, LensPictures(needed=LEAST_PICTURES, file=str(self._path))
         msg.cover_columns, msg.cover_rows, msg.error_px = COLUMNS, ROWS, math.nan
         if lens is None:
             return msg
@@ -339,15 +341,14 @@ class AimingView:
             response.message = "home was not found, allowed: after ~/find_home"
             return response
         try:
-            path = rig_path(self._node.options.rig_file)
-            before = load_rig(path)
+            before = load_rig(self._path)
             after = replace(before, camera=replace(before.camera, corners_px=corners))
             text = corners_text(corners)
-            edit_rig(path, {("camera",): {"corners_px": text}}, lambda rig: rig == after)
+            edit_rig(self._path, {("camera",): {"corners_px": text}}, lambda rig: rig == after)
         except (PlateError, OSError) as error:
             response.message = str(error)
             return response
-        self._home, self._corners = f"written: {path}", ()
+        self._home, self._corners = f"written: {self._path}", ()
         response.success = True
         response.message = f"{self._home}; other nodes use it from their next configure on"
         return response
@@ -391,20 +392,32 @@ class AimingView:
         return response
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Write the lens that was fitted, and use it."""
+        """Write the lens that was fitted into the rig file, and use it; home that was found
+        before is old: the plate's edges looked bent."""
         lens = self._lens
         if lens is None or lens.fit is None:
             response.message = "no lens is fitted, allowed: after ~/fit_lens"
             return response
         try:
-            save_lens(self._file, "camera", lens.fit.size_px, lens.fit.lens)
+            before, keys = load_rig(self._path), lens_keys(lens.fit.lens)
+            size_px = before.camera.width_px, before.camera.height_px
+            check_size("size of the pictures is", lens.fit.size_px, size_px)
+
+            def says(rig: Rig) -> bool:
+                new = rig_lens(rig)
+                rest = replace(rig, camera=replace(rig.camera, lens=before.camera.lens))
+                return new is not None and lens_keys(new) == keys and rest == before
+
+            edit_rig(self._path, {("camera",): keys}, says)
             self._take_lens(lens.fit.lens)
         except (PlateError, OSError) as error:
             response.message = str(error)
             return response
         self._lens = None
+        self._home, self._corners = "", ()
+        self._home_is_old = before.fiducials is None  # else markers show it in each image
         response.success = True
-        response.message = f"{self._file} is written and used: set camera_file to it for later"
+        response.message = f"written: {self._path}; other nodes use it from their next configure on"
         return response
 
 

@@ -38,7 +38,7 @@ export function camera(panel, ask, aim) {
   const missing = el("ul", { className: "small", id: "lens-missing" });
   const take = button("Take pictures for the lens", board, answers.lens);
   const fit = button("Fit the lens", () => ({ do: "fit_lens" }), answers.lens);
-  const save = button("Write", () => ({ do: "save_lens" }), answers.lens, "main");
+  const save = button("Write the lens to the rig file", () => ({ do: "save_lens" }), answers.lens, "main");
   const drop = button("Discard", () => discard, answers.lens);
   const taking = el("div", { className: "row" }, cover, el("div", {}, told, missing));
   const name = el("input", { id: "teach-name", type: "text", maxLength: 40, autocomplete: "off", spellcheck: false, required: true });
@@ -50,11 +50,11 @@ export function camera(panel, ask, aim) {
   const step = (words, text, ...content) =>
     el("fieldset", { className: "controls stack" }, el("legend", {}, words), el("p", { className: "small" }, text), ...content);
   panel.append(el("h2", {}, "Camera"), state, checks,
-    step("1. Home", "The plate at rest, the whole of it in the picture. With markers on the plate these are searched, else its outline.",
-      el("div", { className: "row" }, button("Find home", () => ({ do: "find_home" }), answers.home), keep), answers.home, home),
-    step("2. The lens", "Hold a printed board before the camera: into each corner, tilted to each side, still for a second. Marker 0: a chessboard.",
+    step("1. The lens", "Hold a printed board before the camera: into each corner, tilted to each side, still for a second. Marker 0: a chessboard.",
       el("div", { className: "row" }, columnsBox, rowsBox, squareBox, markerBox), taking,
       el("div", { className: "row" }, take, fit, save, drop), answers.lens),
+    step("2. Home", "After the lens. The plate at rest, the whole of it in the picture. With markers on the plate these are searched, else its outline.",
+      el("div", { className: "row" }, button("Find home", () => ({ do: "find_home" }), answers.home), keep), answers.home, home),
     step("3. The plate", "Take everything off the plate, and let the light be as it will be. For rigs with part types.",
       el("div", { className: "row" }, button("Learn the bare plate", () => ({ do: "learn_plate" }), answers.plate)), answers.plate),
     step("4. Parts", "Put one part of a new type on the plate, away from the edge, and give the type a name.", teach, answers.part),
@@ -65,13 +65,16 @@ export function camera(panel, ask, aim) {
     [fit.hidden, drop.hidden, save.hidden] = [now !== "taking", now === "idle", now !== "fitted"];
     take.hidden = now !== "idle";
     fit.disabled = kept < needed;
-    if (now === "idle") return;
+    if (now === "idle") {
+      tell(told, "");
+      missing.replaceChildren();
+      return;
+    }
     cover.style.gridTemplateColumns = `repeat(${wide}, 1fr)`;
     cover.replaceChildren(...cells.map((seen) => el("i", { className: seen ? "seen" : "" })));
     cover.setAttribute("aria-label", `The board was seen in ${cells.filter(Boolean).length} of ${cells.length} parts of the picture`);
     const words = now === "fitted" ? `Error ${error.toFixed(3)} px; ${text}. Write it to ${file}?` : `${kept} taken; ${text}.`;
     tell(told, words);
-    tell(save, `Write ${file.split("/").at(-1)}`);
     const next = now === "taking" ? lacks : [];
     missing.replaceChildren(...next.map((each) => el("li", {}, each)));
     if (now === "taking" && !lacks.length) missing.append(el("li", {}, "enough: fit the lens"));
