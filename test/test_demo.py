@@ -88,7 +88,11 @@ def names_of(processes):
             ["--transport", "serial", "--port", "/dev/none"],
             "serial port /dev/none is not there",
         ),
-        (["--port", "/dev/null"], "port is '/dev/null' with transport sim, allowed with it: no"),
+        (["--port", "/dev/null"], "serial port /dev/null is a device, but no serial port, allowed"),
+        (
+            ["--transport", "sim", "--port", "/dev/null"],
+            "port is '/dev/null' with transport sim, allowed with it: no",
+        ),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),
         (
             ["--transport", "cia402", "--port", "/dev/null"],
