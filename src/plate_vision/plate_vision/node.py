@@ -71,6 +71,10 @@ from .vision import HOME, follow_plate, make_vision, observe
 WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
 
+PLANNED_S = 1.0
+"""Time between an image and that for which the planner expects parts, up to which it plans [s]:
+several cycles of the plate. A planner that ended withdraws nothing."""
+
 FAINT_PERIOD_S = 2.0
 """Least time between two searches for faint patches, by the images' stamps [s]: one takes 10 ms."""
 
@@ -426,6 +430,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._vision.catalogue is None:
             response.message = "types: the rig has none, allowed: a rig file with part types"
             return response
+        if self._moving:
+            response.message = "a task moves the plate, allowed: the bare plate at rest at home"
+            return response
         self._plate, response.message = learn_next(self._plate, self._image, self._vision.region)
         response.success = True
         self.get_logger().info(response.message)
@@ -475,8 +482,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._things(things, radius, expected),
             tuple(findings),
             self._lens,
-            moving=self._expected is not None,
+            moving=self._moving,
         )
+
+    @property
+    def _moving(self) -> bool:
+        """Whether a task moves the plate: then the planner predicts parts near the last image."""
+        expected, last = self._expected, self._tracker.stamp
+        return expected is not None and (last is None or abs(last - expected.stamp) < PLANNED_S)
 
     def _things(
         self, things: np.ndarray, radius: np.ndarray, expected: Expected
@@ -552,8 +565,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         before = self._outline
         if before is None:
             before = OutlineCheck.of(self._rig, self._vision.calibration)
-        # The planner predicts parts while a task moves them.
-        self._outline = before.add(image, stamp, moving=self._expected is not None)
+        self._outline = before.add(image, stamp, moving=self._moving)
         found = self._outline.finding
         if found is not None and before.finding is None:
             self._warn(found.message)

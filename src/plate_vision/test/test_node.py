@@ -1062,6 +1062,97 @@ def test_a_lens_is_written_into_the_rig_file_and_home_is_to_be_found_again(draw,
         graph.close()
 
 
+def plan(graph, part, stamp):
+    """Have the planner expect a part where it was seen, at this stamp [s]."""
+    forces = graph.probe.create_publisher(PartForces, "part_forces", DATA)
+    graph.until(forces.get_subscription_count)
+    known = graph.detector._expected
+    wanted = Wanted.make(part, start=np.hstack([part.position, np.zeros((len(part), 2))]))
+    forces.publish(wanted_to_msg(wanted, to_time(0), to_time(round(1e9 * stamp))))
+    graph.until(lambda: graph.detector._expected is not known)
+
+
+def test_home_is_not_taken_from_a_picture_of_another_size(graph):
+    aimed = Aimed(graph)
+    assert called(graph, "find_home").success
+    msg, _ = aimed.show(image(np.full((240, 320), 90, np.uint8), 1.0))
+    assert msg.home == "not found: image: size is 320 x 240 px, allowed: 640 x 480 px"
+    assert not msg.home_found
+
+
+def test_home_is_not_taken_while_a_task_moves_the_plate(graph, draw, rng):
+    aimed = Aimed(graph)
+
+    def shown(stamp):
+        return aimed.show(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), stamp))[0]
+
+    shown(1.0)
+    shown(1.6)
+    plan(graph, msg_to_parts(graph.parts[-1]), 2.4)
+    assert called(graph, "find_home").success
+    assert shown(2.2).home.startswith("not found: a task moves the plate")
+    assert called(graph, "find_home").success
+    assert shown(9.0).home.startswith("found, ")  # the planner has ended without a word
+
+
+def test_the_plate_is_not_learned_while_a_task_moves_it(rig_with_types, draw_types, rng):
+    graph = Graph(rig_file=rig_with_types)
+    try:
+        to_image = graph.detector._vision.calibration.to_image
+
+        def shown(stamp):
+            return image(draw_types(TYPES, LYING, rng, to_image=to_image), stamp, "bgr8")
+
+        graph.images.publish(shown(1.0))
+        graph.until(lambda: graph.parts)
+        plan(graph, msg_to_parts(graph.parts[-1]), 1.2)
+        refused = called(graph, "learn_plate")
+        assert not refused.success
+        assert refused.message.startswith("a task moves the plate, allowed: ")
+        graph.answer(shown(9.0))  # the planner has ended without a word
+        assert called(graph, "learn_plate").success
+    finally:
+        graph.close()
+
+
+class Kept:
+    """Five pictures of a board, to which a lens is fitted; OpenCV fails where there is none."""
+
+    kept, size_px, missing, cover = (None,) * 5, (640, 480), (), np.zeros((1, 1), bool)
+
+    def __init__(self, fitted=None, meanwhile=lambda: None):
+        self.fitted, self.meanwhile = fitted, meanwhile
+
+    def fit(self, model):
+        self.meanwhile()
+        if self.fitted is None:
+            raise cv2.error("matrices do not fit")
+        return self.fitted
+
+
+def test_a_lens_that_opencv_cannot_fit_is_told_and_pictures_go_on(graph):
+    aiming = graph.detector._aiming
+    aiming._lens = LensJob(Kept(), Board(9, 7, 0.03, 0.022), "plumb_bob")
+    assert called(graph, "fit_lens").success
+    graph.until(lambda: aiming._lens.state == LensPictures.TAKING)
+    assert aiming._lens.text == "no lens: matrices do not fit"
+    assert called(graph, "fit_lens").success
+
+
+LENS = Lens(np.eye(3), np.zeros(5), "plumb_bob")
+
+
+@pytest.mark.parametrize(
+    "fitted", [None, LensFit(LENS, (640, 480), 0.1, (), (), np.zeros(9), (1.0, 1.0))]
+)
+def test_pictures_that_are_discarded_while_they_are_fitted_stay_discarded(graph, fitted):
+    aiming = graph.detector._aiming
+    pictures = Kept(fitted, lambda: setattr(aiming, "_lens", None))
+    aiming._lens = job = LensJob(pictures, Board(9, 7, 0.03, 0.022), "plumb_bob")
+    aiming._fit(job)
+    assert aiming._lens is None
+
+
 def test_what_the_lens_services_refuse(graph):
     assert called(graph, "fit_lens").message == "0 pictures are taken, allowed: at least 5"
     assert called(graph, "save_home").message == "home was not found, allowed: after ~/find_home"

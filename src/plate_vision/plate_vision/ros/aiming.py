@@ -201,6 +201,11 @@ class AimingView:
     def _find_home(self, image: np.ndarray, situation: Situation) -> None:
         rig, lens = situation.rig, situation.lens
         try:
+            if situation.moving:
+                raise CalibrationError("a task moves the plate, allowed: the plate at rest at home")
+            camera = rig.camera
+            size_px, allowed_px = image.shape[1::-1], (camera.width_px, camera.height_px)
+            check_size("image: size is", size_px, allowed_px, CalibrationError)
             if rig.fiducials is None:
                 corners_px, error = find_plate_corners(image, rig, lens)
                 by = f"edges are straight within {1e3 * error:.2f} mm"
@@ -220,14 +225,16 @@ class AimingView:
         assert lens.pictures is not None
         try:
             fit = lens.pictures.fit(lens.model)
-        except CalibrationError as error:
-            self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
+        except Exception as error:  # of OpenCV, too: else it would be fitted for ever
+            if self._lens is lens:
+                self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
             return
         matrix, deviation = fit.lens.matrix, fit.deviation
         text = f"focal length {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px"
         if fit.warning:
             text += f"; {fit.warning}"
-        self._lens = replace(lens, state=LensPictures.FITTED, text=text, fit=fit)
+        if self._lens is lens:  # not discarded meanwhile
+            self._lens = replace(lens, state=LensPictures.FITTED, text=text, fit=fit)
 
     def _message(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> Aim:
         msg = Aim(header=Header(stamp=stamp, frame_id="camera_optical_frame"))
