@@ -1,5 +1,6 @@
 """The camera node in real time: its images over topics, its faults in diagnostics."""
 
+import os
 import threading
 import time
 from collections import deque
@@ -212,6 +213,31 @@ def test_an_unplugged_camera_is_named_and_goes_on_when_it_is_back(start, camera)
 def test_a_silent_camera_is_named(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
     graph.report("s: is the camera plugged in, and does it wait for a trigger?")
+
+
+def test_a_silent_pipe_is_named(start, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    start(device=tmp_path / "pipe", **SIZE).report("s: does a program write into this pipe")
+
+
+def test_an_error_of_a_library_is_told_and_images_go_on(start, camera):
+    graph = start(camera, device=camera.path, **SIZE)
+    shown(graph, camera)
+
+    def fail(*_):
+        raise cv2.error("no memory")
+
+    graph.camera._source._capture.retrieve = fail
+    camera.show(noise(), time.monotonic())
+    text = f"{camera.path}: error: no memory"
+    graph.report(text)
+    assert graph.notes.count(text) == 1
+    shown(graph, camera)
+    graph.camera._source._capture.release = fail  # a device that cannot even be closed
+    camera.stalled = True
+    graph.until(lambda: graph.notes.count(text) == 2)
+    camera.stalled = False
+    shown(graph, camera)
 
 
 def test_frames_of_another_size_are_refused_and_the_others_used(start, camera):

@@ -116,6 +116,7 @@ def test_what_is_automatic_is_off_and_what_is_given_is_set(make):
         ({"auto_gain": True}, "auto_gain is true, but the device has no such control"),
         ({"format": "YUYV"}, "format is YUYV, allowed by Fake camera: GREY"),
         ({"width": 65}, "size is 65 x 48 px, allowed by Fake camera: GREY 64x48"),
+        ({"rate": 5.0}, "rate is 5 images a second at 64 x 48 px, allowed .*: at least 30 with"),
         ({"rate": 90.0}, "rate is 90 images a second at 64 x 48 px, allowed .*: 60 with GREY"),
     ],
 )

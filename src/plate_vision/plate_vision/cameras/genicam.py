@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ImageError
-from .source import LIVE_RATE, AbsentError, CameraError, Frame, Settings, Warn
+from .source import LIVE_RATE, SILENT_CAMERA, AbsentError, CameraError, Frame, Settings, Warn
 
 PREFIX = "genicam:"
 """Begins the name of such a device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
@@ -67,6 +67,7 @@ class GenicamSource:
     """A GenICam camera; parameters as of `V4l2Source`, `producer` opens the GenTL file."""
 
     live = True
+    silence = SILENT_CAMERA
 
     def __init__(
         self,

@@ -207,19 +207,26 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             except ImageError as error:
                 self._refuse(str(error))
                 continue
-            except PlateError as error:
+            except Exception as error:  # also of a library: a reader must not end without a word
+                if not self.context.ok():  # ROS has ended
+                    break
                 self._fail(error)
                 if not source.live:  # it would begin anew
                     break
-                self._open = False
-                source.close()
+                self._close(source)
                 stop.wait(RETRY_S)
                 continue
             if not stop.is_set():
                 self._end()
             break
+        self._close(source)
+
+    def _close(self, source: Source) -> None:
         self._open = False
-        source.close()
+        try:
+            source.close()
+        except Exception as error:  # of a library
+            self._fail(error)
 
     def _publish(self, frame: Frame) -> None:
         stamp = self._stamp(frame.instant)
@@ -274,12 +281,15 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self._warned_at = now
             self.get_logger().warning(why)
 
-    def _fail(self, error: PlateError) -> None:
+    def _fail(self, error: Exception) -> None:
         """Note why no images come; that it is not there yet is no news."""
-        if self._fault and (isinstance(error, AbsentError) or str(error) == self._fault):
+        text = str(error)
+        if not isinstance(error, PlateError):
+            text = f"{self.options.device}: {type(error).__name__}: {error}"
+        if self._fault and (isinstance(error, AbsentError) or text == self._fault):
             return
         with self._lock:
-            self._fault = str(error)
+            self._fault = text
         self.get_logger().error(self._fault)
 
     def _end(self) -> None:
@@ -304,8 +314,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 findings.append(
                     Finding(
                         Level.ERROR,
-                        f"{self.options.device}: no image for {now - self._last_at:.1f} s: is the "
-                        "camera plugged in, and does it wait for a trigger?",
+                        f"{self.options.device}: no image for {now - self._last_at:.1f} s: "
+                        f"{self._source.silence}",
                     )
                 )
             if self._waits:

@@ -36,6 +36,7 @@ class FilmSource:
     """
 
     live = False
+    silence = ""
 
     def __init__(
         self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic
@@ -93,6 +94,7 @@ class PipeSource:
     """
 
     live = True
+    silence = "does a program write into this pipe frames of the format and size set here?"
 
     def __init__(
         self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic

@@ -118,9 +118,12 @@ class Source(Protocol):
     ----------
     live : bool
         Whether images come by themselves; False: they are played.
+    silence : str
+        Question for the user when no image comes.
     """
 
     live: bool
+    silence: str
 
     def open(self) -> None:
         """Make ready for `read`.
@@ -157,6 +160,9 @@ class Source(Protocol):
     def close(self) -> None:
         """Let go of the device."""
 
+
+SILENT_CAMERA = "is the camera plugged in, and does it wait for a trigger?"
+"""`Source.silence` of a camera."""
 
 Warn = Callable[[str], None]
 

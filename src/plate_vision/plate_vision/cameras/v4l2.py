@@ -12,7 +12,16 @@ import cv2
 import numpy as np
 
 from ..errors import ImageError
-from .source import FORMATS, LIVE_RATE, CameraError, Frame, Settings, Warn, unpack_frame
+from .source import (
+    FORMATS,
+    LIVE_RATE,
+    SILENT_CAMERA,
+    CameraError,
+    Frame,
+    Settings,
+    Warn,
+    unpack_frame,
+)
 from .v4l2_device import (
     AUTO_EXPOSURE,
     AUTO_FOCUS,
@@ -66,6 +75,7 @@ class V4l2Source:
     """
 
     live = True
+    silence = SILENT_CAMERA
 
     def __init__(
         self,
@@ -133,7 +143,14 @@ class V4l2Source:
                     f"{size_px[1]} px, allowed by {device.name}: {best}"
                 )
             quick = [max(fit, key=lambda form: max(rates[form]))]
-        form = quick[0]
+        slow = [form for form in quick if not rates[form] or min(rates[form]) <= 1.01 * rate]
+        if wanted.rate and not slow:
+            least = ", ".join(f"{min(rates[form]):.4g} with {form}" for form in quick)
+            raise CameraError(
+                f"{self.path}: rate is {rate:g} images a second at {size_px[0]} x {size_px[1]} px, "
+                f"allowed by {device.name}: at least {least}"
+            )
+        form = (slow or quick)[0]
         self._rate = min(rate, max(rates[form])) if rates[form] else rate
         return form
 
