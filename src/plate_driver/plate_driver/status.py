@@ -10,7 +10,7 @@ from plate_core.status import Finding, Level
 from .setpoints import Statistics
 from .transports import Condition, Latch, Report
 
-__all__ = ["LOOK", "OFF", "UNANSWERED", "driver_status", "health"]
+__all__ = ["AT_REST", "LOOK", "OFF", "UNANSWERED", "driver_status", "health"]
 
 PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
 """Stops by a person who saw a danger."""
