@@ -39,15 +39,15 @@ demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...
 play: workspace ## Play on a live page: [SCENARIO=play] [RIG=...] [METHOD=...] [CAMERA=...] [PORT=...]
 	@$(ENTER) exec python tools/play.py $(RUN) $(ARGS)
 
-# Three workers for two cores, as tests wait 40 % of their time; 2 at least, 8 at most. (nproc heeds OMP_NUM_THREADS.)
-WORKERS ?= $(shell workers=$$(( 3 * $$(env -u OMP_NUM_THREADS nproc) / 2 )); echo $$(( workers < 2 ? 2 : workers > 8 ? 8 : workers )))
+# A worker for each core, 2 to 8: with three on two cores tests in real time fail, and the whole is no faster.
+WORKERS ?= $(shell cores=$$(env -u OMP_NUM_THREADS nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
 test-tools: checks ## Install Chromium, the ARM compiler and launch, for some tests: [SOURCES=https://github.com]
 	@$(ENTER) exec python tools/needs.py --install
 
 # What was made of the tests' code is kept, or each worker makes it anew, in 7 s, before its first one.
-test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=3; 0: in one process]
-	@$(if $(ARGS),,echo "About 10 minutes on two cores; some tests: make test ARGS='-k name'";) \
+test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
+	@$(if $(ARGS),,echo "About 14 minutes on two cores; some tests: make test ARGS='-k name'";) \
 	    $(ENTER) unset PYTHONDONTWRITEBYTECODE && export ROS_PYTHON_CHECK_FIELDS=1 && \
 	    python tools/needs.py && exec python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 

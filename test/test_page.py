@@ -260,7 +260,7 @@ def test_friction_is_measured_and_that_is_ended(url):
         assert not refused["ok"]
         assert "friction was not measured" in refused["text"]
         assert (await browser.ask("measure_friction", start=True))["ok"]
-        await browser.until(lambda newest: "push 2" in newest["friction"]["text"])
+        await browser.until(lambda newest: "push 2" in newest.get("friction", {}).get("text", ""))
         assert browser.newest["friction"]["state"] == "running"
         assert browser.newest["driver"]["state"] == "calibrating"
         assert (await browser.ask("measure_friction", start=False))["ok"]

@@ -1,5 +1,7 @@
 """The camera's trigger line: when it is high, and the loop that it closes."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -89,6 +91,10 @@ def test_only_pulses_that_end_before_the_next_are_taken(device):
     assert done.line == []
 
 
+TRIES = 3
+"""Tasks in which images and cycles are collected: on a busy computer a task may end early."""
+
+
 def test_images_are_taken_at_half_of_each_cycle_over_a_serial_line(tmp_path):
     """Camera, all nodes and the device in real time: images at half of each cycle."""
     pytest.importorskip("rclpy")
@@ -117,20 +123,26 @@ def test_images_are_taken_at_half_of_each_cycle_over_a_serial_line(tmp_path):
         scenario=str(scenario), transport="serial", rig_file=str(file), autostart=False,
         link=str(tmp_path / "port"),
     )  # fmt: skip
-    with session(options, tmp_path, pictures=False) as graph:
-        node, record = graph.observer.node, graph.observer.record
-        node.create_subscription(
-            Image, "image_raw", lambda msg: images.append(seconds(msg.header.stamp)), IMAGE
-        )
-        node.create_subscription(JointTrajectory, "cycle_started", begun, DATA)
-        graph.begin()
-        assert graph.observer.until(lambda: record.ended or len(starts) > 50, 90)
+
+    def collect(folder: Path) -> None:
+        with session(options, folder, pictures=False) as graph:
+            node, record = graph.observer.node, graph.observer.record
+            node.create_subscription(
+                Image, "image_raw", lambda msg: images.append(seconds(msg.header.stamp)), IMAGE
+            )
+            node.create_subscription(JointTrajectory, "cycle_started", begun, DATA)
+            graph.begin()
+            assert graph.observer.until(lambda: record.ended or len(starts) > 50, 90)
+
+    for task in range(TRIES):
+        if len(starts) <= 50:
+            collect(tmp_path / str(task))
     taken = np.array(images)
     phases = [
         (at - begin) / period
         for begin, period in starts
         for at in taken[(taken >= begin) & (taken < begin + period)]
     ]
-    assert len(phases) > 5  # a busy computer loses images, and may end the task soon
+    assert len(phases) > 5, (len(starts), len(images))
     assert np.median(phases) == pytest.approx(0.5, abs=0.1)
     assert len(phases) < 1.2 * len(starts)  # one in each cycle
