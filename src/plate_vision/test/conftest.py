@@ -300,3 +300,36 @@ def draw_types(
 @pytest.fixture(name="draw_types")
 def draw_types_fixture():
     return draw_types
+
+
+@pytest.fixture
+def detector_time(clock, monkeypatch):
+    """Time of the detectors that a test starts, which the test moves on."""
+    from detector_graph import Graph  # only where there is ROS
+
+    monkeypatch.setattr(Graph, "clock", clock)
+
+
+@pytest.fixture
+def graph(detector_time):
+    """A detector with default parameters."""
+    from detector_graph import Graph
+
+    graph = Graph()
+    yield graph
+    graph.close()
+
+
+@pytest.fixture
+def marked_rig(tmp_path):
+    """The default rig file with markers."""
+    import yaml
+
+    from plate_core import config_path
+
+    data = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
+    places = {f"marker_{k}": list(xy) for k, xy in enumerate(MarkedPlate.CENTRES)}
+    data["fiducials"] = {"dictionary": "4X4_50", "side_m": MarkedPlate.SIDE, "centre_m": places}
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path

@@ -1,0 +1,114 @@
+"""The lens that the detector reads from camera_info."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from detector_graph import CENTRE_PX, LABEL, image, names
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import CameraInfo
+from stepped_clock import STEP_S
+
+from plate_core import PlateError
+from plate_core.ros import DATA
+from plate_vision.node import lens_of
+
+pytestmark = pytest.mark.usefixtures("detector_time")
+
+
+def camera_info(d=(), model="plumb_bob", width=640):
+    msg = CameraInfo(width=width, height=480, distortion_model=model)
+    msg.k = [600.0, 0.0, 320.0, 0.0, 600.0, 240.0, 0.0, 0.0, 1.0]
+    msg.d = [float(value) for value in d]
+    return msg
+
+
+def test_lens_of_camera_info():
+    size = (640, 480)
+    for none in (camera_info(), camera_info([0.0] * 5), camera_info(model="")):
+        assert not np.any(lens_of(none, size).distortion)
+    assert lens_of(CameraInfo(width=640, height=480, d=[0.1] * 5), size) is None  # not calibrated
+    lens = lens_of(camera_info([-0.2, 0.0, 0.0, 0.0, 0.0]), size)
+    assert lens.matrix[0].tolist() == [600, 0, 320]
+    assert lens.distortion[0] == -0.2
+    for msg in (
+        camera_info(width=320),
+        camera_info([0.1] * 5, model="equidistant"),
+        camera_info([0.1] * 4, model="fisheye"),
+        camera_info([0.1] * 4, model=""),
+        camera_info([0.1] * 3),
+    ):
+        with pytest.raises(PlateError, match="allowed: "):
+            lens_of(msg, size)
+
+
+def test_distortion_of_camera_info_is_used(graph):
+    graph.infos.publish(camera_info([-0.2, 0.0, 0.0, 0.0, 0.0]))
+    graph.until(lambda: graph.detector._vision.calibration.lens is not None)
+    graph.infos.publish(camera_info([0.1] * 4, model="fisheye"))
+    graph.until(lambda: graph.warnings)
+    assert "camera_info ignored: lens: distortion_model is 'fisheye'" in graph.warnings[0]
+    assert graph.detector._vision.calibration.lens is not None
+
+
+def test_zeros_are_a_pinhole_but_of_an_equidistant_lens():
+    size = (640, 480)
+    for count in (0, 4, 5, 8, 12, 14):
+        for model in ("plumb_bob", "rational_polynomial"):
+            assert not lens_of(camera_info([0.0] * count, model), size).bends
+        lens = lens_of(camera_info([0.0] * count, "equidistant"), size)
+        assert np.allclose(lens.bend([[920.0, 240.0]]), [320 + 150 * np.pi, 240])  # 45 degrees
+    for values in ([0.1, 0.1, 0, 0, 0], [0.1] * 8, [0.1] * 8 + [0.0] * 4, [0.1] * 8 + [0.0] * 6):
+        assert lens_of(camera_info(values, "rational_polynomial"), size).bends
+
+
+@pytest.mark.parametrize(
+    ("values", "model", "words"),
+    [
+        ([0.1] * 4, "fisheye", "lens: distortion_model is 'fisheye', allowed: plumb_bob, "),
+        ([0.1] * 6, "plumb_bob", "lens: distortion has 6 values, allowed: 4 or 5 for plumb_bob"),
+        ([-1.5, 0, 0, 0], "plumb_bob", "which folds the image of the plate, 189 px from"),
+    ],
+)
+def test_a_refused_camera_info_stays_in_diagnostics(graph, draw, rng, values, model, words):
+    """Until another is accepted."""
+    reports = []
+    graph.probe.create_subscription(DiagnosticArray, "diagnostics", reports.append, DATA)
+    frame = image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)
+
+    def told(level):
+        reports.clear()
+        for _ in range(400):
+            graph.images.publish(frame)
+            graph.executor.spin_for(STEP_S)
+            if len(reports) == 4:
+                break
+        assert [report.status[0].level for report in reports[1:]] == 3 * [level]
+        return reports[-1].status[0].message
+
+    assert told(DiagnosticStatus.OK) == "all images used"
+    graph.infos.publish(camera_info(values, model))
+    graph.until(lambda: graph.warnings)
+    text = told(DiagnosticStatus.ERROR)
+    assert text.startswith("camera_info ignored: lens: distortion")
+    assert words in text
+    graph.infos.publish(camera_info([1e-3, 0.0, 0.0, 0.0], "plumb_bob"))  # edges stay straight
+    graph.until(lambda: graph.detector._lens is not None)
+    assert told(DiagnosticStatus.OK) == "all images used"
+
+
+@pytest.mark.parametrize("wrong", ["no scale", "far"])
+def test_a_camera_info_of_no_lens_is_refused_and_the_node_goes_on(graph, draw, rng, wrong):
+    msg = camera_info([-0.2, 0.0, 0.0, 0.0, 0.0])
+    if wrong == "no scale":
+        msg.k[8] = 0.0
+    else:
+        msg.k[2], msg.d = 1e15, [0.01, 0.0, 0.0, 0.0, 0.0]
+    graph.infos.publish(msg)
+    graph.until(lambda: graph.warnings)
+    assert "camera_info ignored: " in graph.warnings[0]
+    assert "allowed: " in graph.warnings[0]
+    assert names(graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0))) == [
+        "black_1", "grey_1",
+    ]  # fmt: skip

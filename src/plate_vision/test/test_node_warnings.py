@@ -1,0 +1,136 @@
+"""Warnings and diagnostics of the detector: light, silence, unknown things, the plate's outline."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from detector_graph import CENTRE_PX, LABEL, Graph, image, names
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_srvs.srv import Trigger
+from stepped_clock import STEP_S
+
+from plate_core.ros import DATA
+from plate_core.status import Level
+from plate_vision import OVERLOOKED, observe
+from plate_vision.tracking import update
+
+pytestmark = pytest.mark.usefixtures("detector_time")
+
+
+@pytest.mark.parametrize(("grey", "words"), [(0, "is the light on"), (255, "burnt out")])
+def test_without_light_or_with_too_much_nothing_is_found(graph, grey, words):
+    graph.images.publish(image(np.full((480, 640), grey, np.uint8), 1.0))
+    graph.until(lambda: graph.parts)
+    assert names(graph.parts[-1]) == []
+    assert words in graph.warnings[-1]
+    assert "allowed: " in graph.warnings[-1]
+
+
+def test_diagnostics_tell_silence_refusals_and_bad_light(draw, rng):
+    graph = Graph(input_timeout_s=0.5)
+    try:
+        reports = []
+        graph.probe.create_subscription(DiagnosticArray, "diagnostics", reports.append, DATA)
+
+        def told(level, *words, play=None):
+            """Play an image again and again until diagnostics say what they should."""
+
+            for _ in range(200):
+                if play is not None:
+                    graph.images.publish(play)
+                graph.executor.spin_for(STEP_S)
+                status = reports[-1].status[0] if reports else DiagnosticStatus()
+                if status.level == level and all(w in status.message for w in words):
+                    return {item.key: item.value for item in status.values}
+            raise AssertionError(f"not told: {level} {words}, but {reports[-1:]}")
+
+        told(DiagnosticStatus.STALE, "no image yet on", "image_raw: does the camera run?")
+        good = image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)
+        values = told(DiagnosticStatus.OK, "all images used", play=good)
+        assert (values["refused"], values["parts_seen"]) == ("0", "2")
+        assert int(values["images"]) > 0
+        assert float(values["rate_hz"]) > 0
+        assert 0 < float(values["detection_ms_median"]) <= float(values["detection_ms_max"])
+        wrong = image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)
+        wrong.encoding = "32FC1"
+        values = told(DiagnosticStatus.ERROR, "images refused: ", "'32FC1'", play=wrong)
+        assert int(values["refused"]) > 0
+        dark = image(np.zeros((480, 640), np.uint8), 2.0)
+        told(DiagnosticStatus.WARN, "is the light on", play=dark)
+        told(DiagnosticStatus.STALE, "no image for ", "does the camera run?")
+    finally:
+        graph.close()
+
+
+def test_things_that_are_no_parts_are_published_and_counted(graph, draw, rng, monkeypatch):
+    def observe_less(vision, tracker, image, stamp, expected=None):
+        """See two parts, and take neither for one."""
+        seen = observe(vision, tracker, image, stamp, expected).found
+        place = np.array([track.position for track in seen])
+        things = np.zeros(len(place), OVERLOOKED)
+        things["x_px"], things["y_px"] = vision.calibration.to_image(place).T
+        things["x"], things["y"] = place.T
+        things["radius_px"], things["reason"] = 9.7, "too large"
+        return update(tracker, stamp, np.zeros((0, 2)), [], overlooked=things)
+
+    monkeypatch.setattr("plate_vision.node.observe", observe_less)
+    reports = []
+    graph.probe.create_subscription(DiagnosticArray, "diagnostics", reports.append, DATA)
+    msg = graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0))
+    assert names(msg) == []
+    scale = graph.detector._vision.calibration.scale(np.zeros((1, 2)))[0]
+    assert [thing.reason for thing in msg.overlooked] == ["too large"] * 2
+    assert msg.overlooked[0].radius == pytest.approx(9.7 / scale, rel=0.01)
+    assert (msg.overlooked[0].x, msg.overlooked[0].y) == pytest.approx((-0.17, 0.04), abs=0.01)
+    graph.until(lambda: reports and reports[-1].status[0].level == b"\x01")
+    status = reports[-1].status[0]
+    assert "no part is detected, but 2 things are seen: 2 too large (radius 9.8" in (status.message)
+    assert {item.key: item.value for item in status.values}["overlooked_too_large"] == "2"
+
+
+def test_an_outline_that_is_not_where_corners_px_have_it_is_reported_until_reset(
+    graph, draw, corners_px, rng
+):
+    def status(play, first):
+        """Return the diagnostics after these images."""
+        for k in range(5):
+            graph.answer(image(play(), first + 0.1 * k))
+        status = graph.detector._find(0.0)
+        return status, graph.detector._values()["plate_outline"]
+
+    moved = corners_px + [5, -4]
+    found, text = status(lambda: draw(CENTRE_PX, LABEL, rng, corners=corners_px), 1.0)
+    assert (found.message, text[:12]) == ("all images used", "as predicted")
+    done = graph.resets.call_async(Trigger.Request())
+    graph.until(done.done)
+    found, text = status(lambda: draw(CENTRE_PX, LABEL, rng, corners=moved), 2.0)
+    assert found.level == Level.WARN
+    assert "the plate's outline is not where corners_px and the lens have it: it is shifted" in (
+        found.message
+    )
+    assert text.startswith("it is shifted by (5.")
+    assert any("the plate's outline" in warning for warning in graph.warnings)
+    done = graph.resets.call_async(Trigger.Request())
+    graph.until(done.done)
+    assert graph.detector._find(0.0).message == "all images used"
+
+
+def test_faint_patches_are_reported(graph, draw, rng):
+    def faint(image):
+        y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+        for cx in (150.0, 250.0, 350.0):
+            image[np.hypot(x - cx, y - 240) <= 8] -= 4
+
+    for k in range(3):
+        assert names(graph.answer(image(draw([], [], rng, extra=faint), 1.0 + 2.1 * k))) == []
+    found = graph.detector._find(0.0)
+    assert found.level == Level.WARN
+    assert "3 faint patches as large as parts are not detected (contrast to" in found.message
+    assert graph.detector._values()["faint_patches"] == 3
+
+
+def test_noise_alone_is_no_part(graph, rng):
+    for k, low in enumerate((0, 100, 200)):
+        frame = rng.integers(low, 256, (480, 640), dtype=np.uint8)
+        assert names(graph.answer(image(frame, 1.0 + k))) == []
