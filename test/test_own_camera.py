@@ -1,6 +1,10 @@
 """`make demo` with a film in place of a camera, and the simulated board: no image is simulated."""
 
+import contextlib
 import json
+import os
+import pty
+import select
 import subprocess
 import sys
 from pathlib import Path
@@ -72,11 +76,70 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
     assert result["message"].startswith("aborted after ")
 
 
-def test_nothing_moves_where_nobody_can_enable_the_motors(monkeypatch):
-    with open("/dev/null", encoding="utf-8") as nobody:
-        monkeypatch.setattr(sys, "stdin", nobody)
-        with pytest.raises(PlateError, match="nobody can enable the motors"):
-            await_consent(None)
+class Person:
+    """At a terminal, in place of the observer: types what is given when the program waits."""
+
+    def __init__(self, typed):
+        self.master, slave = pty.openpty()
+        self.stdin, self.typed = os.fdopen(slave, encoding="utf-8"), [*typed]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.stdin.close()
+        os.close(self.master)
+
+    def until(self, true, timeout_s):
+        if not self.typed:
+            raise KeyboardInterrupt
+        os.write(self.master, self.typed.pop(0))
+        select.select([self.stdin], [], [], timeout_s)
+
+    def hang_up(self, true, timeout_s):
+        os.close(self.master)
+        self.master = os.open(os.devnull, os.O_RDONLY)
+
+
+@pytest.mark.parametrize(
+    ("typed", "ended"),
+    [
+        ([b"\n"], None),
+        ([b"no\n", b"\n"], None),
+        ([b"no\n"], KeyboardInterrupt),
+        ([b"\x04"], PlateError),
+        ([], KeyboardInterrupt),
+    ],
+)
+def test_only_an_empty_line_after_the_question_enables_the_motors(monkeypatch, typed, ended):
+    with Person(typed) as person:
+        os.write(person.master, b"\n")  # while the nodes started
+        monkeypatch.setattr(sys, "stdin", person.stdin)
+        with contextlib.nullcontext() if ended is None else pytest.raises(ended):
+            await_consent(person)
+        assert not person.typed
+
+
+def test_a_terminal_that_is_closed_enables_nothing(monkeypatch):
+    with Person(()) as person:
+        monkeypatch.setattr(sys, "stdin", person.stdin)
+        monkeypatch.setattr(person, "until", person.hang_up)
+        with pytest.raises(PlateError, match="input ended before Enter: the motors stay off"):
+            await_consent(person)
+
+
+def test_nothing_starts_where_nobody_can_enable_the_motors():
+    master, slave = pty.openpty()  # in place of a motor controller
+    done = subprocess.run(
+        [sys.executable, "tools/demo.py", "--port", os.ttyname(slave)],
+        cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LONGEST_S,
+        check=False,
+    )  # fmt: skip
+    os.close(master)
+    os.close(slave)
+    assert done.returncode == 2, done.stderr
+    assert "nobody can enable the motors" in done.stderr
+    assert "Starting" not in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import os
 import select
 import shutil
 import sys
+import termios
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -63,6 +64,9 @@ FEEDER_S = 10.0
 
 LOOK_S = 1.0
 """Wait for nodes of others in a chosen domain [s]: nodes find each other in 0.2 s."""
+
+LINE_BYTES = 4096
+"""Longest line of a terminal (N_TTY_BUF_SIZE of Linux)."""
 
 MOST_PICKS = 10_000
 """Parts that a robot may be asked to take."""
@@ -171,6 +175,8 @@ def checked(args: argparse.Namespace) -> Plan:
         print(f"demo: warning: {doubt}", flush=True)
     start_positions(scenario, rig, np.random.default_rng(args.seed))  # and do its parts
     check_camera(args.camera, args.port)
+    if args.port:
+        check_terminal()
     if args.port or args.camera:
         tell_unmeasured("demo", rig, args.port)
     if is_played(args.camera):
@@ -228,25 +234,40 @@ def tell_unmeasured(program: str, rig: Rig, port: str) -> None:
     sys.stdout.flush()
 
 
-def await_consent(observer: Observer) -> None:
-    """Wait until the person at a real plate presses Enter: nothing moves before.
-
-    Raises
-    ------
-    PlateError
-        If there is nobody at a terminal.
-    """
+def check_terminal() -> None:
+    """Check that a person can answer; see `checked`."""
     if not sys.stdin.isatty():
         raise PlateError(
             "nobody can enable the motors: stdin is no terminal. Start it in a terminal, or use "
             "make play and enable them on the page"
         )
-    print("Look at the rig. Press Enter to enable the motors; Ctrl-C: nothing moves.", flush=True)
-    ready = False
-    while not ready:
-        observer.until(lambda: False, StatusLine.PERIOD_S)
-        ready = bool(select.select([sys.stdin], [], [], 0)[0])
-    sys.stdin.readline()
+
+
+def await_consent(observer: Observer) -> None:
+    """Wait until the person at a real plate presses Enter: nothing moves before.
+
+    Only an empty line counts that is entered after the question.
+
+    Raises
+    ------
+    PlateError
+        If the terminal is closed, or its input ended with Ctrl-D.
+    """
+    terminal = sys.stdin.fileno()
+    termios.tcflush(terminal, termios.TCIFLUSH)
+    line = b"unasked"
+    while line.strip():
+        print(
+            "Look at the rig. Press Enter to enable the motors; Ctrl-C: nothing moves.", flush=True
+        )
+        while not select.select([terminal], [], [], 0)[0]:
+            observer.until(lambda: False, StatusLine.PERIOD_S)
+        try:
+            line = os.read(terminal, LINE_BYTES)
+        except OSError:  # a terminal that was hung up
+            line = b""
+        if not line:
+            raise PlateError("the terminal's input ended before Enter: the motors stay off")
 
 
 def check_run(args: argparse.Namespace) -> None:
