@@ -3,6 +3,7 @@ and by what is on the bus."""
 
 import struct
 
+import drive_troubles as troubles
 import numpy as np
 import pytest
 from device_orders import (
@@ -15,6 +16,7 @@ from device_orders import (
     tell,
     uploaded,
 )
+from drive_troubles import SYNC
 from rigid_plate import Plate
 from simulated_firmware import compiled
 
@@ -47,7 +49,7 @@ HOMES = (5000, -70_000, 2**31 - 20_000, 0)
 
 PLATE = Plate(RIG, HOMES, SCALE * np.array(SIGNS))
 
-RPDO, SYNC = 0x200, 0x80
+RPDO = 0x200
 FOLLOWED_MS = 12
 
 
@@ -334,91 +336,27 @@ def test_a_reset_board_sends_no_target_before_it_knows_one(bench):
 # What goes wrong
 
 
-def lose_heartbeat(bench, drive):
-    drive.nmt.stop_heartbeat()
-
-
-def reset(bench, drive):
-    drive.boot()
-
-
-def emergency(bench, drive):
-    drive.fail(0x8611, 0x20)
-
-
-def low_voltage(bench, drive):
-    drive.fail(0x3220, 0x04)
-
-
-def jam(bench, drive):
-    bench.plate, drive.jammed = None, True
-
-
-def mute(bench, drive):
-    drive.mute = True
-
-
-def entered(state):
-    def enter(bench, drive):
-        drive.enter(state)
-
-    return enter
-
-
-def doubled(bench, drive):
-    """A second drive of its number wakes up."""
-    cob, data = 0x180 + drive.id, bytes.fromhex("3702efbeadde")
-    bench.network.subscribe(SYNC, lambda *_: bench.network.send_message(cob, data))
-
-
-def pre_operational(bench, drive):
-    drive.nmt.state = "PRE-OPERATIONAL"
-    bench.network.send_message(0x700 + drive.id, b"\x7f")  # its heartbeat, which is due now
-
-
-def second_master(bench, drive):
-    bench.network.send_message(SYNC, b"")
-
-
-def other_client(bench, drive):
-    bench.network.send_message(0x600 + drive.id, bytes.fromhex("2f60600001000000"))
-
-
-def other_heartbeat(bench, drive):
-    bench.network.send_message(0x77F, b"\x05")
-
-
-def short_emergency(bench, drive):
-    bench.network.send_message(0x80 + drive.id, b"\x10\x23")
-
-
-def local(bench, drive):
-    drive.remote = False
-
-
-def bus_off(bench, drive):
-    bench.order("busoff")
-
-
 FAULTS = [
-    (lose_heartbeat, Trouble.SILENT, 0, Fault.HARDWARE),
-    (reset, Trouble.RESET, 0, Fault.HARDWARE),
-    (emergency, Trouble.EMERGENCY, 0x8611, Fault.FOLLOWING),
-    (low_voltage, Trouble.EMERGENCY, 0x3220, Fault.SUPPLY),
-    (jam, Trouble.ASTRAY, range(3000, 5000), Fault.FOLLOWING),  # um
-    (mute, Trouble.NO_POSITION, 0, Fault.HARDWARE),
-    (doubled, Trouble.TWICE, 0, Fault.HARDWARE),
-    (entered("switched on"), Trouble.LEFT, 0x233, Fault.HARDWARE),
-    (entered("quick stop"), Trouble.LEFT, 0x217, Fault.HARDWARE),
-    (entered("fault reaction"), Trouble.FAULT, 0x21F, Fault.HARDWARE),
-    (pre_operational, Trouble.NOT_OPERATIONAL, 127, Fault.HARDWARE),
-    (second_master, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
-    (other_client, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
-    (other_heartbeat, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
-    (short_emergency, Trouble.EMERGENCY, 0x2310, Fault.HARDWARE),
-    (local, Trouble.LEFT, 0x37, Fault.HARDWARE),
-    (bus_off, Trouble.BUS_OFF, 0, Fault.HARDWARE),
+    (troubles.lose_heartbeat, Trouble.SILENT, 0, Fault.HARDWARE),
+    (troubles.reset, Trouble.RESET, 0, Fault.HARDWARE),
+    (troubles.emergency, Trouble.EMERGENCY, 0x8611, Fault.FOLLOWING),
+    (troubles.low_voltage, Trouble.EMERGENCY, 0x3220, Fault.SUPPLY),
+    (troubles.jam, Trouble.ASTRAY, range(3000, 5000), Fault.FOLLOWING),  # um
+    (troubles.mute, Trouble.NO_POSITION, 0, Fault.HARDWARE),
+    (troubles.doubled, Trouble.TWICE, 0, Fault.HARDWARE),
+    (troubles.entered("switched on"), Trouble.LEFT, 0x233, Fault.HARDWARE),
+    (troubles.entered("quick stop"), Trouble.LEFT, 0x217, Fault.HARDWARE),
+    (troubles.entered("fault reaction"), Trouble.FAULT, 0x21F, Fault.HARDWARE),
+    (troubles.pre_operational, Trouble.NOT_OPERATIONAL, 127, Fault.HARDWARE),
+    (troubles.second_master, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
+    (troubles.other_client, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
+    (troubles.other_heartbeat, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
+    (troubles.short_emergency, Trouble.EMERGENCY, 0x2310, Fault.HARDWARE),
+    (troubles.local, Trouble.LEFT, 0x37, Fault.HARDWARE),
+    (troubles.bus_off, Trouble.BUS_OFF, 0, Fault.HARDWARE),
 ]
+DELAYS_MS = {troubles.lose_heartbeat: 203, troubles.jam: 40, troubles.bus_off: 60}
+"""Maximum delay from a trouble to the end of the current [ms]; others: `FOLLOWED_MS`."""
 
 
 @pytest.mark.parametrize(("trouble", "kind", "code", "fault"), FAULTS)
@@ -432,13 +370,13 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
     assert fault in Fault(bench.faults)
     words = led(bench, since)
     off = words[words[:, 2] == 0][0, 0]
-    assert off - since <= {lose_heartbeat: 203, jam: 40, bus_off: 60}.get(trouble, FOLLOWED_MS)
+    assert off - since <= DELAYS_MS.get(trouble, FOLLOWED_MS)
     assert 15 not in words[words[:, 0] > off, 2]
     assert all(d.state != "enabled" for d in bench.drives)
     told = said_by(bench, DriveTrouble)
     motor = 0 if kind in (Trouble.OTHER_MASTER, Trouble.BUS_OFF) else 2
     assert {(t.motor, t.kind) for t in told} == {(motor, kind)}
-    assert {t.code for t in told} <= set(code if trouble is jam else [code])
+    assert {t.code for t in told} <= set(code if trouble is troubles.jam else [code])
     check_bus(bench)
 
 
@@ -451,22 +389,9 @@ def test_a_plate_that_jams_keeps_its_home(bench):
     assert said_by(bench, DriveTrouble)[-1].kind == Trouble.ASTRAY
 
 
-def stopped(bench, drive):
-    """By NMT: it obeys neither PDO nor SDO."""
-    drive.nmt.state = "STOPPED"
-    answer = drive.sdo.on_request
-
-    def deaf(*request):
-        if drive.nmt.state != "STOPPED":
-            answer(*request)
-
-    bench.network.unsubscribe(0x600 + drive.id, answer)
-    bench.network.subscribe(0x600 + drive.id, deaf)
-
-
 def test_a_drive_that_is_stopped_by_nmt_loses_its_current_at_once(bench):
     playing(bench, 0.008)
-    stopped(bench, bench.drives[1])
+    troubles.stopped(bench, bench.drives[1])
     live(bench, 20)
     assert all(drive.state == "switch on disabled" for drive in bench.drives)
 
@@ -480,7 +405,7 @@ def test_a_drive_that_boots_with_current_is_cut(bench):
     assert all(drive.state == "switch on disabled" for drive in bench.drives)
 
 
-@pytest.mark.parametrize("trouble", [emergency, bus_off])
+@pytest.mark.parametrize("trouble", [troubles.emergency, troubles.bus_off])
 def test_once_it_is_over_a_person_enables_again(bench, trouble):
     playing(bench)
     trouble(bench, bench.drives[1])
@@ -495,13 +420,10 @@ def test_once_it_is_over_a_person_enables_again(bench, trouble):
     check_bus(bench)
 
 
-def moved_in_bus_off(bench, drive):
-    bench.order("busoff")
-    live(bench, 1020)
-    drive.position += 3000  # it may count from elsewhere
-
-
-@pytest.mark.parametrize("trouble", [reset, lose_heartbeat, stopped, moved_in_bus_off])
+@pytest.mark.parametrize(
+    "trouble",
+    [troubles.reset, troubles.lose_heartbeat, troubles.stopped, troubles.moved_in_bus_off],
+)
 def test_where_home_may_be_lost_it_takes_a_person_to_say_where_it_is(bench, trouble):
     playing(bench)
     trouble(bench, bench.drives[1])
@@ -816,8 +738,12 @@ class Port:
 @pytest.mark.parametrize(
     ("trouble", "reason", "text"),
     [
-        (emergency, DriverReason.FOLLOWING, "following: motor_2: emergency 8611h, error register "),
-        (reset, DriverReason.HARDWARE, "hardware: motor_2: the drive was reset"),
+        (
+            troubles.emergency,
+            DriverReason.FOLLOWING,
+            "following: motor_2: emergency 8611h, error register ",
+        ),
+        (troubles.reset, DriverReason.HARDWARE, "hardware: motor_2: the drive was reset"),
     ],
 )
 def test_the_driver_says_axis_and_the_drives_own_words(bench, trouble, reason, text):
