@@ -28,7 +28,6 @@ from plate_core import PlateCycle, PlateError, Wanted, load_rig
 from plate_core.ros import (
     ACTIONS,
     DATA,
-    FRAME,
     LATCHED,
     NEWEST,
     RESULT_S,
@@ -59,16 +58,15 @@ from plate_interfaces.msg import (
     FeedOrder,
     FeedStatus,
     Part,
-    PartCount,
     PartForces,
     Parts,
     Targets,
-    TaskProgress,
     TaskStatus,
 )
 
 from .estimation import SNAP, Estimator, check_start, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
+from .ros import STATES, feed_to_msg, progress_to_msg
 from .supervision import STOP, Failure, Inputs, Overlooked, Phase, Progress, Reason
 from .tasks import FollowOptions
 
@@ -92,15 +90,6 @@ STILL_S = 1.0
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""
-
-STATES = {
-    Phase.IDLE: TaskStatus.IDLE,
-    Phase.RUNNING: TaskStatus.RUNNING,
-    Phase.DONE: TaskStatus.DONE,
-    Phase.STUCK: TaskStatus.STUCK,
-    Phase.LOST: TaskStatus.LOST,
-    Phase.ABORTED: TaskStatus.ABORTED,
-}
 
 BY_PERSON = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)
 """Ends that are no failures: somebody asked for them."""
@@ -679,17 +668,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if not isinstance(run.planner.scenario.task, FeedTask) or run.state.memory is None:
             return
         report = run.state.memory.report
-        self._feed.publish(
-            FeedStatus(
-                header=Header(stamp=self._stamp, frame_id=FRAME),
-                mode=int(report.mode),
-                at_rest=report.at_rest and not moves,
-                ready=[self._shown[name] for name in report.ready.ids if name in self._shown],
-                seen=[PartCount(type=name, count=count) for name, count in report.seen.items()],
-                discharged=report.discharged,
-                lost=report.lost,
-            )
-        )
+        report = replace(report, at_rest=report.at_rest and not moves)
+        self._feed.publish(feed_to_msg(report, self._shown, self._stamp))
 
     def _publish_targets(self) -> None:
         """Publish the targets in force, if they are others."""
@@ -801,21 +781,6 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _warn(self, text: str) -> None:
         self._refused = text
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
-
-
-def progress_to_msg(progress: Progress) -> TaskProgress:
-    """Return how a task gets on, as a message."""
-    return TaskProgress(
-        time_s=float(progress.time_s),
-        parts_total=progress.parts_total,
-        parts_seen=progress.parts_seen,
-        parts_sorted=int(progress.parts_sorted),
-        to_go_m=float(progress.to_go_m),
-        rms_error_m=float(progress.rms_error_m),
-        max_error_m=float(progress.max_error_m),
-        turn_error=float(progress.turn_error),
-        pace=float(progress.pace),
-    )
 
 
 def main() -> None:

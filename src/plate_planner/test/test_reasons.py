@@ -16,7 +16,7 @@ from plate_core.ros import (  # noqa: E402
 from plate_core.tasks import load_scenario  # noqa: E402
 from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
 from plate_interfaces.msg import TaskStatus  # noqa: E402
-from plate_planner.node import STATES  # noqa: E402
+from plate_planner.ros import STATES  # noqa: E402
 from plate_planner.supervision import Reason  # noqa: E402
 
 PROVOKE = {}
