@@ -1,17 +1,9 @@
 """A feeder: hands out parts to a robot one by one, and has the planner get the next ones ready."""
 
 from .codes import MEANINGS, Code
-from .feeder import (
-    Feeder,
-    FeedStatus,
-    Output,
-    Quantity,
-    ReadyPart,
-    Reply,
-    Reserved,
-    State,
-)
+from .feeder import Feeder
 from .hand_eye import HandEye, HandEyeError, fit_hand_eye, load_hand_eye
+from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 __all__ = [
     "MEANINGS",

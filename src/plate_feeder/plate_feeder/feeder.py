@@ -42,16 +42,15 @@ The rules:
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
 from enum import Enum
 
-import numpy as np
-
-from plate_core import MOST_PARTS, Parts, PlateError, Rig, part_class
+from plate_core import MOST_PARTS, PlateError, Rig, part_class
 from plate_core.tasks import FeedMode, FeedOrder, FeedTask, Pick, as_picked, pick_problem
 
 from .codes import Code
+from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
 """An image so much younger than the newest known one was taken after now [s]: images are late."""
@@ -93,162 +92,6 @@ WAITS = "stopped until a person calls resume_feeding: "
 
 LONGEST_S = 3600.0
 """Longest `timeout_s` that may be asked for [s]."""
-
-
-@dataclass(frozen=True)
-class ReadyPart:
-    """A part that may be gripped.
-
-    Attributes
-    ----------
-    id : str
-        Such as `black_3`.
-    x, y : float
-        Centre [m, plate_home].
-    angle : float
-        Counter-clockwise from x [rad].
-    covariance : tuple of 9 floats
-        Of (x, y, angle), row by row [m2, m rad, rad2]; the first is -1 if it is not known.
-    """
-
-    id: str
-    x: float
-    y: float
-    angle: float = 0.0
-    covariance: tuple[float, ...] = (-1.0, *8 * (0.0,))
-
-    @property
-    def label(self) -> str:
-        """Its class."""
-        return part_class(self.id)
-
-    @property
-    def alone(self) -> Parts:
-        """The same as parts, one."""
-        return Parts.make((self.id,), np.array([[self.x, self.y]]), angle=np.array([self.angle]))
-
-
-@dataclass(frozen=True)
-class FeedStatus:
-    """How the planner gets on, as of one image.
-
-    Attributes
-    ----------
-    stamp : float
-        Of the image [s, the camera's clock: compared with other stamps only].
-    mode : FeedMode
-        What the planner does.
-    at_rest : bool
-        Whether parts lie where they are shown.
-    ready : tuple of ReadyPart
-    seen : mapping of str to int
-        Parts on the plate, by class.
-    discharged, lost : int
-        Parts that left over the chute and elsewhere, since this task began.
-    """
-
-    stamp: float
-    mode: FeedMode
-    at_rest: bool
-    ready: tuple[ReadyPart, ...] = ()
-    seen: Mapping[str, int] = field(default_factory=dict)
-    discharged: int = 0
-    lost: int = 0
-
-    @property
-    def total(self) -> int:
-        """Parts on the plate."""
-        return sum(self.seen.values())
-
-
-@dataclass(frozen=True)
-class Reply:
-    """The answer to a command.
-
-    Attributes
-    ----------
-    code : Code
-    text : str
-        What was done, or why it was not.
-    part : ReadyPart or None
-        For the robot.
-    valid_until : float
-        So long it is reserved [s, the clock of `now`].
-    left : int
-        Parts that are left after a purge.
-    """
-
-    code: Code
-    text: str
-    part: ReadyPart | None = None
-    valid_until: float = math.nan
-    left: int = 0
-
-
-@dataclass(frozen=True)
-class Output:
-    """What is to be done now.
-
-    Attributes
-    ----------
-    run : bool
-        Whether the planner's task is to run; false: it is to be canceled if it does.
-    order : FeedOrder
-        For a task that runs.
-    open_s : float or None
-        The hopper is to be open for so long from now on [s], 0: it is to be shut; None: as it is.
-    replies : tuple of (client, Reply)
-        To commands that waited.
-    """
-
-    run: bool
-    order: FeedOrder
-    open_s: float | None = None
-    replies: tuple[tuple[Hashable, Reply], ...] = ()
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """How many parts there are: on the plate by class, of them ready; and gone since the feeder
-    began: taken by the robot, over the chute, over other edges."""
-
-    seen: Mapping[str, int]
-    ready: int
-    taken: int
-    discharged: int
-    lost: int
-
-
-@dataclass(frozen=True)
-class Reserved:
-    """A part that is reserved.
-
-    Attributes
-    ----------
-    client : hashable or None
-        Whose it is; None: of one that has gone.
-    part : ReadyPart
-    until : float
-        When its time is over [s].
-    """
-
-    client: Hashable | None
-    part: ReadyPart
-    until: float
-
-
-class State(Enum):
-    """What the feeder does, in a word."""
-
-    IDLE = "idle"  # no task runs; the next command begins it
-    STOPPED = "stopped"  # it was, or has failed; the next command begins it anew, if it may
-    STARTING = "starting"  # the task has been asked for
-    FEEDING = "feeding"  # parts are got ready
-    READY = "ready"  # enough of them are, and the plate rests
-    WAITING = "waiting"  # a get_part waits
-    RESERVED = "reserved"  # a part is reserved, the plate rests
-    PURGING = "purging"
-    SILENT = "silent"  # the planner is
 
 
 class _Task(Enum):

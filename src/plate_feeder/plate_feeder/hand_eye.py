@@ -11,7 +11,7 @@ import numpy as np
 from plate_core import PlateError
 from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
 
-from .feeder import ReadyPart
+from .interface import ReadyPart
 
 LARGEST_RESIDUAL_M = 1e-3
 """A point that lies further from where the others say was measured wrongly [m]."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from plate_core import PlateError, did_you_mean
 
 from .codes import Code
-from .feeder import Quantity, ReadyPart
+from .interface import Quantity, ReadyPart
 
 LONGEST_LINE = 256
 """Of a robot [bytes]."""

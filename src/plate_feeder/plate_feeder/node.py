@@ -40,8 +40,9 @@ from plate_interfaces.srv import OpenHopper, PartQuantity, PartTaken, PreparePar
 
 from . import feeder as core
 from .codes import Code
-from .feeder import Feeder, ReadyPart, Reply
+from .feeder import Feeder
 from .hand_eye import HandEye, load_hand_eye
+from .interface import ReadyPart, Reply
 from .lines import Command, part_text, quantity_text
 from .ros import FeedGoal
 from .server import Answer, RobotServer

@@ -1,0 +1,171 @@
+"""Data that the feeder takes from the planner, and gives to clients, planner and hopper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from plate_core import Parts, part_class
+from plate_core.tasks import FeedMode, FeedOrder
+
+from .codes import Code
+
+
+@dataclass(frozen=True)
+class ReadyPart:
+    """A part that may be gripped.
+
+    Attributes
+    ----------
+    id : str
+        Such as `black_3`.
+    x, y : float
+        Centre [m, plate_home].
+    angle : float
+        Counter-clockwise from x [rad].
+    covariance : tuple of 9 floats
+        Of (x, y, angle), row by row [m2, m rad, rad2]. The first value is -1 if it is unknown.
+    """
+
+    id: str
+    x: float
+    y: float
+    angle: float = 0.0
+    covariance: tuple[float, ...] = (-1.0, *8 * (0.0,))
+
+    @property
+    def label(self) -> str:
+        """Its class."""
+        return part_class(self.id)
+
+    @property
+    def alone(self) -> Parts:
+        """This part as `Parts` of length 1."""
+        return Parts.make((self.id,), np.array([[self.x, self.y]]), angle=np.array([self.angle]))
+
+
+@dataclass(frozen=True)
+class FeedStatus:
+    """Status of the planner at one image.
+
+    Attributes
+    ----------
+    stamp : float
+        Of the image [s, the camera's clock: compared with other stamps only].
+    mode : FeedMode
+        Current mode of the planner.
+    at_rest : bool
+        Whether the parts are still where the image shows them.
+    ready : tuple of ReadyPart
+    seen : mapping of str to int
+        Parts on the plate, by class.
+    discharged, lost : int
+        Parts that have left over the chute and elsewhere since this task began.
+    """
+
+    stamp: float
+    mode: FeedMode
+    at_rest: bool
+    ready: tuple[ReadyPart, ...] = ()
+    seen: Mapping[str, int] = field(default_factory=dict)
+    discharged: int = 0
+    lost: int = 0
+
+    @property
+    def total(self) -> int:
+        """Parts on the plate."""
+        return sum(self.seen.values())
+
+
+@dataclass(frozen=True)
+class Reply:
+    """Reply to a command.
+
+    Attributes
+    ----------
+    code : Code
+    text : str
+        Result, or the reason for a refusal.
+    part : ReadyPart or None
+        Part for the robot.
+    valid_until : float
+        End of its reservation [s, the clock of `now`].
+    left : int
+        Number of parts on the plate after a purge.
+    """
+
+    code: Code
+    text: str
+    part: ReadyPart | None = None
+    valid_until: float = math.nan
+    left: int = 0
+
+
+@dataclass(frozen=True)
+class Output:
+    """Requests of the feeder to planner and hopper, and replies to clients.
+
+    Attributes
+    ----------
+    run : bool
+        Whether the planner's task should run. If False, cancel it.
+    order : FeedOrder
+        Order to a running task.
+    open_s : float or None
+        How long to keep the hopper open from now [s]. 0 closes it; None leaves it unchanged.
+    replies : tuple of (client, Reply)
+        Replies to commands that waited.
+    """
+
+    run: bool
+    order: FeedOrder
+    open_s: float | None = None
+    replies: tuple[tuple[Hashable, Reply], ...] = ()
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Numbers of parts: on the plate by class, and ready. Since the feeder began: taken by the
+    robot, gone over the chute, and gone over other edges."""
+
+    seen: Mapping[str, int]
+    ready: int
+    taken: int
+    discharged: int
+    lost: int
+
+
+@dataclass(frozen=True)
+class Reserved:
+    """A part that is reserved.
+
+    Attributes
+    ----------
+    client : hashable or None
+        Client that has reserved it. None if that client has disconnected.
+    part : ReadyPart
+    until : float
+        End of the reservation [s].
+    """
+
+    client: Hashable | None
+    part: ReadyPart
+    until: float
+
+
+class State(Enum):
+    """State of the feeder."""
+
+    IDLE = "idle"  # no task runs; the next command begins it
+    STOPPED = "stopped"  # stopped or failed; the next command restarts it if that is allowed
+    STARTING = "starting"  # the task was requested
+    FEEDING = "feeding"  # the planner gets parts ready
+    READY = "ready"  # enough parts are ready, and the plate rests
+    WAITING = "waiting"  # a get_part waits
+    RESERVED = "reserved"  # a part is reserved, the plate rests
+    PURGING = "purging"
+    SILENT = "silent"  # the planner sends no status
