@@ -25,8 +25,10 @@ from visualization_msgs.msg import MarkerArray
 
 from plate_core import Parts as CoreParts
 from plate_core import PlateCycle, PlateError, Wanted, load_rig
+from plate_core.driver_status import DriverState
 from plate_core.ros import (
     ACTIONS,
+    CALLS,
     DATA,
     LATCHED,
     NEWEST,
@@ -63,6 +65,7 @@ from plate_interfaces.msg import (
     Targets,
     TaskStatus,
 )
+from plate_interfaces.srv import MeasureFriction
 
 from .estimation import SNAP, Estimator, check_start, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
@@ -221,6 +224,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.managed_subscription(Targets, "targets", self._on_targets, DATA)
         self.managed_subscription(FeedOrder, "feed_orders", self._on_order, DATA, in_turn=True)
         self.managed_service(Trigger, "stop", self._on_stop)
+        self._friction = self.create_client(MeasureFriction, "measure_friction", qos_profile=CALLS)
+        self.keep(self.destroy_client, self._friction)
         self.managed_timer(WATCH_PERIOD_S, self._watch)
         for name, action in ACTIONS.items():
             server = ActionServer(
@@ -627,6 +632,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._idle, self._run, self._reported = self._estimator, None, ""
             self._statuses.publish(self._idle_status(Reason.STOPPED))
             response.message = f"no task runs; the last one: {was}" if was else "no task runs"
+        # The driver's pushes are no task, but who stops wants the plate to rest.
+        if self._friction.service_is_ready():
+            self._friction.call_async(MeasureFriction.Request(start=False))
+        driver = self._inputs.driver_status
+        if driver is not None and driver.state is DriverState.CALIBRATING:
+            response.message += "; a measurement of friction ends, calibrate goes on"
         self._go_on()
         response.success = True
         return response

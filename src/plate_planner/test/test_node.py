@@ -29,6 +29,7 @@ from plate_core.ros import (  # noqa: E402
 )
 from plate_core.tasks import load_scenario  # noqa: E402
 from plate_interfaces.msg import DriverStatus, FeedOrder, PartForces, TaskStatus  # noqa: E402
+from plate_interfaces.srv import MeasureFriction  # noqa: E402
 from plate_planner.supervision.inputs import FEEDER_S  # noqa: E402
 
 
@@ -165,6 +166,24 @@ def test_stop_says_what_was_stopped(graph):
     graph.until(lambda: graph.states[-1] == "idle")
     # What this task has asked for stays told: the driver may have heard of its end by this alone.
     assert nanoseconds(graph.statuses[-1].header.stamp) == 400_000_000
+
+
+def test_a_stop_ends_a_measurement_of_friction(graph):
+    """It is no task, but moves the plate."""
+    graph, calls = graph(), []
+
+    def on_call(request, response):
+        calls.append(request.start)
+        return response
+
+    graph.probe.create_service(MeasureFriction, "measure_friction", on_call)
+    graph.driver = DriverStatus(state=DriverStatus.CALIBRATING, text="calibrating")
+    graph.until(graph.planner._friction.service_is_ready)
+    graph.until(lambda: graph.driver_text() == "calibrating")
+    said = "no task runs; a measurement of friction ends, calibrate goes on"
+    assert graph.stop().message == said
+    graph.until(lambda: calls)
+    assert calls == [False]
 
 
 def test_a_stop_when_no_task_runs_is_told(graph):

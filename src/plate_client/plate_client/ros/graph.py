@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 from action_msgs.srv import CancelGoal
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -21,7 +22,7 @@ from plate_core.tasks import Scenario, load_scenario
 from plate_interfaces.msg import DriverStatus, Friction, TaskStatus
 from plate_interfaces.srv import MeasureFriction
 
-from .client import PlateClient, Task, TaskError
+from .client import AGAIN_S, SILENT_S, PlateClient, Task, TaskError
 from .services import NOBODY_S, Services, nobody
 
 PROGRESS_S, WAITING_S = 2.0, 5.0
@@ -31,11 +32,12 @@ REPORT_S, LATE_S = 2.0, 2.0
 """What nodes say of themselves once a second is listened to for so long, until all are found, and
 for so much longer where some of them have said nothing yet [s]."""
 
-MUTE_S = 15.0
-"""A driver that says nothing of a measurement of friction for longer is gone [s]."""
-
 AT_FIRST_S = 0.5
 """A wait that is shorter is not worth a line [s]."""
+
+
+class SilentError(PlateError):
+    """The driver says nothing of its measurement."""
 
 
 class Graph(Services):
@@ -139,29 +141,20 @@ class Graph(Services):
             If it was not measured, or not written.
         """
         said: list[Friction] = []
+        drivers: list[DriverStatus] = []
         self.node.create_subscription(Friction, "friction", said.append, LATCHED)
-        start = MeasureFriction.Request(start=True)
-        answer = self._call(MeasureFriction, "measure_friction", start, once=True)
+        self.node.create_subscription(DriverStatus, "driver_status", drivers.append, LATCHED)
+        start, end = (MeasureFriction.Request(start=on) for on in (True, False))
+        try:
+            answer = self._call(MeasureFriction, "measure_friction", start, once=True)
+            if answer.success:
+                self._await_friction(said, drivers, answer.started)
+        except (KeyboardInterrupt, OSError, SilentError):  # OSError: nobody reads what we print
+            self._call(MeasureFriction, "measure_friction", end)
+            raise
         if not answer.success:
             raise PlateError(str(answer.message))
-        told, heard_at = "", time.monotonic()
-
-        def ended() -> bool:
-            nonlocal told, heard_at
-            ours = [msg for msg in said if msg.header.stamp == answer.started]
-            if ours and ours[-1].text != told:
-                told, heard_at = ours[-1].text, time.monotonic()
-                if ours[-1].state == Friction.RUNNING:
-                    print(f"  {100 * ours[-1].fraction:3.0f} %  {told}", flush=True)
-            return bool(ours) and ours[-1].state != Friction.RUNNING
-
-        try:
-            while not self._until(ended, WAITING_S):
-                if time.monotonic() - heard_at > MUTE_S:
-                    raise PlateError(f"the driver has said nothing of friction for {MUTE_S:g} s")
-        except KeyboardInterrupt:
-            self._call(MeasureFriction, "measure_friction", MeasureFriction.Request(start=False))
-            raise
+        told = said[-1].text
         if said[-1].state != Friction.DONE:
             raise PlateError(told)
         rows = [f"  {'part':14}  {'x [mm]':>8}  {'y [mm]':>8}  mu"]
@@ -178,6 +171,39 @@ class Graph(Services):
         if not answer.success:
             raise PlateError(str(answer.message))
         return str(answer.message)
+
+    def _await_friction(
+        self, said: list[Friction], drivers: list[DriverStatus], started: Time
+    ) -> None:
+        """Show how the measurement goes on that was started then, until it is over.
+
+        Raises
+        ------
+        SilentError
+            If the driver no longer says that it measures.
+        """
+        told, heard, silent_s = "", 0, 0.0
+
+        def over() -> bool:
+            nonlocal told
+            ours = [msg for msg in said if msg.header.stamp == started]
+            if ours and ours[-1].text != told:
+                told = ours[-1].text
+                if ours[-1].state == Friction.RUNNING:
+                    print(f"  {100 * ours[-1].fraction:3.0f} %  {told}", flush=True)
+            return bool(ours) and ours[-1].state != Friction.RUNNING
+
+        while not self._until(over, AGAIN_S):
+            measuring = sum(msg.state == DriverStatus.CALIBRATING for msg in drivers)
+            silent_s = silent_s + AGAIN_S if len(said) + measuring == heard else 0.0
+            heard = len(said) + measuring
+            if silent_s > SILENT_S:
+                text = (
+                    f"the driver has not said for {SILENT_S:g} s that it measures: it hangs, is "
+                    "gone or was started again"
+                )
+                print(f"  {text}; asking it to end", flush=True)
+                raise SilentError(f"{text}. Whether the plate rests is not known: look")
 
     # State
 

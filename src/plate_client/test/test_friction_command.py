@@ -1,0 +1,100 @@
+"""`plate friction` where the measurement does not come to its end."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+
+from plate_client.ros.graph import Graph
+from plate_core import PlateError
+from plate_interfaces.msg import DriverStatus, Friction
+
+OURS = Time(sec=7)
+MEASURES = DriverStatus(state=DriverStatus.CALIBRATING)
+READY = DriverStatus(state=DriverStatus.READY)
+MOST_ROUNDS = 100
+
+
+class Scripted(Graph):
+    """A graph of which each round of waiting hears what the script says."""
+
+    def __init__(self, script, answer):
+        self.heard, self.calls, self.rounds = {}, [], 0
+        self.script, self.answer = script, answer
+        subscribe = lambda kind, topic, take, qos: self.heard.update({topic: take})  # noqa: E731
+        self.node = SimpleNamespace(create_subscription=subscribe)
+
+    def _call(self, kind, service, request, urgent=False, once=False):
+        self.calls.append(request.start)
+        if request.start and isinstance(self.answer, BaseException):
+            raise self.answer
+        return self.answer
+
+    def _until(self, true, timeout_s):
+        assert self.rounds < MOST_ROUNDS
+        self.script(self)
+        self.rounds += 1
+        return true()
+
+    def hear(self, topic, msg):
+        self.heard[topic](msg)
+
+
+def ran(script, success=True, answer=None):
+    answer = answer or SimpleNamespace(success=success, message="a task runs", started=OURS)
+    graph, ended = Scripted(script, answer), None
+    try:
+        graph._friction(write=False)
+    except (PlateError, KeyboardInterrupt, OSError) as error:
+        ended = error
+    return graph, ended
+
+
+def progress(graph):
+    msg = Friction(state=Friction.RUNNING, text="push 1")
+    msg.header.stamp = OURS
+    graph.hear("friction", msg)
+
+
+@pytest.mark.parametrize("later", [lambda graph: None, lambda g: g.hear("driver_status", READY)])
+def test_a_driver_that_measures_no_longer_is_told_within_seconds(later, capsys):
+    """One that is gone, and one that was started again."""
+    begun = 30
+
+    def script(graph):
+        if graph.rounds < begun:
+            graph.hear("driver_status", MEASURES)
+        else:
+            later(graph)
+
+    graph, ended = ran(script)
+    assert "the driver has not said for 2 s that it measures" in str(ended)
+    assert "not known: look" in str(ended)
+    assert begun < graph.rounds < begun + 15  # of 0.2 s
+    assert graph.calls == [True, False]
+    assert "asking it to end" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_the_measurement_also_before_it_is_answered():
+    graph, ended = ran(lambda graph: None, answer=KeyboardInterrupt(2))
+    assert isinstance(ended, KeyboardInterrupt)
+    assert graph.calls == [True, False]
+
+
+def test_it_ends_when_nobody_reads_its_lines(monkeypatch):
+    def broken(*_, **__):
+        raise BrokenPipeError
+
+    monkeypatch.setattr("builtins.print", broken)
+    graph, ended = ran(progress)
+    assert isinstance(ended, BrokenPipeError)
+    assert graph.calls == [True, False]
+
+
+def test_one_that_is_refused_ends_no_other():
+    graph, ended = ran(lambda graph: None, success=False)
+    assert str(ended) == "a task runs"
+    assert graph.calls == [True]
