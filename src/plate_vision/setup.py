@@ -18,7 +18,7 @@ setup(
     install_requires=["plate_core", "numpy", "opencv-python-headless", "PyYAML", "scipy"],
     extras_require={"test": ["pytest"]},
     ext_modules=[kernels(NAME)],
-    cmdclass={"build_ext": CompileKernels, "install_scripts": node_programs("detector")},
+    cmdclass={"build_ext": CompileKernels, "install_scripts": node_programs("camera", "detector")},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
@@ -27,7 +27,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"detector = {NAME}.node:main",
-            f"camera = {NAME}.cameras.node:main",
+            f"camera = {NAME}.image_sources.node:main",
             f"calibrate = {NAME}.camera.calibrate_camera:main",
             f"teach = {NAME}.shapes.teach_parts:main",
         ]

@@ -38,7 +38,7 @@ from plate_driver.transports import check_transport, installed, open_port
 from plate_planner import Planner
 from plate_sim.world import Disturbances
 from plate_solver import METHODS
-from plate_vision.cameras import check_device, is_played
+from plate_vision.image_sources import check_device, is_played
 
 from .domains import own_domain
 from .firmware import build

@@ -8,7 +8,7 @@ import pytest
 from fake_camera import FakeCamera
 
 from plate_planner.estimation.frame_clock import ACQUIRE, LONGEST_S, FrameClock
-from plate_vision.cameras import Settings
+from plate_vision.image_sources import Settings
 
 
 def clocked(rate, seconds=15.0, scatter=0.005, dropped=0.0, seed=0):

@@ -8,8 +8,8 @@ import time
 import cv2
 import numpy as np
 
-from plate_vision.cameras import v4l2_device as v4l2
-from plate_vision.cameras.v4l2 import V4l2Source
+from plate_vision.image_sources import v4l2_device as v4l2
+from plate_vision.image_sources.v4l2 import V4l2Source
 
 YUYV_SLOW = {"YUYV": {(640, 480): (15, 30), (1280, 720): (10,)}}
 MJPG_FAST = {"MJPG": {(640, 480): (30, 60), (1280, 720): (30, 60)}}

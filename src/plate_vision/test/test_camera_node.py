@@ -30,8 +30,8 @@ from plate_core.ros import (  # noqa: E402
 from plate_core.status import Level  # noqa: E402
 from plate_interfaces.msg import Parts  # noqa: E402
 from plate_vision.camera import Lens, save_lens  # noqa: E402
-from plate_vision.cameras import Watch  # noqa: E402
-from plate_vision.cameras.node import CameraNode  # noqa: E402
+from plate_vision.image_sources import Watch  # noqa: E402
+from plate_vision.image_sources.node import CameraNode  # noqa: E402
 from plate_vision.node import DetectorNode  # noqa: E402
 
 LONGEST_S = 60.0

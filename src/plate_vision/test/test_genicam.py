@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from plate_vision.cameras import CameraError, Settings
-from plate_vision.cameras.genicam import GenicamSource, open_producer
 from plate_vision.errors import ImageError
+from plate_vision.image_sources import CameraError, Settings
+from plate_vision.image_sources.genicam import GenicamSource, open_producer
 
 
 class Node:

@@ -11,12 +11,12 @@ from fake_camera import FakeCamera
 
 from plate_core import PlateError
 from plate_core.status import Level
-from plate_vision.cameras import CameraError, Settings, Watch, listing, make_source
-from plate_vision.cameras import v4l2_device as v4l2
-from plate_vision.cameras.played import FilmSource, PipeSource
-from plate_vision.cameras.source import unpack_frame
-from plate_vision.cameras.v4l2 import V4l2Source
 from plate_vision.errors import ImageError
+from plate_vision.image_sources import CameraError, Settings, Watch, listing, make_source
+from plate_vision.image_sources import v4l2_device as v4l2
+from plate_vision.image_sources.played import FilmSource, PipeSource
+from plate_vision.image_sources.source import unpack_frame
+from plate_vision.image_sources.v4l2 import V4l2Source
 
 GREY = {"GREY": {(64, 48): (30, 60)}}
 
@@ -221,7 +221,7 @@ def test_jpeg_frames(make):
 
 def test_the_list_tells_formats_sizes_rates_and_controls(tmp_path, monkeypatch):
     camera = FakeCamera(tmp_path / "video0")
-    monkeypatch.setattr("plate_vision.cameras.sources.V4l2Device", camera.device)
+    monkeypatch.setattr("plate_vision.image_sources.sources.V4l2Device", camera.device)
     lines = list(listing([str(camera.path)]))
     assert lines[0].endswith("video0: Fake camera (driver fake)")
     assert "  MJPG: pixels as MJPG" in lines

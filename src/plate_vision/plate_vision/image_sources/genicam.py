@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ImageError
-from .source import LIVE_RATE, SILENT_CAMERA, AbsentError, CameraError, Frame, Settings, Warn
+from .source import LIVE_RATE, AbsentError, Camera, CameraError, Frame, Settings, Warn
 
 PREFIX = "genicam:"
 """Begins the name of such a device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
@@ -63,11 +63,8 @@ def open_producer(file: str) -> Any:
     return harvester
 
 
-class GenicamSource:
-    """A GenICam camera; parameters as of `V4l2Source`, `producer` opens the GenTL file."""
-
-    live = True
-    silence = SILENT_CAMERA
+class GenicamSource(Camera):
+    """A GenICam camera; `producer` opens its GenTL file, the other parameters are `Camera`'s."""
 
     def __init__(
         self,
@@ -76,7 +73,7 @@ class GenicamSource:
         producer: Callable[[str], Any] = open_producer,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.settings, self._warn, self._clock = settings, warn, clock
+        super().__init__(settings, warn, clock)
         self._file, _, self._serial = settings.device.removeprefix(PREFIX).partition("#")
         self._producer = producer
         self._harvester: Any = None
@@ -111,7 +108,7 @@ class GenicamSource:
                         f"{', '.join(PIXEL_FORMATS)}"
                     )
                 self._set("PixelFormat", pixel_format)
-            self._set_values()
+            self._apply_settings()
             self._set_trigger()
             self._camera.start()
         except BaseException:
@@ -119,7 +116,11 @@ class GenicamSource:
             raise
         self._offsets.clear()
 
-    def _set_values(self) -> None:
+    @property
+    def _is_open(self) -> bool:
+        return self._camera is not None
+
+    def _apply_settings(self) -> None:
         values = self.settings
         for feature, chosen in (
             ("ExposureAuto", values.auto_exposure),
@@ -195,9 +196,8 @@ class GenicamSource:
         # The quickest of the last images says how the clocks of camera and computer differ.
         self._offsets.append(arrival - taken)
         end = taken + min(self._offsets)
-        exposure_us = self.settings.exposure_us or self._exposure_us() or 0.0
-        before = 1e-6 * (exposure_us + self.settings.readout_us)
-        return Frame(pixels << unused if unused else pixels, encoding, end - before, arrival)
+        instant = end - self._before_end_s()
+        return Frame(pixels << unused if unused else pixels, encoding, instant, arrival)
 
     def _harvester_has_it(self) -> None:
         """Refuse to wait for a camera that has gone."""
@@ -207,18 +207,6 @@ class GenicamSource:
             raise CameraError(
                 f"{self.settings.device}: the camera is unplugged; images go on when it is back"
             )
-
-    def change(self, settings: Settings) -> None:
-        """Take over exposure, gain and what is automatic."""
-        before, self.settings = self.settings, settings
-        if self._camera is None:
-            return
-        try:
-            self._set_values()
-        except CameraError:
-            self.settings = before
-            self._set_values()
-            raise
 
     def _exposure_us(self) -> float | None:
         node = getattr(self._nodes, "ExposureTime", None) if self._camera is not None else None

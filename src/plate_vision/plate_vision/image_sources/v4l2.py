@@ -15,7 +15,7 @@ from ..errors import ImageError
 from .source import (
     FORMATS,
     LIVE_RATE,
-    SILENT_CAMERA,
+    Camera,
     CameraError,
     Frame,
     Settings,
@@ -54,7 +54,7 @@ def open_capture(path: str) -> Any:
     return cv2.VideoCapture(path, cv2.CAP_V4L2)
 
 
-class V4l2Source:
+class V4l2Source(Camera):
     """A V4L2 camera.
 
     Stamps come from the kernel: OpenCV's `CAP_PROP_POS_MSEC` is `v4l2_buffer.timestamp` (in
@@ -74,9 +74,6 @@ class V4l2Source:
         The steady clock [s].
     """
 
-    live = True
-    silence = SILENT_CAMERA
-
     def __init__(
         self,
         settings: Settings,
@@ -87,7 +84,7 @@ class V4l2Source:
     ) -> None:
         name = settings.device
         self.path = f"/dev/video{name}" if name.isdigit() else name
-        self.settings, self._warn, self._clock = settings, warn, clock
+        super().__init__(settings, warn, clock)
         self._make_device, self._make_capture = device, capture
         self._device: V4l2Device | None = None
         self._capture: Any = None
@@ -106,7 +103,7 @@ class V4l2Source:
             device = self._device = self._make_device(self.path)
             device.check_free()
             self._form = self._choose(device)
-            self._set_controls(device)
+            self._apply_settings()
             self._capture = self._started()
         except BaseException:
             self.close()
@@ -186,20 +183,13 @@ class V4l2Source:
             self._rate = rate
         return capture
 
-    def change(self, settings: Settings) -> None:
-        """Take over exposure, gain, white balance and focus."""
-        before, self.settings = self.settings, settings
-        if self._device is None:
-            return
-        try:
-            self._set_controls(self._device)
-        except CameraError:
-            self.settings = before
-            self._set_controls(self._device)
-            raise
+    @property
+    def _is_open(self) -> bool:
+        return self._device is not None
 
-    def _set_controls(self, device: V4l2Device) -> None:
-        values = self.settings
+    def _apply_settings(self) -> None:
+        device, values = self._device, self.settings
+        assert device is not None
         has = device.controls()
         automatic = (
             ("auto_exposure", AUTO_EXPOSURE, MANUAL),
@@ -279,7 +269,7 @@ class V4l2Source:
         form = self._form
         pixels, encoding = unpack_frame(np.asarray(data), form, self.settings.size_px)
         end = arrival if self._at_start is None else stamp
-        instant = end if self._at_start else end - self._before_stamp_s()
+        instant = end if self._at_start else end - self._before_end_s()
         return Frame(pixels, encoding, instant, arrival)
 
     def _learn_stamps(self, age: float) -> None:
@@ -295,10 +285,6 @@ class V4l2Source:
             f"{self.path}: its stamps are not of the kernel's monotonic clock (OpenCV "
             f"{cv2.__version__}): images are stamped when they arrive"
         )
-
-    def _before_stamp_s(self) -> float:
-        exposure_us = self.settings.exposure_us or self._exposure_us() or 0.0
-        return 1e-6 * (exposure_us + self.settings.readout_us)
 
     def _exposure_us(self) -> float | None:
         device = self._device

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from threading import Event
@@ -165,6 +166,54 @@ SILENT_CAMERA = "is the camera plugged in, and does it wait for a trigger?"
 """`Source.silence` of a camera."""
 
 Warn = Callable[[str], None]
+
+
+class Camera(ABC):
+    """Settings of a camera, which may change while it takes images.
+
+    Parameters
+    ----------
+    settings : Settings
+    warn : callable
+        Called with a warning.
+    clock : callable
+        Returns the time of the steady clock [s].
+    """
+
+    live = True
+    silence = SILENT_CAMERA
+
+    def __init__(self, settings: Settings, warn: Warn, clock: Callable[[], float]) -> None:
+        self.settings, self._warn, self._clock = settings, warn, clock
+
+    @property
+    @abstractmethod
+    def _is_open(self) -> bool: ...
+
+    @abstractmethod
+    def _apply_settings(self) -> None:
+        """Set exposure, gain and the automatic functions in the device."""
+
+    @abstractmethod
+    def _exposure_us(self) -> float | None:
+        """Return the exposure time of the device [us]; None if unknown."""
+
+    def change(self, settings: Settings) -> None:
+        """Apply new settings of the open camera; restore the old ones if the device refuses."""
+        before, self.settings = self.settings, settings
+        if not self._is_open:
+            return
+        try:
+            self._apply_settings()
+        except CameraError:
+            self.settings = before
+            self._apply_settings()
+            raise
+
+    def _before_end_s(self) -> float:
+        """Return the time from the start of the exposure to a stamp after its end [s]."""
+        exposure_us = self.settings.exposure_us or self._exposure_us() or 0.0
+        return 1e-6 * (exposure_us + self.settings.readout_us)
 
 
 def unpack_frame(data: np.ndarray, form: str, size_px: tuple[int, int]) -> tuple[np.ndarray, str]:
