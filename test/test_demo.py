@@ -327,7 +327,10 @@ def test_a_camera_that_is_missing_is_said_at_once(tmp_path, monkeypatch, capsys)
     _, port = os.openpty()  # a serial port on which nobody answers
     words = ["--transport", "serial", "--port", os.ttyname(port), "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["demo.py", *words])
-    assert run(arguments()) == 1
+    _, terminal = os.openpty()
+    with os.fdopen(terminal, encoding="utf-8") as person:
+        monkeypatch.setattr(sys, "stdin", person)
+        assert run(arguments()) == 1
     domain = os.environ["ROS_DOMAIN_ID"]
     problem = f"no camera: nobody publishes /image_raw in ROS domain {domain}"
     assert problem in capsys.readouterr().err
