@@ -1,4 +1,4 @@
-"""What a picture says about the camera while it is aimed, focused and lit. Pure: no ROS."""
+"""Measurements in a picture while a camera is aimed, focused and lit. Pure: no ROS."""
 
 from __future__ import annotations
 
@@ -25,59 +25,58 @@ from .plate.outline import (
 from .vision import Vision
 
 AROUND = 0.03
-"""Surround of the plate in which sharpness is measured, relative to its length in the image [-]: a
-bare plate has no edges but its own."""
+"""Margin around the plate in which sharpness is measured too, relative to its larger side in the
+image [-]. It holds the plate's edges, the only edges in the image of a bare plate."""
 
 SMOOTH_PX = 1.0
-"""Standard deviation of the smoothing before the gradient is taken [px], against noise."""
+"""Standard deviation of the Gaussian filter before the gradient [px], against noise."""
 
 LEAST_CONTRAST = 4.0
-"""Minimum standard deviation of the grey levels from which sharpness is measured: a covered lens
-shows less, and noise alone has about 2."""
+"""Minimum standard deviation of the grey levels for a measurement of sharpness. Noise alone, as
+with a covered lens, has about 2."""
 
 BINS = 64
 """Bins of the histogram, four grey levels each."""
 
 CLIPPED = 0.01
-"""Fraction of the plate's pixels at 0 or 255 that is tolerated [-]: reflections of a part are
-smaller."""
+"""Maximum fraction of the plate's pixels at 0, or at 255 [-]. Reflections of a part are smaller."""
 
 BLURRED = 0.85
-"""Sharpness relative to the best of the last minute below which focus was lost [-]. Noise and a
-part that is moved change it by less than 5 %."""
+"""Sharpness relative to the best of the last minute below which the image counts as out of focus
+[-]. Noise, or a part that is moved, changes sharpness by less than 5 %."""
 
 BEST_S, LATELY_S = 60.0, 2.0
-"""Time over which the best sharpness is taken, and over which its change is [s]."""
+"""Time over which the best sharpness is taken, and time over which its change is measured [s]."""
 
 STEADY = 0.04
-"""Relative change of the sharpness that is noise [-]."""
+"""Maximum relative change of the sharpness that counts as noise [-]."""
 
 LEAST_PART_PX = 10.0
-"""Minimum diameter of a part in the image [px]: below it places scatter by more than 0.05 px, and
-marks are not read."""
+"""Minimum diameter of a part in the image [px]. Below it the standard deviation of places exceeds
+0.05 px, and marks are not read."""
 
 EDGE_POINTS = 9
-"""Points on each of the plate's edges as they are seen."""
+"""Number of points for the display of each edge of the plate as seen."""
 
 
 @dataclass(frozen=True, eq=False)
 class AimField:
-    """Where in a picture is measured: made once for a vision.
+    """The measured region of a picture, made once for a vision.
 
     Attributes
     ----------
     vision : Vision
     rows, columns : slice
-        Of the picture, around the plate and its surround.
+        Window of the picture that holds the plate and its surround.
     plate, around : (h, w) uint8
-        Which pixels of that part show the plate, and the plate with its surround: 255, else 0.
+        Masks of this window: 255 on the plate (with its surround), 0 elsewhere.
     grid : OutlineGrid
-        Where the plate's edges are looked for.
+        Where the plate's edges are searched.
     part_px : (float, float)
-        Diameters of the smallest part where it looks smallest, and of the largest part where it
+        Diameter of the smallest part where it looks smallest, and of the largest part where it
         looks largest [px].
     radius : float
-        Of a part [m].
+        Radius of a part [m].
     """
 
     vision: Vision
@@ -91,7 +90,7 @@ class AimField:
 
     @classmethod
     def of(cls, rig: Rig, vision: Vision, expected: Expected) -> AimField:
-        """Prepare it for a rig whose parts have these sizes."""
+        """Return the region for a rig and the sizes of its parts."""
         width, height = vision.region.size_px
         outline = np.rint(vision.region.outline_px).astype(np.int32)
         plate = np.zeros((height, width), np.uint8)
@@ -113,14 +112,14 @@ class AimField:
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """How bright the plate is.
+    """Brightness of the plate.
 
     Attributes
     ----------
     histogram : (BINS,) int
-        Number of pixels in each four grey levels.
+        Number of pixels in each bin of four grey levels.
     black, white : float
-        Fractions of the pixels at grey level 0, and with a channel at 255 [-].
+        Fraction of the pixels at grey level 0, and of those with a channel at 255 [-].
     """
 
     histogram: np.ndarray
@@ -171,25 +170,25 @@ class Focus:
     values: tuple[tuple[float, float], ...] = ()
 
     def add(self, stamp: float, sharpness: float) -> Focus:
-        """Return it with one more value; a clock that was set back begins anew."""
+        """Return a copy with one more value. If the clock was set back, drop the earlier values."""
         kept = self.values if self.values and stamp > self.values[-1][0] else ()
         return Focus((*(one for one in kept if one[0] > stamp - BEST_S), (stamp, sharpness)))
 
     @property
     def now(self) -> float:
-        """The newest sharpness [1/px]; NaN if it is not known."""
+        """The newest sharpness [1/px]; NaN if it could not be measured."""
         return self.values[-1][1] if self.values else math.nan
 
     @property
     def best(self) -> float:
-        """The highest of the last minute [1/px]; NaN if none is known."""
+        """The highest sharpness of the last minute [1/px]; NaN if none was measured."""
         known = [value for _, value in self.values if math.isfinite(value)]
         return max(known, default=math.nan)
 
     @property
     def change(self) -> float:
-        """Relative change over the last `LATELY_S`: mean of its second half over that of the
-        first, less one [-]; NaN if it is not known."""
+        """Relative change during the last `LATELY_S`: mean of the second half divided by that of
+        the first, minus one [-]; NaN if a half has no value."""
         if not self.values:
             return math.nan
         age = self.values[-1][0] - np.array([stamp for stamp, _ in self.values])
@@ -202,7 +201,7 @@ class Focus:
 
     @property
     def trend(self) -> str:
-        """The change in a word."""
+        """The change as a word: steady, rises or falls."""
         change = self.change
         if not math.isfinite(change) or abs(change) <= STEADY:
             return "steady"
@@ -210,7 +209,7 @@ class Focus:
 
     @property
     def finding(self) -> Finding:
-        """What is wrong with the focus."""
+        """State of the focus, with the remedy."""
         if not math.isfinite(self.now):
             text = "too little contrast to measure sharpness: is the lens covered?"
             return Finding(Level.ERROR, text)
@@ -225,7 +224,7 @@ class Focus:
 
 
 def outline_px(outline: Outline, field: AimField) -> np.ndarray:
-    """Return points (m, 2) [px] on the plate's edges as they are seen."""
+    """Return points (m, 2) [px] on the edges of the plate that are seen."""
     along = np.linspace(-1, 1, EDGE_POINTS)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
     away = middle + slope * along + bow * (1 - along**2)
@@ -236,8 +235,10 @@ def outline_px(outline: Outline, field: AimField) -> np.ndarray:
 def outline_finding(
     image: np.ndarray, outline: Outline, field: AimField, moving: bool = False
 ) -> Finding:
-    """Return how the outline that an image (H, W) or (H, W, 3) shows agrees with the expected one;
-    `moving`: the plate may be away from home in it."""
+    """Return how well the outline in an image (H, W) or (H, W, 3) agrees with the expected one.
+
+    If `moving`, the plate may be away from home.
+    """
     grid, bends = field.grid, field.vision.calibration.lens is not None
     facts = outline, grid, field.radius, bends, moving
     finding, text = judge_outline(*facts)
@@ -253,7 +254,7 @@ def outline_finding(
 
 
 def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
-    """Return what is wrong with the light of an image (H, W) or (H, W, 3)."""
+    """Return the state of the light in an image (H, W) or (H, W, 3), with the remedy."""
     problem = light_problem(image, field.vision.options.min_plate_grey)
     if problem:
         return Finding(Level.ERROR, problem)
@@ -268,8 +269,8 @@ def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
 
 
 def size_finding(part_px: tuple[float, float]) -> Finding:
-    """Return whether parts are large enough in the image, from their smallest and largest diameter
-    [px]."""
+    """Return whether parts are large enough in the image. `part_px` is their smallest and largest
+    diameter [px]."""
     low, high = part_px
     text = f"parts are {low:.1f} to {high:.1f} px across"
     if low < LEAST_PART_PX:
@@ -280,16 +281,16 @@ def size_finding(part_px: tuple[float, float]) -> Finding:
 
 @dataclass(frozen=True)
 class Thing:
-    """A thing in an image: a part, or what is not taken for one.
+    """A thing in an image: a part, or a thing that is not taken for a part.
 
     Attributes
     ----------
     id : str
-        Of the part; empty if it is none.
+        Id of the part; empty if it is not a part.
     x_px, y_px, radius_px : float
         Centre, and radius of the disc of the same area [px].
     reason, remedy : str
-        Why it is not taken, and what to do; empty of a part.
+        Why it is not taken for a part, and what to do; empty for a part.
     """
 
     id: str
@@ -302,7 +303,7 @@ class Thing:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What the detector knows when a picture is taken for the view.
+    """State of the detector when a picture is measured for the view.
 
     Attributes
     ----------
@@ -311,11 +312,11 @@ class Situation:
     expected : Expected
         Sizes of the rig's parts.
     things : tuple of Thing
-        Of the last image that was used.
+        Things in the last image that was used.
     findings : tuple of (str, Finding)
-        Name and state of the steps that the detector knows itself.
+        Name and state of the steps that the detector itself checks.
     lens : Lens or None
-        That in use; None: the rig's, if it has one.
+        Lens in use; None: that of the rig file, if it has one.
     moving : bool
         Whether the plate may be away from home.
     """

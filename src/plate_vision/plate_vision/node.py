@@ -72,8 +72,8 @@ WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
 
 PLANNED_S = 1.0
-"""Time between an image and that for which the planner expects parts, up to which it plans [s]:
-several cycles of the plate. A planner that ended withdraws nothing."""
+"""Maximum time between an image and the planner's prediction of parts while a task runs [s]:
+several cycles of the plate. A planner that has ended does not withdraw its last prediction."""
 
 FAINT_PERIOD_S = 2.0
 """Least time between two searches for faint patches, by the images' stamps [s]: one takes 10 ms."""
@@ -197,8 +197,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     ~/teach learns the type `teach_name` from the parts in the last image, all of that type; called
     again with the same name, from all images since (place a part, call; place it otherwise, call).
 
-    Publishes aim while somebody subscribes: what the camera shows while it is aimed, focused and
-    lit. Services for that: ~/find_home, ~/save_home; ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
+    Publishes aim, measurements to aim, focus and light the camera, while it has a subscriber. Its
+    services are ~/find_home, ~/save_home; ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
     image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
@@ -254,7 +254,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._aiming = AimingView(self, self._situation, self._take_corners, self._take_lens)
 
     def begin(self) -> None:
-        """Know nothing of what was seen before."""
+        """Reset all state from images."""
         values = self.options
         self._location = self._unknown_location()
         self._tracker = Tracker(values.tracker())
@@ -284,7 +284,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._aiming.begin()
 
     def rest(self) -> None:
-        """Measure no more."""
+        """End the measurements for the view."""
         self._aiming.rest()
 
     def _on_image(self, msg: Image) -> None:
@@ -306,7 +306,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         )
 
     def _suit(self, size_px: tuple[int, int]) -> None:
-        """Take the first photograph, of another size than the rig's, for a view of the whole plate.
+        """Treat photographs that do not have the size of the rig's images as views of the whole
+        plate, from the first one on.
 
         Raises
         ------
@@ -336,8 +337,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _answer(
         self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
     ) -> None:
-        """Find the parts of one image, and publish them. Wide: the parameter bits says which of
-        its 16 bits are used."""
+        """Find the parts in one image, and publish them. If `wide`, the parameter bits gives the
+        used ones of its 16 bits."""
         self._input = self._input.heard(time.monotonic())
         self._tally.images += 1
         self._images += 1
@@ -426,7 +427,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self.get_logger().warning(found.message)
 
     def _on_learn_plate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Take the next images for those of the bare plate."""
+        """Learn the bare plate from the next images."""
         if self._vision.catalogue is None:
             response.message = "types: the rig has none, allowed: a rig file with part types"
             return response
@@ -459,7 +460,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return response
 
     def _situation(self) -> Situation:
-        """Return what is known, for the view to aim by."""
+        """Return the detector's state for the view for aiming."""
         expected = expected_parts(self._rig)
         count, things, radius = self._counts()
         tally = OverlookedTally()
@@ -487,7 +488,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     @property
     def _moving(self) -> bool:
-        """Whether a task moves the plate: then the planner predicts parts near the last image."""
+        """Whether a task moves the plate: the planner's prediction is close in time to the last
+        image."""
         expected, last = self._expected, self._tracker.stamp
         return expected is not None and (last is None or abs(last - expected.stamp) < PLANNED_S)
 
@@ -526,20 +528,20 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
 
     def _take_corners(self, corners_px: np.ndarray) -> None:
-        """Use the plate's corners (4, 2) [px] until the node ends; what was learned of the bare
-        plate belongs to the place where the camera was."""
+        """Use the plate's corners (4, 2) [px] until the node ends. Forget the bare plate, because
+        it was learned before the camera was moved."""
         corners = tuple((float(x), float(y)) for x, y in corners_px)
         self._rig = replace(self._rig, camera=replace(self._rig.camera, corners_px=corners))
         self._plate = BarePlate()
         self._look_anew(self._lens)
 
     def _take_lens(self, lens: Lens) -> None:
-        """Use a lens that was just found."""
+        """Use a lens that was just fitted."""
         self._look_anew(lens)
         self._lens, self._lens_problem = lens, ""
 
     def _look_anew(self, lens: Lens | None) -> None:
-        """Find plate and parts by the rig and this lens, as after a start."""
+        """Find plate and parts again with the rig and this lens, as after a start."""
         vision = make_vision(self._rig, self._vision.options, lens)
         self._vision = replace(vision, background=self._plate.first)
         self._tracker, self._expected = Tracker(self._tracker.options), None

@@ -64,8 +64,8 @@ EDGE_REASONS = ("at the edge", "beyond the plate")
 there, as in images of a camera that runs free."""
 
 COVER_RADII = 8.0
-"""Things larger than this, relative to the largest part's radius [-], cover the plate: a hand, a
-cable, a lamp's reflection. The strip beside a plate that is 10 mm away from home is smaller."""
+"""Minimum size of a thing that covers the plate, relative to the largest part's radius [-]: a hand,
+a cable, a lamp's reflection. The strip beside a plate that is 10 mm away from home is smaller."""
 
 REMEDIES = {
     "too faint": "more light, or parts that differ more from the plate",
@@ -187,7 +187,7 @@ class OverlookedTally:
     radii: list[np.ndarray] = field(default_factory=list)
 
     def add(self, taken: int, things: np.ndarray, radius: np.ndarray) -> None:
-        """Count an image: its number of parts, and its things (n,) OVERLOOKED of radii (n,) [m]."""
+        """Record an image: its number of parts, and things (n,) OVERLOOKED of radii (n,) [m]."""
         self.images += 1
         self.taken += taken
         self.things.append(things)

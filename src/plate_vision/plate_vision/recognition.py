@@ -106,10 +106,10 @@ def find_types_under(
     region: Region | None = None,
     before: Lamp | None = None,
 ) -> tuple[np.ndarray, Lamp | None]:
-    """As `find_types`; returns the lamp that casts the shadows of all parts, too.
+    """Like `find_types`, but also return the lamp that casts the shadows of all parts.
 
-    A lamp stands still: where an image alone does not show it, as it is where parts touch, the one
-    of the image `before` shines on, unless more parts are known without it.
+    A lamp does not move. If an image alone does not show it, for example because parts touch, the
+    lamp `before` of the previous image is used, unless more parts are recognised without it.
     """
     rise = _rise_of(catalogue, calibration)
 
@@ -142,8 +142,11 @@ def find_types_under(
 def _joined(
     patches: list[Patch], found: np.ndarray, more: list[Patch], again: np.ndarray
 ) -> tuple[list[Patch], np.ndarray]:
-    """Return patches and their sightings (n,) SIGHTING; in place of those that are of no type, what
-    was seen `again` there if it is of one, or if nothing else was seen there."""
+    """Return patches and their sightings (n,) SIGHTING, after the second recognition `again`.
+
+    A sighting of the second recognition replaces the first ones that it overlaps if it has a type.
+    If it overlaps none, it is added.
+    """
     kept = np.ones(len(patches), bool)
     added = []
     for k, (one, known) in enumerate(zip(more, is_named(again), strict=True)):
@@ -157,8 +160,8 @@ def _joined(
 
 @dataclass(frozen=True)
 class _Seen:
-    """Segments of an image, sightings (n,) SIGHTING of its patches, and the conditions as they show
-    them."""
+    """Segments of an image, sightings (n,) SIGHTING of its patches, and the conditions estimated
+    from the sightings."""
 
     segments: Segments
     found: np.ndarray
@@ -166,17 +169,18 @@ class _Seen:
 
     @property
     def lamp(self) -> Lamp | None:
-        """The one that was assumed."""
+        """The lamp of the segmentation."""
         return self.segments.lamp
 
     @property
     def known(self) -> int:
-        """How many are of a type."""
+        """Number of sightings that have a type."""
         return int(np.count_nonzero(is_named(self.found)))
 
     @property
     def agrees(self) -> bool:
-        """Whether shadows have the lamp's length by the sizes of known types, too."""
+        """Whether the length of the shadows, measured with the sizes of known types, agrees with
+        that of the segmentation."""
         if self.lamp is None or self.conditions.lamp is None:
             return True
         length, first = (
@@ -188,8 +192,8 @@ class _Seen:
 def _rise_of(
     catalogue: Catalogue, calibration: Calibration
 ) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return by how much tops of the highest parts are shifted in the image (n, 2) at points (n, 2)
-    [px]; None if parts are flat, or the camera's place is not known."""
+    """Return a function from image points (n, 2) to the shift (n, 2) of the highest parts' tops
+    there [px]; None if parts are flat, or the camera's position is unknown."""
     height, place = float(np.max(catalogue.height, initial=0)), calibration.place
     if place is None or height == 0:
         return None

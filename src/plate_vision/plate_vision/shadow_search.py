@@ -22,7 +22,8 @@ from .plate import LitPlate
 from .remains import Remains
 
 FEWEST = 2
-"""Things of one direction that show a shadow: a single one may be a part of another shape."""
+"""Minimum number of elongated things in one direction that indicate shadows. A single one may be a
+part of another shape."""
 
 MOST_THINGS = 10
 """Things by which a shadow is chosen: more make it slower, and hardly better."""

@@ -201,7 +201,7 @@ def observe(
         ).T
         scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
         size = things["radius_px"] / scale
-        # No part may be driven into what may be another.
+        # These things may be parts: no part may be driven into them.
         unknown = may_be_parts(things, size, vision.radius, vision.inner, centre)
         more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])

@@ -1,4 +1,4 @@
-"""Pictures of a board that are taken one after the other until they tell the lens."""
+"""Pictures of a board, collected one by one until they suffice for a fit of the lens."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from plate_core.rig import project
 from .boards import Board, Corners, LensFit, fit_lens
 
 NEEDED = 10
-"""Pictures that are asked for: with five the focal length scatters by 1 %, with ten by 0.4 %."""
+"""Number of pictures requested. The standard deviation of the focal length is 1 % with five
+pictures and 0.4 % with ten."""
 
 MOST = 40
-"""Maximum number of pictures: more take long in the fit and improve little."""
+"""Maximum number of pictures. More would make the fit slow and improve it little."""
 
 DIFFERS = 0.06
-"""Distance of a board from those of all kept pictures, root mean square over its four outer
-corners, relative to the image's width [-]."""
+"""Minimum distance of a board from the boards of all kept pictures: root mean square over its four
+outer corners, relative to the image's width [-]."""
 
 STILL = 0.01
-"""The same from the picture before, below which the board rests: it is not blurred then [-]."""
+"""Maximum distance, likewise, from the board in the previous picture up to which the board counts
+as at rest, so that its image is not blurred [-]."""
 
 COLUMNS, ROWS = 4, 3
 """Cells of the grid over the image."""
@@ -33,18 +35,19 @@ CORNERS = {
     "bottom left": (ROWS - 1) * COLUMNS,
     "bottom right": ROWS * COLUMNS - 1,
 }
-"""Cells into which the board must be held: there a lens bends most."""
+"""Cells in which the board must be seen: a lens distorts most there."""
 
 TILTED_RAD = np.radians(12.0)
-"""Tilt from which a picture counts as tilted: below it the focal length and the distance are not
-told apart."""
+"""Minimum tilt of a tilted board. With less tilt the fit cannot separate focal length from
+distance."""
 
 TILTS = ("left", "right", "top", "bottom")
-"""Sides of the board that must be nearer to the camera in some picture."""
+"""Sides of the board: each must be nearer to the camera in at least one picture."""
 
 GUESSED_FOCAL = 1.2
-"""Focal length from which the tilt is estimated, relative to the longer side of the image [-]: of a
-lens with 45 degrees. Lenses of 30 to 70 degrees give the right side, and the tilt to a third."""
+"""Focal length that the estimate of the tilt assumes, relative to the longer side of the image [-]:
+a lens of 45 degrees. For lenses of 30 to 70 degrees the side is right, and the tilt within a
+third."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +60,13 @@ class LensPictures:
     size_px : (int, int)
         Width and height of all pictures.
     kept : tuple of Corners
-        What was seen of the board in the pictures that were kept.
+        Corners of the board seen in each kept picture.
     places : tuple of (8,)
         Their outer corners [widths of the image].
     tilts : frozenset of str
-        Those of `TILTS` that were seen.
+        Members of `TILTS` that the kept pictures show.
     last : (8,) or None
-        Outer corners in the last picture; None: the board was not seen.
+        Outer corners in the last picture; None if the board was not seen.
     """
 
     board: Board
@@ -74,10 +77,10 @@ class LensPictures:
     last: np.ndarray | None = None
 
     def shown(self, board: Board, corners: Corners | None) -> tuple[LensPictures, str]:
-        """Return it with what one more picture shows, and what became of the picture.
+        """Return a copy with one more picture, and the outcome for this picture as text.
 
-        `board` is the board as it is printed. A picture is kept if the board rests and is in a
-        place unlike those of the pictures kept.
+        `board` is the board as printed. A picture is kept if the board rests and its place differs
+        from those in all kept pictures.
         """
         if corners is None:
             return replace(self, last=None), "the board is not seen"
@@ -105,7 +108,7 @@ class LensPictures:
 
     @property
     def cover(self) -> np.ndarray:
-        """In which cells (ROWS * COLUMNS,) of the image corners were seen: bool."""
+        """Whether corners were seen in each cell (ROWS * COLUMNS,) of the image: bool."""
         cover = np.zeros(ROWS * COLUMNS, bool)
         for _, place_px in self.kept:
             column, row = (np.asarray(place_px) / self.size_px * [COLUMNS, ROWS]).astype(int).T
@@ -114,7 +117,7 @@ class LensPictures:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What the next pictures must show; empty: these tell the lens."""
+        """Instructions for the next pictures; empty if the pictures suffice."""
         cover = self.cover
         lacks = [f"hold it into the {name} corner" for name, k in CORNERS.items() if not cover[k]]
         lacks += [f"tilt it: {side} side nearer" for side in TILTS if side not in self.tilts]
@@ -123,12 +126,12 @@ class LensPictures:
         return tuple(lacks)
 
     def fit(self, model: str = "plumb_bob") -> LensFit:
-        """Fit the lens; raises as `fit_lens`."""
+        """Fit the lens. Raises the errors of `fit_lens`."""
         return fit_lens(self.board, self.kept, self.size_px, model)
 
 
 def _away(place: np.ndarray, other: np.ndarray) -> float:
-    """Return the distance of two boards' outer corners (8,), root mean square."""
+    """Return the root mean square distance of two boards' outer corners (8,)."""
     return float(np.sqrt(np.sum((place - other) ** 2) / 4))
 
 
@@ -144,7 +147,7 @@ def _tilt(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
         return ""
     normal = cv2.Rodrigues(turn)[0][:, 2]
     normal = normal if normal[2] < 0 else -normal  # towards the camera
-    # The far side recedes against the normal: one that points right has the left side nearer.
+    # If the normal points right, the left side of the board is nearer to the camera.
     x, y = float(normal[0]), float(normal[1])
     if np.hypot(x, y) < np.sin(TILTED_RAD):
         return ""

@@ -12,18 +12,17 @@
 
 namespace plate {
 
-// Reach [px] of a part's blurred edge: how near a neighbour's pixels may come to a window.
+// Width [px] of a part's blurred edge: a neighbour's pixels reach this far towards a window.
 constexpr double BLUR_PX = 1.5;
 
-// Largest reach of a silhouette, relative to its radius, that counts as round: seen at 34 degrees
-// from above.
+// Maximum reach of a round silhouette, relative to its radius: a part seen at 34 degrees from above.
 constexpr double ROUND = 1.2;
 
-// Dark area [px2] in the rim of a window from which on there is something beside the part; twice as
-// much would shift the moments of a part of 8 px radius by 0.05 px.
+// Maximum dark area [px2] in the rim of a window with a single part. Twice this area would shift the
+// moments of a part of 8 px radius by 0.05 px.
 constexpr double RIM_DIRT_PX2 = 0.5;
 
-// Largest misfit of a part that is measured by moments: with more it is not evenly dark.
+// Maximum misfit of a part that is measured by moments. With more it is not evenly dark.
 constexpr double EVEN_MISFIT = 0.06;
 
 // Distances (n,) [px] of places (n, >= 2) [px] from the plate's edge, negative outside.
@@ -37,8 +36,8 @@ inline std::vector<double> depths(View<const double, 2> edges, View<const double
 }
 
 // Measure discs (n,) from first guesses of their places (n, 2) [px] and their silhouettes (n,)
-// there; tell which were measured by moments (n,), and the places of marks (n, 2) [px]. `noise` is
-// that of the image, relative to the bare plate.
+// there. Set `alone` (n,) for discs measured by moments, and the places of `marks` (n, 2) [px].
+// `noise` is that of the image, relative to the bare plate.
 inline void measure_dark(LitPlate plate, double noise, View<const double, 2> edges,
                          View<const double, 2> bows, View<const double, 2> seeds,
                          const Silhouette* parts, Disc* discs, View<double, 2> marks, bool* alone) {

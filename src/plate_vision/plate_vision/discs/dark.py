@@ -1,9 +1,9 @@
 """Parts that are clearly darker than the plate, each measured in the cheapest way.
 
-One that stands alone is measured by moments of its darkness, to a hundredth of a pixel: with m the
-darkness and d the distance from the centre, a disc of radius r has sum(m d2) / sum(m) = r2 / 2. The
-misfit is the relative difference from the radius by area, or from the silhouette's second moments,
-whichever is larger. The others are measured by `fit`, which knows of their neighbours.
+A part that stands alone is measured by moments of its darkness, to a hundredth of a pixel. With m
+the darkness and d the distance from the centre, a disc of radius r has sum(m d2) / sum(m) = r2 / 2.
+The misfit is the relative difference from the radius by area, or from the silhouette's second
+moments, whichever is larger. The others are measured by `fit`, which takes neighbours into account.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def measure_dark(
     ----------
     plate : LitPlate
     region : Region
-        Where the plate is.
+        Region of the plate in the image.
     seeds, parts : (n, 2), (n,) SILHOUETTE
         First guesses of the places [px], n >= 1, and the silhouettes of parts there.
 

@@ -1,4 +1,4 @@
-// Which measured discs are parts, and what is told of them: see judge.py.
+// Which measured discs are parts, and their properties: see judge.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -10,47 +10,48 @@
 
 namespace plate {
 
-// Largest deviation of a part from its silhouette, at the contour: drawn ones have 0.02 to 0.05,
-// those with a height that the rig file does not know up to 0.2. To it this multiple of the image's
-// noise over the part's contrast is added: it remains when the mean noise of 50 pixels is
-// subtracted.
+// Maximum misfit of a part: its deviation from its silhouette at the contour. Drawn parts have 0.02
+// to 0.05, parts with a height that is not in the rig file up to 0.2. The second factor, times the
+// image's noise over the part's contrast, is added to the maximum. It covers the noise that remains
+// after the mean noise of 50 pixels is subtracted.
 constexpr double MAX_MISFIT = 0.2, NOISE_MISFIT = 0.5;
 
-// Largest noise, relative to the plate's brightness, that makes up for a misfit: more is a texture
-// of the plate.
+// Maximum noise, relative to the plate's brightness, for which the maximum misfit is raised. More
+// noise is a texture of the plate.
 constexpr double WORST_NOISE = 0.12;
 
-// Misfit that light, noise and the edges of pixels explain. What is beyond, times the radius, is
-// about the error of the place: parts 10 mm high that are taken for flat have a misfit of 0.18, and
-// are off by 0.15 to 0.2 radii.
+// Maximum misfit that light, noise and the edges of pixels explain. The excess misfit times the
+// radius is about the error of the place. For example, parts 10 mm high that are assumed flat have a
+// misfit of 0.18, and an error of 0.15 to 0.2 radii.
 constexpr double GOOD_MISFIT = 0.06;
 
-// Least fraction of a part's contour that is seen: of less the place is not sure.
+// Minimum visible fraction of a part's contour. With less the place is not reliable.
 constexpr double LEAST_SEEN = 0.3;
 
-// Brightness relative to the plate within which a part is neither darker nor brighter: its colour
-// is another.
+// Fraction by which a part must be brighter than the plate to get the label "bright". A part of
+// about the plate's brightness differs from it in colour only.
 constexpr double EQUAL = 0.02;
 
-// By what a part is judged: see `DetectorOptions`.
+// Limits for the properties of a part: see `DetectorOptions`.
 struct Limits {
     double noise, tolerance, class_threshold, margin_px;
 };
 
-// A part, as `NUMBERS` of judge.py.
+// Properties of a part, as in `NUMBERS` of judge.py.
 struct Judged {
     double x_px, y_px, radius_px, angle_rad, confidence, scatter_px, misfit;
 };
 
-// Those of measured discs (n,) that are parts: which (m,), what they are (m,), and their labels (m,):
-// 0 black, 1 grey, 2 bright.
+// The parts among measured discs (n,): their indices (m,), properties (m,) and labels (m,): 0 black,
+// 1 grey, 2 bright.
 struct Parts {
     std::vector<int64_t> rows, labels;
     std::vector<Judged> found;
 };
 
-// Judge discs by their silhouettes (n,), the places of their marks (n, 2) [px], NaN without one,
-// their brightness relative to the plate (n,), and their distance from its edge (n,) [px].
+// Select the parts among discs by their silhouettes (n,), the places of their marks (n, 2) [px], NaN
+// without one, their brightness relative to the plate (n,), and their distance from its edge (n,)
+// [px].
 inline Parts judge(const Disc* discs, const Silhouette* parts, View<const double, 2> marks,
                    const double* light, const double* depth, const Limits& limits) {
     Parts kept;

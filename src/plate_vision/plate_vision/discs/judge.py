@@ -1,4 +1,4 @@
-"""Which measured discs are parts, and what is told of them: angle, label, confidence, scatter."""
+"""Which measured discs are parts, and their angle, label, confidence and standard deviation."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from . import silhouette
 from .measure import numbers
 
 GOOD_MISFIT: float = _kernels.GOOD_MISFIT
-"""Misfit that light, noise and the edges of pixels explain. What is beyond, times the radius, is
-about the error of the place."""
+"""Maximum misfit that light, noise and the edges of pixels explain. The excess misfit times the
+radius is about the error of the place."""
 
 NUMBERS = ("x_px", "y_px", "radius_px", "angle_rad", "confidence", "scatter_px", "misfit")
-"""Of a part: see `detection.DETECTION`."""
+"""Properties of a part: see `detection.DETECTION`."""
 
 
 def judge(
@@ -28,7 +28,7 @@ def judge(
     class_threshold: float,
     margin_px: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tell which measured discs are parts.
+    """Select the parts among measured discs.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def judge(
     light : (n,)
         Brightness relative to the plate.
     region : Region
-        Where the plate is.
+        Region of the plate in the image.
     noise : float
         Of the image, relative to the plate's brightness.
     tolerance, class_threshold, margin_px : float

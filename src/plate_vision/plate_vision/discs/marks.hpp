@@ -115,7 +115,8 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
     }
 }
 
-// Give what stands out round a mark [px] the grey of its part; `level` is that, and the contrast.
+// Paint the pixels of a mark around its place [px] with the grey of its part. `level` is this grey,
+// and the contrast of the mark.
 inline void paint_mark(View<uint8_t, 2> grey, double x, double y, const double* level,
                        double radius) {
     const double reach = MARK_REACH * MARK_RADIUS * radius;
@@ -128,9 +129,9 @@ inline void paint_mark(View<uint8_t, 2> grey, double x, double y, const double* 
         }
 }
 
-// Find marks (n, 2) [px] on the tops of parts at seeds (n, 2) [px]; return the image as if they had
-// none, empty if they have none. Highlights, as bright as the plate or brighter, are painted over
-// too, but are no marks: NaN.
+// Find marks (n, 2) [px] on the tops of parts at seeds (n, 2) [px]. Return the image with the marks
+// painted over; empty if there are none. Highlights, as bright as the plate or brighter, are painted
+// over too, but do not count as marks: their place is NaN.
 inline std::vector<uint8_t> without_marks(const LitPlate& plate, double noise,
                                           View<const double, 2> seeds, const Silhouette* parts,
                                           View<double, 2> marks) {

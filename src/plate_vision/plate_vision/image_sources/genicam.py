@@ -18,7 +18,7 @@ from ..errors import ImageError
 from .source import LIVE_RATE, AbsentError, Camera, CameraError, Frame, Settings, Warn
 
 PREFIX = "genicam:"
-"""Begins the name of such a device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
+"""Prefix of the name of such a device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
 
 PIXEL_FORMATS = {"GREY": "Mono8", "Y10": "Mono10", "Y12": "Mono12"}
 """Of `source.FORMATS`."""
@@ -32,7 +32,7 @@ ENCODINGS = {
 """Encodings of sensor_msgs/Image, and upper bits of 16 that a pixel format leaves 0."""
 
 FETCH_S = 0.5
-"""Wait for an image between two looks whether to stop [s]."""
+"""Maximum wait for an image before `stop` is checked again [s]."""
 
 OFFSETS = 100
 """Images over which the least delay of an image is found: the device has a clock of its own."""
@@ -86,7 +86,7 @@ class GenicamSource(Camera):
         return self._camera.remote_device.node_map
 
     def open(self) -> None:
-        """Open it, and have it take images as the settings say."""
+        """Open it, and apply the settings."""
         self._harvester = harvester = self._producer(self._file)
         name = self.settings.device
         try:
@@ -135,7 +135,7 @@ class GenicamSource(Camera):
             self._set("Gain", values.gain)
 
     def _set_trigger(self) -> None:
-        """Have images begin with pulses, or at a rate."""
+        """Set the trigger: by pulses, or at a rate."""
         triggered = self.settings.trigger
         if hasattr(self._nodes, "TriggerMode"):
             if hasattr(self._nodes, "TriggerSelector"):
@@ -151,7 +151,7 @@ class GenicamSource(Camera):
             self._set("AcquisitionFrameRate", self.settings.rate or LIVE_RATE)
 
     def _set(self, feature: str, value: object) -> None:
-        """Set a feature, or say what the device can."""
+        """Set a feature. If the camera refuses, raise an error with its allowed values."""
         node = getattr(self._nodes, feature, None)
         where = f"{self.settings.device}: {feature} is {value}"
         if node is None:
@@ -193,14 +193,14 @@ class GenicamSource(Camera):
                 taken = 1e-9 * float(buffer.timestamp_ns)
             except Exception:  # of the maker's library: it has no clock
                 taken = arrival
-        # The quickest of the last images says how the clocks of camera and computer differ.
+        # The fastest of the last images gives the difference of the clocks of camera and computer.
         self._offsets.append(arrival - taken)
         end = taken + min(self._offsets)
         instant = end - self._before_end_s()
         return Frame(pixels << unused if unused else pixels, encoding, instant, arrival)
 
     def _harvester_has_it(self) -> None:
-        """Refuse to wait for a camera that has gone."""
+        """Raise an error if the camera is unplugged, rather than wait for it."""
         self._harvester.update()
         infos = self._harvester.device_info_list
         if not any(self._serial in ("", str(info.serial_number)) for info in infos):
@@ -225,7 +225,7 @@ class GenicamSource(Camera):
         }
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
         if self._camera is not None:
             self._camera.destroy()
         if self._harvester is not None:

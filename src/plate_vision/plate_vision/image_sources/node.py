@@ -31,25 +31,28 @@ from .sources import is_played, listing, make_source, video_devices
 from .watch import Watch
 
 RETRY_S = 0.5
-"""Between two attempts to open a camera that has gone [s]."""
+"""Delay before the next attempt to open a camera that has failed [s]."""
 
 SILENCE_S, SILENT_IMAGES = 0.8, 5
-"""Time without an image after which a camera is silent [s]; but this many intervals at least."""
+"""Time without an image after which diagnostics report it [s], and the minimum of this time in
+intervals between images."""
 
 WARN_PERIOD_S = 2.0
-"""Least time between two warnings of refused images [s]."""
+"""Minimum time between two warnings about refused images [s]."""
 
 LOOK_S = 0.05
-"""Between two looks whether somebody listens, before a film begins [s]."""
+"""Polling interval for a subscriber before a film starts [s]."""
 
 END_S = 2.0
-"""Wait for the reader to end [s]: OpenCV waits up to 10 s for an image; the reader ends then."""
+"""Maximum wait for the reader to end [s]. OpenCV waits up to 10 s for an image, so the reader may
+end later."""
 
 AUTO = "auto"
-"""In place of a format."""
+"""Value of the parameter `format`: the node chooses the format."""
 
 CLOCK_READS, CLOCKS_APART_NS = 5, 100_000
-"""Both clocks are read at once: again, up to so often, if there is more between the reads [ns]."""
+"""Maximum number of attempts to read both clocks together, and the maximum time between the two
+reads of a good attempt [ns]."""
 
 
 @dataclass(frozen=True)
@@ -108,16 +111,16 @@ class CameraParameters(NodeOptions):
 
 
 class CameraNode(SafeLifecycleNode[CameraParameters]):
-    """Lifecycle node `camera`: publishes the images of a camera, or of what is played for one.
+    """Lifecycle node `camera`: publishes the images of a camera, a film or a folder of pictures.
 
     Publishes image_raw, camera_info, diagnostics. Each image is stamped with the start of its
-    exposure. Exposure, gain, white balance and focus are set by hand unless a parameter auto_...
-    is true.
+    exposure. Automatic exposure, gain, white balance and focus of the device are off unless the
+    parameter auto_... of each is true.
 
     `device` may be a V4L2 camera (/dev/videoN or better its path in /dev/v4l/by-id), a
     GenICam camera (genicam:FILE.cti, the GenTL file of its maker), a named pipe of raw frames, a
-    video, a picture, or a folder of pictures. What is played begins when somebody subscribes to
-    image_raw. `camera --list` prints devices, formats, rates and controls.
+    video, a picture, or a folder of pictures. A video, picture or folder starts to play when
+    image_raw has a subscriber. `camera --list` prints devices, formats, rates and controls.
 
     A camera that is unplugged is an ERROR in diagnostics within 1 s; when it is back its images go
     on.
@@ -135,7 +138,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         return make_source(settings, warn)
 
     def configure(self) -> None:
-        """Open the device, so that what is wrong with it is said at once."""
+        """Open the device, so that its faults are reported at once."""
         values = self.options
         camera = load_rig(values.rig_file).camera
         self._size_px = (camera.width_px, camera.height_px)
@@ -152,7 +155,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._camera_info = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
 
     def begin(self) -> None:
-        """Begin to read."""
+        """Start the reader."""
         self._watch = Watch()
         self._lock = threading.Lock()  # of what follows, between reader and reports
         self._fault = ""
@@ -175,7 +178,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self._thread.join(END_S)
 
     def release(self) -> None:
-        """Let go of the device; a reader that waits for it does so itself."""
+        """Close the device. A reader that still waits for an image closes it itself."""
         self.rest()  # where ROS has ended it has not been called
         if not self._open or (self._thread is not None and self._thread.is_alive()):
             return
@@ -183,14 +186,16 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._source.close()
 
     def retune(self) -> None:
-        """Set what may change while it runs."""
+        """Apply the settings that may change while the node runs."""
         self._source.change(self.options.settings(self._size_px))
 
     # The reader's thread
 
     def _work(self, source: Source, stop: threading.Event, before: threading.Thread | None) -> None:
-        """Read and publish until the end; `before` is the reader before, which may still wait for
-        an image and then closes the source."""
+        """Read and publish images until the end.
+
+        `before` is the previous reader. It may still wait for an image; then it closes the source.
+        """
         if before is not None:
             before.join()
         while self._waits and not stop.wait(LOOK_S):
@@ -211,7 +216,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 if not self.context.ok():  # ROS has ended
                     break
                 self._fail(error)
-                if not source.live:  # it would begin anew
+                if not source.live:  # opened again, it would start from the first picture
                     break
                 self._close(source)
                 stop.wait(RETRY_S)
@@ -248,7 +253,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         return self._source.state().get("format") == "film"
 
     def _stamp(self, instant: float) -> Time:
-        """Return an instant of the steady clock [s] by the node's clock."""
+        """Convert a time of the steady clock [s] to the node's clock."""
         for _ in range(CLOCK_READS):
             before_ns = time.monotonic_ns()
             now_ns = self.get_clock().now().nanoseconds
@@ -282,7 +287,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self.get_logger().warning(why)
 
     def _fail(self, error: Exception) -> None:
-        """Note why no images come; that it is not there yet is no news."""
+        """Record and log why no images arrive. The same fault, or a device that is still absent, is
+        not logged again."""
         text = str(error)
         if not isinstance(error, PlateError):
             text = f"{self.options.device}: {type(error).__name__}: {error}"

@@ -16,16 +16,16 @@ from ..errors import ImageError
 from .source import FORMATS, CameraError, Frame, Settings, Warn, unpack_frame
 
 PICTURE_RATE = 2.0
-"""Pictures of a folder a second, if no rate is given."""
+"""Default rate of the pictures of a folder [1/s]."""
 
 FILM_RATE = 30.0
-"""Images a second of a film that does not tell its own rate."""
+"""Rate of a film whose file has no plausible rate [1/s]."""
 
 FILM_RATES = (1.0, 240.0)
-"""Rates that a film's own is believed to be [1/s]."""
+"""Range of plausible rates in a film's file [1/s]."""
 
 POLL_S = 0.1
-"""Wait for bytes of a pipe between two looks whether to stop [s]."""
+"""Maximum wait for bytes of a pipe before `stop` is checked again [s]."""
 
 
 class FilmSource:
@@ -74,7 +74,7 @@ class FilmSource:
         return frame
 
     def change(self, settings: Settings) -> None:
-        """Nothing of a film can be changed."""
+        """Ignore the settings: a film has none."""
 
     def state(self) -> Mapping[str, object]:
         """Return the rate."""
@@ -82,15 +82,15 @@ class FilmSource:
         return {"format": "film" if film else "pictures", "stamp": "regular"}
 
     def close(self) -> None:
-        """Begin with the first picture if it is opened again."""
+        """Close it. Opened again, it starts from the first picture."""
         self._pictures = None
 
 
 class PipeSource:
     """A named pipe into which another program writes raw frames, one after the other.
 
-    Such as `v4l2-ctl --stream-mmap --stream-to=PIPE`, or ffmpeg with `-f rawvideo`. Of a frame
-    that arrives the end of the exposure is taken for its arrival.
+    Such programs are `v4l2-ctl --stream-mmap --stream-to=PIPE`, or ffmpeg with `-f rawvideo`. The
+    exposure of a frame is assumed to end when the frame arrives.
     """
 
     live = True
@@ -141,7 +141,7 @@ class PipeSource:
         return Frame(pixels, encoding, arrival - self._settings.before_stamp_s, arrival)
 
     def change(self, settings: Settings) -> None:
-        """Take over the length of the exposure, of which the stamps depend."""
+        """Apply the exposure time, on which the stamps depend."""
         self._settings = settings
 
     def state(self) -> Mapping[str, object]:

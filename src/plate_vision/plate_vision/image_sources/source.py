@@ -43,17 +43,17 @@ class Settings:
     device : str
         Number or path of a V4L2 device, genicam:FILE.cti, a pipe, a video, a picture or a folder.
     width, height : int
-        Size of the images [px]; of a film, a picture or a folder it is their own.
+        Size of the images [px]. A film, a picture or a folder has a size of its own.
     rate : float
         Images a second; 0: `LIVE_RATE`, or that of the film.
     format : str
         Key of `FORMATS`; empty: the first that has this size and rate.
     exposure_us, readout_us : float
-        Length of the exposure, 0 leaves it as it is; time from its end to the stamp [us].
+        Exposure time, 0 leaves it unchanged; time from its end to the stamp [us].
     gain, white_balance_k, focus : int
-        In the device's units; -1 leaves them as they are (white balance: 0).
+        In the device's units; -1 leaves them unchanged (white balance: 0).
     auto_exposure, auto_gain, auto_white_balance, auto_focus : bool
-        Whether the device chooses them.
+        Whether the device chooses the value.
     trigger : bool
         Whether a GenICam camera takes one image for each pulse at its trigger input.
     """
@@ -100,9 +100,9 @@ class Frame(NamedTuple):
     instant : float
         Start of the exposure [s, steady clock].
     arrival : float
-        When the image was here [s, steady clock].
+        Arrival of the image [s, steady clock].
     name : str
-        Of a picture; empty otherwise.
+        File name of a picture; empty otherwise.
     """
 
     pixels: np.ndarray
@@ -118,9 +118,9 @@ class Source(Protocol):
     Attributes
     ----------
     live : bool
-        Whether images come by themselves; False: they are played.
+        True for a camera or a pipe; False for files, which are played.
     silence : str
-        Question for the user when no image comes.
+        Question for the user if no image arrives.
     """
 
     live: bool
@@ -143,23 +143,23 @@ class Source(Protocol):
         ImageError
             If this image cannot be used.
         CameraError
-            If no more come.
+            If the source gives no more images.
         """
 
     def change(self, settings: Settings) -> None:
-        """Take over exposure, gain, white balance and focus.
+        """Apply exposure, gain, white balance and focus.
 
         Raises
         ------
         CameraError
-            If the device cannot do this: says what it can.
+            If the device cannot do this. The message lists the allowed values.
         """
 
     def state(self) -> Mapping[str, object]:
-        """Return what is in force, for diagnostics."""
+        """Return the settings in force, for diagnostics."""
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the device."""
 
 
 SILENT_CAMERA = "is the camera plugged in, and does it wait for a trigger?"

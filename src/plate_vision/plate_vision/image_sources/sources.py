@@ -1,4 +1,4 @@
-"""Which source a name stands for, and the list of devices that `camera --list` prints."""
+"""The source for a device's name, and the list of devices that `camera --list` prints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .v4l2 import V4l2Source
 from .v4l2_device import V4l2Device
 
 BY_ID = Path("/dev/v4l/by-id")
-"""Links to devices by maker and serial number: they stay when devices are plugged in anew."""
+"""Links to devices by maker and serial number. They stay when devices are plugged in again."""
 
 ALLOWED = (
     "a number or path of a video device (/dev/v4l/by-id/...), genicam:FILE.cti, a video, a "
@@ -70,7 +70,7 @@ def video_devices() -> list[str]:
 
 
 def listing(paths: Iterable[str]) -> Iterator[str]:
-    """Yield what devices can, line by line: formats, sizes, rates and controls."""
+    """Yield the lines of the list: formats, sizes, rates and controls of each device."""
     count = 0
     for path in paths:
         try:

@@ -42,11 +42,10 @@ EXPOSURE_US = 100
 """Unit of the control of the exposure [us]."""
 
 OLDEST_S = 2.0
-"""Age from which on a stamp is not believed to be one of the monotonic clock [s]: OpenCV's four
-buffers hold less."""
+"""Maximum age of a stamp of the monotonic clock [s]: OpenCV's four buffers hold younger images."""
 
 RATE_ERROR = 0.02
-"""Fraction by which the device's rate may differ before it is said."""
+"""Maximum relative deviation of the device's rate from the requested rate without a warning."""
 
 
 def open_capture(path: str) -> Any:
@@ -93,7 +92,7 @@ class V4l2Source(Camera):
         self._stamps_known = False
 
     def open(self) -> None:
-        """Open it, and have it take images as the settings say."""
+        """Open it, and apply the settings."""
         if self.settings.trigger:
             raise CameraError(
                 f"{self.path}: trigger is true, allowed of GenICam cameras; of this one set it by "
@@ -273,7 +272,7 @@ class V4l2Source(Camera):
         return Frame(pixels, encoding, instant, arrival)
 
     def _learn_stamps(self, age: float) -> None:
-        """Find out with the first image when the stamps of this device are taken."""
+        """Determine with the first image when this device takes its stamps."""
         self._stamps_known = True
         said = self._device.stamp_source() if self._device else None
         monotonic, at_start = (True, False) if said is None else said
@@ -292,7 +291,7 @@ class V4l2Source(Camera):
         return None if value is None else float(EXPOSURE_US * value)
 
     def state(self) -> Mapping[str, object]:
-        """Return format, exposure and gain in force, and what the stamps are."""
+        """Return format, exposure and gain in force, and the meaning of the stamps."""
         device, exposure_us = self._device, self._exposure_us()
         gain = device.get(GAIN) if device else None
         kinds = {True: "start of exposure", False: "end of exposure", None: "arrival"}
@@ -304,7 +303,7 @@ class V4l2Source(Camera):
         }
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
         if self._capture is not None:
             self._capture.release()
         if self._device is not None:

@@ -50,7 +50,7 @@ ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV)
 """The device is not there."""
 
 MAX_ENTRIES = 256
-"""Most entries of a list that are read: a broken driver may have no end."""
+"""Maximum number of entries that are read of a list. A broken driver may never end its list."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class V4l2Device:
     path : str
         Such as /dev/video0.
     ioctl : callable
-        `fcntl.ioctl`, or what stands in for it.
+        `fcntl.ioctl`, or a replacement in tests.
 
     Raises
     ------
@@ -128,7 +128,7 @@ class V4l2Device:
             raise
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
         file, self._file = self._file, -1  # another thread may ask for a control meanwhile
         if file >= 0:
             os.close(file)
@@ -138,9 +138,9 @@ class V4l2Device:
         return data
 
     def check_free(self) -> None:
-        """Refuse a device whose images another program takes: only then its format is fixed.
+        """Refuse a device if another program takes its images; its format is fixed only then.
 
-        OpenCV would wait for it 10 s.
+        OpenCV would wait 10 s for such a device.
 
         Raises
         ------
@@ -248,7 +248,7 @@ class V4l2Device:
 
     def stamp_source(self) -> tuple[bool, bool] | None:
         """Return whether the stamps of its buffers are of the monotonic clock, and whether they
-        are the start of the exposure; None if it does not say.
+        are the start of the exposure; None if the driver does not report it.
 
         Others than the reader may ask most drivers. uvcvideo refuses up to Linux 6.15; its stamps
         are both.
@@ -268,7 +268,7 @@ def _text(data: bytes | bytearray) -> str:
 
 
 def explained(path: str, error: OSError) -> str:
-    """Return one sentence for what the system says of a device, with the remedy."""
+    """Return a sentence for an error of the system at a device, with the remedy."""
     match error.errno:
         case number if number in ABSENT:
             return f"{path}: no such device: is the camera plugged in? camera --list shows them"

@@ -1,4 +1,4 @@
-"""What is wrong with a stream of images: lost, late, black or frozen ones."""
+"""Faults of a stream of images: lost, late, black or frozen images."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ import numpy as np
 from plate_core.status import Finding, Level
 
 LATE_S = 0.1
-"""Age of an image at its arrival from which on it is late [s]: the planner's estimate of the age of
-images ends there."""
+"""Age at arrival above which an image counts as late [s]. The planner estimates ages of images only
+up to this value."""
 
 INTERVALS = 15
-"""Distances of stamps of which the median is the distance of images."""
+"""Number of intervals between stamps whose median is the image interval."""
 
 REGULAR, NEAR = 0.8, 0.2
-"""Lost images are counted only where this fraction of the last distances is within this fraction of
-the median: a triggered camera may be irregular."""
+"""Lost images are counted only if this fraction of the last intervals differs from the median by
+less than this fraction of it. A triggered camera may be irregular."""
 
 GAP = 1.5
-"""Distance of two stamps [intervals] from which on images between are lost."""
+"""Time between two stamps above which images between them count as lost [image intervals]."""
 
 MAX_LOST = 0.02
-"""Fraction of lost images from which on diagnostics warn: the planner tolerates more."""
+"""Fraction of lost or late images above which diagnostics warn. The planner tolerates more."""
 
 BLACK = 12
-"""Grey level that no pixel of a black image exceeds: noise of a covered sensor."""
+"""Maximum grey level of a black image: noise of a covered sensor."""
 
 ALIKE = 15
-"""Images in a row that are black, or equal, from which on it is said: half a second at 30 a
-second."""
+"""Number of consecutive black or equal images from which diagnostics report them: half a second at
+30 images a second."""
 
 GRID = 7
-"""Every so many rows and columns are compared: odd, so that columns of both kinds in Bayer and YUV
-images are among them."""
+"""Step between compared rows and columns. It is odd, so that both kinds of columns of Bayer and YUV
+images are compared."""
 
 
 class Watch:
-    """Counts since the last report, and what is so now."""
+    """Counts of lost and late images since the last report, and the present state of the stream."""
 
     def __init__(self) -> None:
         self._last: tuple[float, np.ndarray] | None = None
@@ -49,11 +49,11 @@ class Watch:
         self.begin_report()
 
     def begin_report(self) -> None:
-        """Begin to count anew."""
+        """Reset the counts of a report."""
         self.images = self.lost = self.late = 0
 
     def add(self, pixels: np.ndarray, instant: float, arrival: float) -> None:
-        """Take in an image: its pixels, when its exposure began, and when it came [s]."""
+        """Record an image: its pixels, the start of its exposure, and its arrival [s]."""
         self.total += 1
         self.images += 1
         if arrival - instant > LATE_S:
@@ -76,7 +76,7 @@ class Watch:
         self._last = (instant, few)
 
     def findings(self, live: bool) -> list[Finding]:
-        """Judge the images; equal ones are right in a film."""
+        """Return the faults. Equal images are a fault only if the source is live, not a film."""
         found = []
         if self._black >= ALIKE:
             found.append(

@@ -1,4 +1,4 @@
-"""The plate's corners in a picture of a plate without markers: found by its outline."""
+"""Find the corners of a plate without markers by its outline in a picture."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from ..errors import CalibrationError
 from .outline import OUTWARD, Outline, OutlineGrid, edge_points, measure_outline
 
 LEAST_COVER = 0.05
-"""Minimum area of the plate in the image, relative to the image's [-]: a smaller quadrilateral is
-a label or a tool."""
+"""Minimum area of the plate, relative to the image's area [-]. A smaller quadrilateral is a label
+or a tool."""
 
 CORNER_STEP = 0.02
-"""Deviation of a contour from a quadrilateral that is tolerated, relative to its length [-]."""
+"""Maximum deviation of a contour from a quadrilateral, relative to the contour's length [-]."""
 
 ROUNDS = 3
-"""Refinements: the second one leaves 0.05 px where the camera was moved by 15 % of the plate."""
+"""Maximum number of refinements. After a camera moved by 15 % of the plate, an error of 0.05 px
+remains after the second one."""
 
 SETTLED_M = 2e-4
-"""Shift of the corners in a refinement from which the next one is not needed [m]."""
+"""Shift of the corners in a refinement below which no further one is needed [m]."""
 
 
 def find_plate_corners(
@@ -86,15 +87,15 @@ def _refined(
 
 
 def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]:
-    """Return where measured edges meet (4, 2) [m], in the order of `Plate.corners`, and the root
-    mean square of their bows [m]."""
+    """Return the intersections of the measured edges (4, 2) [m], in the order of `Plate.corners`,
+    and the root mean square of their bows [m]."""
     ends = edge_points(grid.half, np.array([-1.0, 1.0]))  # (4, 2, 2)
     middle, slope, bow = outline.edges.T
     away = middle[:, None] + slope[:, None] * np.array([-1.0, 1.0])
     ends = ends + away[..., None] * OUTWARD[:, None]
     way = ends[:, 1] - ends[:, 0]
     corners = []
-    for edge in range(4):  # of this edge's begin: where the edge before ends
+    for edge in range(4):  # corner at the start of this edge: the end of the previous edge
         before = edge - 1
         matrix = np.column_stack([way[before], -way[edge]])
         along = np.linalg.solve(matrix, ends[edge, 0] - ends[before, 0])
@@ -124,8 +125,8 @@ def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
 
 
 def _ordered(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
-    """Return corners (4, 2) [px] in the rig's sense of rotation, beginning where its own do: by the
-    direction from the middle, which a shift does not change."""
+    """Return corners (4, 2) [px] in the rig's sense of rotation, starting at the same corner. The
+    directions from the middle are compared, because a shift does not change them."""
     known = np.array(rig.camera.corners_px, float)
     if _area(corners_px) * _area(known) < 0:
         corners_px = corners_px[::-1]

@@ -1,4 +1,4 @@
-"""What the detector node has beside the detection: the view to aim by."""
+"""Part of the detector node besides detection: the view for aiming the camera."""
 
 from .aiming import AimingView
 

@@ -1,6 +1,7 @@
-"""The view to aim by: measured on a thread of its own while somebody subscribes, and its services.
+"""The view for aiming the camera, and its services. A worker thread measures pictures while `aim`
+has a subscriber.
 
-The worker thread takes one picture at a time. Whatever it takes, the detector's callbacks go on.
+The worker measures one picture at a time. It never blocks the detector's callbacks.
 """
 
 from __future__ import annotations
@@ -45,10 +46,10 @@ from ..plate.corners import find_plate_corners
 from ..plate.outline import measure_outline
 
 PERIOD_S = 0.4
-"""Minimum time between two pictures that are measured [s]: one takes 30 to 150 ms."""
+"""Minimum time between two measured pictures [s]. A measurement takes 30 to 150 ms."""
 
 SILENT_S = 1.0
-"""Time without an image after which the view says so [s]."""
+"""Time without an image after which the view reports it [s]."""
 
 LEVELS = {
     Level.OK: AimCheck.OK,
@@ -60,7 +61,7 @@ LEVELS = {
 
 @dataclass(frozen=True, eq=False)
 class LensJob:
-    """The pictures for the lens, and what became of them.
+    """The pictures for the lens, and the state of the fit.
 
     Attributes
     ----------
@@ -68,9 +69,9 @@ class LensJob:
         None before the first image.
     board : Board
     model : str
-        Of the distortion.
+        Model of the distortion.
     state : int
-        Of `LensPictures`.
+        State constant of the message `LensPictures`.
     text : str
     seen_px : (n, 2)
         Corners of the board in the newest image [px].
@@ -93,13 +94,13 @@ class AimingView:
     Parameters
     ----------
     node : SafeLifecycleNode
-        Which is being configured.
+        The detector, during its configuration.
     situation : callable
-        Returns what the detector knows now.
+        Returns the present state of the detector.
     take_corners : callable
-        Called with the plate's corners (4, 2) [px] that were found.
+        Called with the plate's corners (4, 2) [px] after home was found.
     take_lens : callable
-        Called with a lens that was written.
+        Called with the lens after it was written into the rig file.
     """
 
     def __init__(
@@ -125,7 +126,7 @@ class AimingView:
         self._pool: ThreadPoolExecutor | None = None
 
     def begin(self) -> None:
-        """Know nothing of what was seen before."""
+        """Start the worker, without the state of an earlier activation."""
         self._pool = ThreadPoolExecutor(1, "aim")
         self._job: Future[None] | None = None
         self._results: list[Callable[[], None]] = []
@@ -138,7 +139,7 @@ class AimingView:
         self._looked = self._came = -math.inf
 
     def rest(self) -> None:
-        """End the thread."""
+        """End the worker."""
         pool, self._pool = self._pool, None
         if pool is not None:
             pool.shutdown(wait=True, cancel_futures=True)
@@ -150,8 +151,8 @@ class AimingView:
         return taking or self._wants_home or self._publisher.get_subscription_count() > 0
 
     def look(self, image: np.ndarray, stamp: Time, refused: str = "") -> None:
-        """Measure an image (H, W) or (H, W, 3) uint8 soon, if somebody wants to know and none is
-        being measured; `refused` says why the detector could not use it."""
+        """Pass an image (H, W) or (H, W, 3) uint8 to the worker, if the view is wanted and the
+        worker is free. `refused` is the reason why the detector could not use the image."""
         now = self._came = time.monotonic()
         busy = self._job is not None and not self._job.done()
         if self._pool is None or busy or now - self._looked < PERIOD_S or not self.wanted:
@@ -166,19 +167,19 @@ class AimingView:
         try:
             self._step(image, situation)
             msg = self._message(image, stamp, refused, situation)
-        except Exception as error:  # a fault of the view must not end the thread without a word
+        except Exception as error:  # log a fault of the view: the future would hide it
             text = f"aim: {type(error).__name__}: {error}"
             self._tell(lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0))
             return
         self._tell(lambda: self._publisher.publish(msg))
 
     def _tell(self, result: Callable[[], None]) -> None:
-        """Have something done on the graph's thread."""
+        """Run a function on the graph's thread."""
         self._results.append(result)
         self._wake()
 
     def _step(self, image: np.ndarray, situation: Situation) -> None:
-        """Look for home or for a board, if that is wanted."""
+        """Search the image for home or for a board, if requested."""
         if self._wants_home:
             self._wants_home = False
             self._find_home(image, situation)
@@ -225,7 +226,7 @@ class AimingView:
         assert lens.pictures is not None
         try:
             fit = lens.pictures.fit(lens.model)
-        except Exception as error:  # of OpenCV, too: else it would be fitted for ever
+        except Exception as error:  # also OpenCV's: else the state would stay FITTING for ever
             if self._lens is lens:
                 self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
             return
@@ -271,8 +272,8 @@ class AimingView:
     def _measured(
         self, msg: Aim, image: np.ndarray, stamp: float, situation: Situation, board: bool
     ) -> list[tuple[str, Finding]]:
-        """Fill in what is measured in an image of the right size; returns the steps. With a board
-        before the camera only light and sharpness are measured."""
+        """Measure an image of the right size, fill in the message, and return the steps. While
+        pictures of a board are taken, only light and sharpness are measured."""
         measured = self._field
         if measured is None or measured.vision.region is not situation.vision.region:
             measured = AimField.of(situation.rig, situation.vision, situation.expected)
@@ -319,7 +320,7 @@ class AimingView:
                 result()
 
     def _tell_silence(self) -> None:
-        """Publish that no image comes."""
+        """Publish an error if no image arrives."""
         if not self._publisher.get_subscription_count():
             return
         silence = time.monotonic() - self._came
@@ -342,7 +343,7 @@ class AimingView:
         return response
 
     def _on_save_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Write the corners that were found into the rig file."""
+        """Write the corners of the last search into the rig file."""
         corners = self._corners
         if not corners:
             response.message = "home was not found, allowed: after ~/find_home"
@@ -363,7 +364,7 @@ class AimingView:
     def _on_take(
         self, request: TakeLensPictures.Request, response: TakeLensPictures.Response
     ) -> TakeLensPictures.Response:
-        """Begin with no picture, or discard them all."""
+        """Start to take pictures, or discard all pictures."""
         if not request.on:
             self._lens = None
             response.success, response.message = True, "the pictures are discarded"
@@ -399,8 +400,8 @@ class AimingView:
         return response
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Write the lens that was fitted into the rig file, and use it; home that was found
-        before is old: the plate's edges looked bent."""
+        """Write the fitted lens into the rig file, and use it. If home was found by the outline, it
+        must be found again: without this lens the plate's edges looked bent."""
         lens = self._lens
         if lens is None or lens.fit is None:
             response.message = "no lens is fitted, allowed: after ~/fit_lens"
@@ -434,5 +435,5 @@ def corners_text(corners: Sequence[tuple[float, float]]) -> str:
 
 
 def points(place_px: np.ndarray) -> list[Point]:
-    """Return image points (n, 2) [px] as messages; those that no lens shows are left out."""
+    """Return image points (n, 2) [px] as messages, without points that the lens cannot image."""
     return [Point(x=x, y=y) for x, y in place_px.tolist() if math.isfinite(x + y)]

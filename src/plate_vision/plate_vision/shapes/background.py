@@ -65,14 +65,14 @@ TEXTURE_PERCENT, TEXTURE = 98, 1.25
 parts deviate so many times as much."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
-"""Blur of an image in addition to that of the bare plate's images that is tried [px]."""
+"""Candidates of the blur of an image, in addition to that of the bare plate's images [px]."""
 
 EDGE_PX = 4
 """Width of the plate's edge that such a blur reaches [px]."""
 
 SOFTER, EXPLAINED = 0.2, 0.1
-"""Share of the pixels at the plate's edge that differ from the bare plate, from which on a blur is
-tried; share up to which it explains them: else the plate is elsewhere."""
+"""Fraction of the pixels at the plate's edge that differ from the bare plate, from which on blur is
+tried, and maximum fraction that differs with the right blur. With more, the plate has moved."""
 
 SPECK, SPECKS = 100.0, 0.004
 """Deviation of a pixel from those around it that makes it a speck [L], and the share of such pixels
@@ -146,8 +146,9 @@ class Background:
         return replace(self, lab=relit(self.lab, light, region))
 
     def softened(self, image: np.ndarray, region: Region) -> Background:
-        """Return the background as soft as an image (H, W) or (H, W, 3) uint8 is in its light: out
-        of focus since the bare plate was learned, the plate's edge reaches further inwards."""
+        """Return the background with the additional blur of an image (H, W) or (H, W, 3) uint8 in
+        the same light. If the image went out of focus after the bare plate was learned, the plate's
+        edge is wider in it."""
         usable = region.usable.astype(np.uint8)
         inner = cv2.erode(usable, np.ones((2 * EDGE_PX + 1,) * 2, np.uint8), borderValue=0)
         rows, columns = np.nonzero(usable > inner)

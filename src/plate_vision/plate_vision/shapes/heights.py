@@ -49,8 +49,8 @@ def magnified(place: np.ndarray, height: float) -> float:
 
 
 def seen_shift(place: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
-    """Return the shifts (n, 2) [m] with which points at a height [m] are seen, if those below them
-    on the plate are (n, 2) [m]."""
+    """Return the apparent shifts (n, 2) [m] of points at a height [m] above points (n, 2) [m] of
+    the plate."""
     return np.asarray((point - place[:2]) * (magnified(place, height) - 1))
 
 

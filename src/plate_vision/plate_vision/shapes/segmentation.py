@@ -93,17 +93,17 @@ def find_patches(
 
 
 class Segments(NamedTuple):
-    """What lies on a background.
+    """Segmentation of an image: the things on a background.
 
     Attributes
     ----------
     patches : list of Patch
     lamp : Lamp, optional
-        That casts the shadows of all parts: they belong to the patches.
+        The lamp that casts the shadows of all parts. If given, patches include the shadows.
     labels : (H, W) int32
-        Numbers of what is not like the background and hangs together, 0 elsewhere.
+        Numbers of the connected regions that differ from the background, 0 elsewhere.
     cut : (count,) bool
-        Of which numbers a part was taken out as its shadow.
+        Whether part of a region was removed as its shadow, by number.
     """
 
     patches: list[Patch]
@@ -112,8 +112,8 @@ class Segments(NamedTuple):
     cut: np.ndarray
 
     def doubtful(self, named: np.ndarray) -> np.ndarray | None:
-        """Return where (H, W) bool shadows were taken out of things that are of no type then; None
-        if there are none. `named` (n,) tells which patches are of a type."""
+        """Return the regions (H, W) bool that have no type after removal of their shadows; None if
+        there are none. `named` (n,): whether each patch has a type."""
         cut = self.cut.copy()
         for patch, known in zip(self.patches, named, strict=True):
             if known:
@@ -132,11 +132,10 @@ def segment(
 ) -> Segments:
     """Find what lies on the background, as `find_patches`, and the lamp that casts all shadows.
 
-    If there is one, patches are parts together with their shadows. Else, or if `lamps` is False,
-    shadows are taken out as far as they are told from parts. No lamp is looked for if a `lamp` is
-    known. Where parts have a height, `rise` gives by how much their tops are shifted in the image
-    (n, 2) at points (n, 2) [px]. Only what is `whole` (H, W) bool is looked at, if that is given,
-    and no shadows are taken out of it.
+    If there is such a lamp, patches are parts together with their shadows. Otherwise, or if `lamps`
+    is False, shadows are removed as far as they differ from parts. If `lamp` is given, no lamp is
+    searched. If parts have a height, `rise` returns the shift (n, 2) of their tops at image points
+    (n, 2) [px]. If `whole` (H, W) bool is given, only its pixels count, and no shadows are removed.
     """
     lab = colours_like(image, background)
     if min(lab.shape[:2]) < LEAST_SIDE_PX:

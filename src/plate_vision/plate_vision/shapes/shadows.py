@@ -59,7 +59,7 @@ LEAST_AREA_PX2 = 30
 
 
 SQUARE = np.ones((3, 3), np.uint8)
-"""A pixel and its neighbours."""
+"""Kernel of the morphological operations: a pixel and its eight neighbours."""
 
 LEAST_CAST = (0.06, 0.75)
 """Fraction of a patch that a shadow takes, at least and at most, if its length is measured."""
@@ -86,11 +86,11 @@ SHORTEST_PX = 1.0
 """Shortest shadow that is taken off as such [px]."""
 
 FACE = 0.9
-"""Fraction of the dark side of a patch from which the light one is reached as a top is from the
-side faces, from which on it is that: the rest is noise."""
+"""Minimum fraction of a patch's dark side that must lie within the top's shift of the light side,
+so that the dark side counts as side faces. The rest is noise."""
 
 FACE_SLACK_PX = 1.5
-"""By how much further away the top may be than it is shifted by its height [px]: blur."""
+"""Maximum distance of the top beyond the shift by its height [px]: blur."""
 
 
 class Sides(NamedTuple):
@@ -176,19 +176,19 @@ def find_faces(
     labels: np.ndarray,
     rise: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """Find which patches (count,) bool have no shadow: the dark side is side faces, the light one
-    the top of a high part.
+    """Return which patches (count,) bool have no shadow: their dark side shows side faces, their
+    light side the top of a high part.
 
-    The camera sees the top further out than the part's base. So from each pixel of a side face, an
-    outer one or that of a hole, the top is reached if one goes that far outwards. The shadows of a
-    lamp point the same way everywhere, and parts are thicker than side faces.
+    The camera sees the top farther outwards than the part's base. So the top is found at that shift
+    outwards from each pixel of a side face, also from the side face of a hole. Shadows of a lamp
+    point in the same direction everywhere, and parts are wider than side faces.
 
     Parameters
     ----------
     sides, away, labels
         As for `find_lamp`.
     rise : callable
-        Returns by how much tops are shifted in the image (n, 2), at points (n, 2) [px].
+        Returns the shift of the tops of parts in the image (n, 2), at points (n, 2) [px].
     """
     count = len(sides.total)
     faces = np.zeros(count, bool)
@@ -311,8 +311,8 @@ def take_out_shadows(
     plate_known: bool = False,
     faces: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Set to 0 where the deviation of an image from the background is that of a shadow; returns of
-    which patches (count,) bool a part was taken for shadow.
+    """Set `away` to 0 where an image deviates from the background because of a shadow. Return of
+    which patches (count,) bool a part was removed as shadow.
 
     Parameters
     ----------
