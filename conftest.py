@@ -69,7 +69,18 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    from lanes import Lanes  # only with pytest-xdist
+
+    return Lanes(config, log)
+
+
 def pytest_configure(config):
+    if worker := getattr(config, "workerinput", None):
+        from lanes import give_way
+
+        give_way(worker)
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.__enter__())
     config.add_cleanup(lambda: domain.__exit__(None, None, None))

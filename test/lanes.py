@@ -1,0 +1,51 @@
+"""Which worker runs which tests, so that real nodes get the processor when they want it.
+
+Tests in test/ start real nodes and mostly wait for them; those of the packages, in src/, mostly
+compute. The first half of the workers takes test/, and then what is left; the others take src/, at
+a lower priority: they have the time in which nodes and tests in front of them wait.
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
+
+BEHIND = 10
+"""By this `nice` value, the others have a tenth of the weight of the workers in front."""
+
+FRONT = "test/"
+
+
+def in_front(worker: Mapping[str, Any]) -> bool:
+    """Whether a worker is of the first half, by the input that pytest-xdist gives it."""
+    number = int(worker["workerid"].removeprefix("gw"))  # more than there are, after a crash
+    return 2 * (number % worker["workercount"]) < worker["workercount"]
+
+
+def give_way(worker: Mapping[str, Any]) -> None:
+    """Have this process, and all it starts, give way to the workers in front if it is not one."""
+    if not in_front(worker):
+        os.nice(BEHIND)
+
+
+class Lanes(LoadFileScheduling):
+    """A file's tests stay together: they share a graph, or what was compiled."""
+
+    def _next(self, node: WorkerController) -> str | None:
+        """The file that a worker is to take, if any."""
+        front = in_front(node.workerinput)
+        own = (name for name in self.workqueue if name.startswith(FRONT) == front)
+        return next(own, next(iter(self.workqueue), None) if front else None)
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        if name := self._next(node):
+            self.workqueue.move_to_end(name, last=False)
+            super()._assign_work_unit(node)
+
+    def _reschedule(self, node: WorkerController) -> None:
+        if self.workqueue and not self._next(node) and not node.shutting_down:
+            node.shutdown()
+        else:
+            super()._reschedule(node)

@@ -1,0 +1,91 @@
+"""Workers of a run of the tests: who takes which files, and who gives way."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("xdist")
+
+import lanes
+
+TESTS = [f"{file}::test_{n}" for n in range(3) for file in ("src/a.py", "test/b.py", "src/c.py")]
+
+
+class Worker:
+    """As pytest-xdist has them: `tests` is what it has been given."""
+
+    def __init__(self, number, count):
+        self.workerinput = {"workerid": f"gw{number}", "workercount": count}
+        self.gateway = SimpleNamespace(id=f"gw{number}")
+        self.shutting_down, self.tests = False, []
+
+    def send_runtest_some(self, indices):
+        assert not self.shutting_down
+        self.tests += indices
+
+    def shutdown(self):
+        self.shutting_down = True
+
+
+def started(tests, count):
+    """The distribution of tests among workers that have just begun."""
+    config = SimpleNamespace(
+        option=SimpleNamespace(loadscopereorder=True),
+        getvalue=lambda name: [f"{count}*popen"] if name == "tx" else None,
+    )
+    workers, found = [Worker(n, count) for n in range(count)], lanes.Lanes(config)
+    for worker in workers:
+        found.add_node(worker)
+        found.add_node_collection(worker, tests)
+    found.schedule()
+    return found, workers
+
+
+def run(found, workers, tests, of=None):
+    """Let workers run all that they are given, one test each in turn; the files of each."""
+    ran = {worker: [] for worker in workers}
+    while any(len(ran[w]) < len(w.tests) for w in workers if of in (None, w)):
+        for worker in workers:
+            if of in (None, worker) and len(ran[worker]) < len(worker.tests):
+                ran[worker].append(test := worker.tests[len(ran[worker])])
+                found.mark_test_complete(worker, test)
+    return [[tests[test].split("::")[0] for test in ran[worker]] for worker in workers]
+
+
+def test_half_of_the_workers_begin_with_real_nodes_and_take_what_is_left():
+    found, (front, behind) = started(TESTS, 2)
+    files, _ = run(found, [front, behind], TESTS, of=front)
+    assert files == ["test/b.py"] * 3 + ["src/c.py"] * 3
+    _, files = run(found, [front, behind], TESTS, of=behind)
+    assert files == ["src/a.py"] * 3
+    assert found.tests_finished
+    assert behind.shutting_down
+    assert front.shutting_down
+
+
+def test_no_test_of_real_nodes_gives_way():
+    tests = [f"test/{n}.py::test" for n in range(9)]
+    found, workers = started(tests, 4)
+    first, second, *behind = run(found, workers, tests)
+    assert len(first) + len(second) == len(tests)
+    assert behind == [[], []]
+    assert all(worker.shutting_down for worker in workers)
+    assert found.tests_finished
+
+
+def test_one_worker_runs_all():
+    found, workers = started(TESTS, 1)
+    [files] = run(found, workers, TESTS)
+    assert sorted(files) == sorted(test.split("::")[0] for test in TESTS)
+
+
+@pytest.mark.parametrize(
+    ("number", "count", "front"),
+    [(0, 1, True), (1, 2, False), (1, 3, True), (1, 4, True), (2, 4, False), (4, 4, True)],
+)
+def test_workers_behind_give_way(monkeypatch, number, count, front):
+    """A worker that takes the place of one that has crashed is what that one was, or before it."""
+    given = []
+    monkeypatch.setattr("os.nice", given.append)
+    lanes.give_way({"workerid": f"gw{number}", "workercount": count})
+    assert given == ([] if front else [lanes.BEHIND])
