@@ -19,14 +19,14 @@ SERVICES = {
     "cut_power": "current off at once (stop category 0)",
     "home": "forget where home is: the next enable finds it",
     "calibrate": "learn the plate's response",
-    "resume_feeding": "let the feeder go on, which waits for that after a stop",
-    "call": "SERVICE: call any that takes nothing, such as detector/learn_plate",
+    "resume_feeding": "let the feeder continue after a stop",
+    "call": "SERVICE: call any service without arguments, such as detector/learn_plate",
 }
 OTHERS = {
     "goal": "SCENARIO: do the task of a scenario, by name or .yaml file; Ctrl-C cancels it",
     "cancel": "cancel all goals",
-    "friction": "shake the parts a little, measure their friction, and write it into the rig file",
-    "state": "print driver_status, task_status, and what each node says of itself",
+    "friction": "push the parts a little, measure their friction, and write it into the rig file",
+    "state": "print driver_status, task_status, and the diagnostics of each node",
     "params": "[NODE]: list parameters, their values and meanings",
     "get": "NODE NAME: print a parameter",
     "set": "NODE NAME VALUE: change a parameter of a running node",
@@ -91,7 +91,7 @@ def _arguments() -> argparse.Namespace:
         if name == "call":
             one.add_argument("service", metavar="SERVICE")
         if name == "friction":
-            one.add_argument("--write", action="store_true", help="write it without a question")
+            one.add_argument("--write", action="store_true", help="write it without asking")
         if name == "goal":
             one.add_argument("scenario", metavar="SCENARIO")
         if name == "set":

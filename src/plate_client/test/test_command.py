@@ -120,7 +120,7 @@ def test_services_and_state(graph):
     with pytest.raises(PlateError, match="no service stop: nodes here: talker"):
         asked(graph, "stop")
     assert asked(graph, "state").splitlines() == [
-        "driver_status: nothing heard",
+        "driver_status: no message",
         "task_status: idle",
     ]
 
@@ -164,8 +164,8 @@ def starting(make, clock):
 
 def test_state_while_nodes_start(graph, starting):
     assert asked(graph, "state").splitlines()[2:] == [
-        "not all nodes are ready yet: what others miss may be because of that",
-        "  mute: nothing heard: it starts, or hangs",
+        "not all nodes are ready yet: others may lack their messages",
+        "  mute: no message: it starts, or hangs",
         "  solver: WARN, waiting",
     ]
 

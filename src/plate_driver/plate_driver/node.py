@@ -139,7 +139,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     Publishes motor_setpoints, motor_states and, for motors that play whole cycles, cycle_started
     while active, driver_status and diagnostics always.
     Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate;
-    measure_friction and write_friction, which hear parts and publish friction.
+    measure_friction and write_friction, which subscribe to parts and publish friction.
 
     What must work whatever messages do has its own participant, node (`driver_safety`) and threads,
     in every lifecycle state: emergency_stop, cut_power, enable, home and driver_status. Nothing but
@@ -654,12 +654,12 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     @property
     def rig(self) -> Rig:
-        """What the rig file says."""
+        """The rig, as its file describes it."""
         return self._rig
 
     @property
     def guard(self) -> Guard:
-        """What was sent last, and when the plate rests."""
+        """The last commanded motion, and when the plate rests."""
         return self._guard
 
     def play_time(self) -> float:
@@ -667,13 +667,13 @@ class DriverNode(SafeLifecycleNode[Options]):
         return self._now()
 
     def send_push(self, cycle: PlateCycle, now: float) -> float:
-        """Play a motion from rest to rest once, as it was learned; returns the factor by which it
-        was scaled down to the rig's limits.
+        """Play a motion from rest to rest once, corrected by the learned response. Return the
+        factor that scales it down to the rig's limits.
 
         Raises
         ------
         PlateError
-            If it is none that this plate could do.
+            If the plate cannot perform this motion.
         """
         transport = self._transport
         assert transport is not None
@@ -685,7 +685,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         return fit.factor
 
     def rest_guard(self) -> None:
-        """Take note that the plate rests."""
+        """Note that the plate rests."""
         self._guard = self._guard.resting(self._now())
 
     # What it reports

@@ -102,15 +102,15 @@ def health(
     statistics : Statistics
         Of the last second.
     retries : int
-        Messages that were repeated in it.
+        Messages that were repeated in this second.
     quiet_s : float or None
-        Time for which no cycle came [s], if the plate rests because of that.
+        Time since the last cycle [s], if the plate rests for lack of cycles; otherwise None.
     task : bool
-        Whether a task runs. Without one rest is normal.
+        Whether a task runs. Without a task rest is normal.
     lasting : sequence of str
-        What is wrong until somebody changes it.
+        Faults that last until somebody corrects them.
     unplayed : str
-        Why the motors have played nothing of what was sent, if that is so for long.
+        Why the motors have not played any sent cycle for long; otherwise empty.
     """
     if status.state in (DriverState.ERROR, DriverState.STOPPED):
         return Finding(Level.ERROR, status.text)
@@ -126,4 +126,4 @@ def health(
         problems = (*problems, f"{retries} messages were repeated: the line is bad")
     if problems:
         return Finding(Level.WARN, ", ".join(problems))
-    return Finding(Level.OK, "all cycles as asked" if quiet_s is None else AT_REST)
+    return Finding(Level.OK, "all cycles as requested" if quiet_s is None else AT_REST)

@@ -188,5 +188,5 @@ def test_the_rig_files_mu_is_that_of_parts_without_one_of_their_own():
     rig = replace(RIG, types={"grey": replace(kind, mu=0.4)})
     assert rig_mu(rig, found) == pytest.approx(0.2, rel=0.01)
     both = {name: replace(kind, name=name, mu=0.4) for name in ("black", "grey")}
-    with pytest.raises(PlateError, match="all parts are of types with a mu of their own"):
+    with pytest.raises(PlateError, match="all parts are of types with a separate mu"):
         rig_mu(replace(RIG, types=both), found)

@@ -403,8 +403,8 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(activ
 @pytest.mark.parametrize(
     ("state", "text", "troubles", "retries", "quiet_s", "task", "level", "message"),
     [
-        (DriverState.READY, "", (), 0, None, True, Level.OK, "all cycles as asked"),
-        (DriverState.CALIBRATING, "", (), 50, None, True, Level.OK, "all cycles as asked"),
+        (DriverState.READY, "", (), 0, None, True, Level.OK, "all cycles as requested"),
+        (DriverState.CALIBRATING, "", (), 50, None, True, Level.OK, "all cycles as requested"),
         (DriverState.READY, "", ("a cycle was refused",), 0, None, True, Level.WARN,
          "a cycle was refused"),
         (DriverState.READY, "", (), 51, None, True, Level.WARN,

@@ -26,40 +26,40 @@ from .client import AGAIN_S, SILENT_S, PlateClient, Task, TaskError
 from .services import NOBODY_S, Services, nobody
 
 PROGRESS_S, WAITING_S = 2.0, 5.0
-"""Between two lines on how a task gets on, and on what it waits for [s]."""
+"""Time between two lines about a task's progress, and about the reason why it waits [s]."""
 
 REPORT_S, LATE_S = 2.0, 2.0
-"""What nodes say of themselves once a second is listened to for so long, until all are found, and
-for so much longer where some of them have said nothing yet [s]."""
+"""Time for which diagnostics, which nodes publish once a second, are collected, and additional time
+if some nodes have not published yet [s]."""
 
 AT_FIRST_S = 0.5
-"""A wait that is shorter is not worth a line [s]."""
+"""Minimum wait that is reported [s]."""
 
 
 class SilentError(PlateError):
-    """The driver says nothing of its measurement."""
+    """The driver no longer reports its measurement."""
 
 
 class Graph(Services):
-    """The running nodes, their services too, as seen by a node of our own.
+    """The running nodes and their services, as seen by a separate node.
 
     Parameters
     ----------
     namespace : str
-        Of the nodes.
+        Namespace of the nodes.
     """
 
     def __init__(self, namespace: str) -> None:
         super().__init__(namespace)
-        self._said: dict[str, str] = {}  # by topic
+        self._texts: dict[str, str] = {}  # by topic
 
     def run(self, args: argparse.Namespace) -> str:
-        """Do what is asked, and return what there is to tell.
+        """Execute a command, and return its output.
 
         Raises
         ------
         PlateError
-            If it was not done.
+            If the command failed.
         """
         match args.command:
             case "goal":
@@ -84,7 +84,7 @@ class Graph(Services):
     # Tasks
 
     def _do(self, scenario: Scenario) -> str:
-        """Do a task, and show how it gets on; returns the last status in words."""
+        """Do a task, and show its progress. Return the text of the last status."""
         self._find_nodes()
         plate = PlateClient(self.node, self._until)
         task = self._start(plate, scenario)
@@ -107,7 +107,7 @@ class Graph(Services):
         return str(status.text)
 
     def _start(self, plate: PlateClient, scenario: Scenario) -> Task:
-        """Send the goal of a task, and say what is waited for."""
+        """Send the goal of a task. Print the reason while it waits."""
         began, next_s = time.monotonic(), AT_FIRST_S
 
         def waiting(why: str) -> None:
@@ -120,7 +120,7 @@ class Graph(Services):
         return plate.start(scenario, waiting=waiting)
 
     def _cancel_all(self) -> str:
-        """Cancel what runs; the zero id and stamp stand for every goal (action_msgs/CancelGoal)."""
+        """Cancel all goals: the zero id and stamp mean every goal (action_msgs/CancelGoal)."""
         self._find_nodes()
         count = sum(
             len(self._call(CancelGoal, f"{name}/_action/cancel_goal", CancelGoal.Request())
@@ -132,39 +132,39 @@ class Graph(Services):
     # Friction
 
     def _friction(self, write: bool) -> str:
-        """Measure friction, show how that goes on, and write the result into the rig file if the
-        user wants that; returns what became of it.
+        """Measure friction, show the progress, and write the result into the rig file if the user
+        agrees. Return the outcome as text.
 
         Raises
         ------
         PlateError
-            If it was not measured, or not written.
+            If the measurement or the writing failed.
         """
-        said: list[Friction] = []
+        received: list[Friction] = []
         drivers: list[DriverStatus] = []
-        self.node.create_subscription(Friction, "friction", said.append, LATCHED)
+        self.node.create_subscription(Friction, "friction", received.append, LATCHED)
         self.node.create_subscription(DriverStatus, "driver_status", drivers.append, LATCHED)
         start, end = (MeasureFriction.Request(start=on) for on in (True, False))
         try:
             answer = self._call(MeasureFriction, "measure_friction", start, once=True)
             if answer.success:
-                self._await_friction(said, drivers, answer.started)
-        except (KeyboardInterrupt, OSError, SilentError):  # OSError: nobody reads what we print
+                self._await_friction(received, drivers, answer.started)
+        except (KeyboardInterrupt, OSError, SilentError):  # OSError: the output is closed
             self._call(MeasureFriction, "measure_friction", end)
             raise
         if not answer.success:
             raise PlateError(str(answer.message))
-        told = said[-1].text
-        if said[-1].state != Friction.DONE:
-            raise PlateError(told)
+        result = received[-1]
+        if result.state != Friction.DONE:
+            raise PlateError(result.text)
         rows = [f"  {'part':14}  {'x [mm]':>8}  {'y [mm]':>8}  mu"]
         rows += [
             f"  {one.id:14}  {1e3 * one.x:8.1f}  {1e3 * one.y:8.1f}  {one.mu:.4f} +- "
             f"{one.mu_error:.4f}"
-            for one in said[-1].parts
+            for one in result.parts
         ]
-        print("\n".join([*rows, told]), flush=True)
-        question = f"Write mu {said[-1].mu:.3g} into the driver's rig file? Type yes, or Enter: "
+        print("\n".join([*rows, result.text]), flush=True)
+        question = f"Write mu {result.mu:.3g} into the driver's rig file? Type yes, or Enter: "
         if not write and not (sys.stdin.isatty() and input(question).strip() == "yes"):
             return "nothing is written; --write does"
         answer = self._call(Trigger, "write_friction", Trigger.Request())
@@ -173,37 +173,37 @@ class Graph(Services):
         return str(answer.message)
 
     def _await_friction(
-        self, said: list[Friction], drivers: list[DriverStatus], started: Time
+        self, received: list[Friction], drivers: list[DriverStatus], started: Time
     ) -> None:
-        """Show how the measurement goes on that was started then, until it is over.
+        """Show the progress of the measurement with this start time, until it is over.
 
         Raises
         ------
         SilentError
-            If the driver no longer says that it measures.
+            If the driver no longer reports that it measures.
         """
-        told, heard, silent_s = "", 0, 0.0
+        text, reports, silent_s = "", 0, 0.0
 
         def over() -> bool:
-            nonlocal told
-            ours = [msg for msg in said if msg.header.stamp == started]
-            if ours and ours[-1].text != told:
-                told = ours[-1].text
-                if ours[-1].state == Friction.RUNNING:
-                    print(f"  {100 * ours[-1].fraction:3.0f} %  {told}", flush=True)
-            return bool(ours) and ours[-1].state != Friction.RUNNING
+            nonlocal text
+            own = [msg for msg in received if msg.header.stamp == started]
+            if own and own[-1].text != text:
+                text = own[-1].text
+                if own[-1].state == Friction.RUNNING:
+                    print(f"  {100 * own[-1].fraction:3.0f} %  {text}", flush=True)
+            return bool(own) and own[-1].state != Friction.RUNNING
 
         while not self._until(over, AGAIN_S):
             measuring = sum(msg.state == DriverStatus.CALIBRATING for msg in drivers)
-            silent_s = silent_s + AGAIN_S if len(said) + measuring == heard else 0.0
-            heard = len(said) + measuring
+            silent_s = silent_s + AGAIN_S if len(received) + measuring == reports else 0.0
+            reports = len(received) + measuring
             if silent_s > SILENT_S:
-                text = (
-                    f"the driver has not said for {SILENT_S:g} s that it measures: it hangs, is "
-                    "gone or was started again"
+                why = (
+                    f"the driver has not reported for {SILENT_S:g} s that it measures: it hangs, "
+                    "has ended or was restarted"
                 )
-                print(f"  {text}; asking it to end", flush=True)
-                raise SilentError(f"{text}. Whether the plate rests is not known: look")
+                print(f"  {why}; requesting the end of the measurement", flush=True)
+                raise SilentError(f"{why}. Check whether the plate rests")
 
     # State
 
@@ -211,35 +211,35 @@ class Graph(Services):
         topics = {"driver_status": DriverStatus, "task_status": TaskStatus}
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._on_text(topic), LATCHED)
-        said: dict[str, Report] = {}
+        reports: dict[str, Report] = {}
 
         def on_report(msg: DiagnosticArray) -> None:
-            said.update((report.node, report) for report in msg_to_reports(msg))
+            reports.update((report.node, report) for report in msg_to_reports(msg))
 
         self.node.create_subscription(DiagnosticArray, "diagnostics", on_report, DATA)
         if self._until(lambda: bool(self._seen()), NOBODY_S):
             self._until(lambda: False, REPORT_S)
-            self._until(lambda: not self._silent(said), LATE_S)
-        silent = self._silent(said)
-        if not self._seen() and not self._said:
+            self._until(lambda: not self._silent(reports), LATE_S)
+        silent = self._silent(reports)
+        if not self._seen() and not self._texts:
             raise PlateError(nobody())
-        lines = [f"{topic}: {self._said.get(topic, 'nothing heard')}" for topic in topics]
-        nodes = {name: f"{each.level.name}, {each.message}" for name, each in said.items()}
-        nodes |= dict.fromkeys(silent, "nothing heard: it starts, or hangs")
+        lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
+        nodes = {name: f"{each.level.name}, {each.message}" for name, each in reports.items()}
+        nodes |= dict.fromkeys(silent, "no message: it starts, or hangs")
         if silent:
-            lines.append("not all nodes are ready yet: what others miss may be because of that")
+            lines.append("not all nodes are ready yet: others may lack their messages")
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
-    def _silent(self, said: dict[str, Report]) -> list[str]:
-        """Return the nodes that have diagnostics, but have said nothing yet: they start, or
+    def _silent(self, reports: dict[str, Report]) -> list[str]:
+        """Return the nodes that have a publisher of diagnostics, but no report yet: they start, or
         hang."""
         topic = self.node.resolve_topic_name("diagnostics")
         there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
-        return sorted(there & set(self._seen()) - said.keys())
+        return sorted(there & set(self._seen()) - reports.keys())
 
     def _on_text(self, topic: str) -> Callable[[Any], None]:
         def on_message(msg: Any) -> None:
-            self._said[topic] = msg.text
+            self._texts[topic] = msg.text
 
         return on_message
 
@@ -251,7 +251,7 @@ class Graph(Services):
         Raises
         ------
         PlateError
-            If it does not run: names those that do.
+            If it does not run. The message lists the running nodes.
         """
         self._find_nodes()
         self._until(lambda: name in self._seen(), NOBODY_S)
@@ -264,7 +264,7 @@ class Graph(Services):
         return [name]
 
     def _node(self, args: argparse.Namespace, *words: str) -> str:
-        """Return the node that is meant; all these words are needed."""
+        """Return the node of the arguments. All arguments named by `words` are required."""
         if any(getattr(args, word) is None for word in words):
             usage, listed = " ".join(words).upper(), ", ".join(self._nodes(None))
             raise PlateError(f"{args.command} needs {usage}, nodes here: {listed}")
@@ -289,10 +289,10 @@ class Graph(Services):
         names = self._names(node)
         request = GetParameters.Request(names=names)
         values = self._call(GetParameters, f"{node}/get_parameters", request).values
-        asked = DescribeParameters.Request(names=names)
-        told = self._call(DescribeParameters, f"{node}/describe_parameters", asked).descriptors
+        query = DescribeParameters.Request(names=names)
+        answer = self._call(DescribeParameters, f"{node}/describe_parameters", query)
         lines = [node]
-        for name, value, about in zip(names, values, told, strict=True):
+        for name, value, about in zip(names, values, answer.descriptors, strict=True):
             shown = repr(parameter_value_to_python(value))
             allowed = f" ({about.additional_constraints})" if about.additional_constraints else ""
             fixed = "" if not about.read_only else " [fixed]"
@@ -308,7 +308,7 @@ class Graph(Services):
             if isinstance(before, float) and type(value) is int:
                 value = float(value)
             allowed = type(value) is kind
-        except (yaml.YAMLError, ValueError):  # the latter: a date that is none
+        except (yaml.YAMLError, ValueError):  # the latter: an invalid date
             allowed = False
         if not allowed:
             raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")

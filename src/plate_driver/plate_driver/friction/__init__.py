@@ -1,7 +1,7 @@
-"""Friction of parts at the rig, from known pushes of the plate and where the camera sees them.
+"""Friction of the parts, measured by known pushes of the plate and the camera.
 
-`FrictionMeasurement` is the procedure and `FrictionFound` its result; `make_push` makes a motion,
-`slip` is the model of what it does.
+`FrictionMeasurement` is the procedure and `FrictionFound` its result. `make_push` makes a motion,
+and `slip` computes the slip of a part in it.
 """
 
 from .measurement import FrictionFound, FrictionMeasurement, PartFriction, Rest, Stage, rig_mu

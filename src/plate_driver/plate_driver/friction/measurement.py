@@ -1,12 +1,13 @@
-"""The procedure that measures friction: pushes one by one, and where the parts are after each.
+"""The procedure that measures friction, one push at a time.
 
-1. *Search.* Pushes with more and more acceleration, to and fro along x, until every part slides.
-2. *Distance.* Pushes well above that, forth and back along x, then along y. Each gives mu of each
-   part at its place, as the slip falls with mu: least squares over all of them give a part's mu.
-3. *Onset.* Pushes in fine steps across the first slip: where each part begins to slide, and so
-   static over dynamic friction.
+1. *Search.* Pushes with rising acceleration, to and fro along x, until every part slides.
+2. *Distance.* Stronger pushes, forth and back along x, then along y. The slip falls with mu, so
+   each push gives mu of each part at its place. Least squares over all of them give a part's mu.
+3. *Onset.* Pushes in fine steps across the first slip. They show the acceleration at which each
+   part begins to slide, and so static over dynamic friction.
 
-Pure: what the camera sees goes in, the next push comes out. A part comes back, as pushes alternate.
+Pure: detected parts are the input, the next push is the output. Pushes alternate in direction, so
+parts come back.
 """
 
 from __future__ import annotations
@@ -24,69 +25,71 @@ from plate_core import Parts, PlateError, Rig, part_class
 from .push import Push, make_push, most_accel, slip
 
 FIRST_G, SLOW_G = 0.08, 0.01
-"""Accelerations of the first push, and of slow motions until the first slip is known [g]: parts
-that slide in these, too, would pass for parts with more friction."""
+"""Accelerations of the first push, and of slow motions until the first slip is known [g]. The
+friction of parts that also slide in slow motions would be overestimated."""
 
 SEARCH_FACTOR, ONSET_FACTOR = 1.25, 1.05
-"""From one push of a search, and of the onset, to the next."""
+"""Ratio of accelerations from one push to the next, in the search and in the onset."""
 
 SLOW_SHARE = 0.5
-"""Acceleration of slow motions over the greatest at which no part slid."""
+"""Acceleration of slow motions, relative to the maximum at which no part slid."""
 
 ABOVE = 1.7
-"""Acceleration of pushes for the distance, over the mean mu g: parts with 40 % less friction are
-still within the range of the closed form, and static friction up to 1.5 is overcome."""
+"""Acceleration of distance pushes, relative to the mean mu g. Parts with 40 % less friction are
+still within the range of the closed form, and a static ratio of up to 1.5 is overcome."""
 
 LEAST_ABOVE = 1.2
-"""The same at least, over mu g of each part."""
+"""Minimum acceleration of distance pushes, relative to mu g of each part."""
 
 ONSET_FROM, ONSET_TO = 0.8, 2.0
-"""First push of the onset over the least mu g, and last one over the greatest."""
+"""Accelerations of the first onset push, relative to the minimum mu g, and of the last one,
+relative to the maximum mu g."""
 
 SLID_M, BEGAN_M = 5e-4, 6e-5
-"""Slip that gives a first estimate of mu, and slip that shows the onset [m]."""
+"""Minimum slip for a first estimate of mu, and to detect the onset [m]."""
 
 NOISE_FACTOR = 5.0
-"""A slip counts if it is this many standard errors of the camera."""
+"""Minimum slip that counts, in standard errors of the camera."""
 
 FLOOR_M = 1e-5
-"""Standard error of a displacement at least [m]: errors of the camera that do not average out."""
+"""Minimum standard error of a displacement [m]: errors of the camera that do not average out."""
 
 LEAST_SIGNAL = 20.0
-"""Slip in the pushes for the distance over its standard error, at least: mu is then good to 5 %."""
+"""Minimum ratio of slip to its standard error in distance pushes: mu is then good to 5 %."""
 
 TRAVEL_M = 0.03
-"""How far pushes for the distance carry parts from their places, if there is room [m]: friction
-differs over some centimetres."""
+"""Displacement of parts by distance pushes, if there is clearance [m]. Friction differs over some
+centimetres."""
 
 MOST_STEPS = 6
-"""Pushes of that, one way, at most."""
+"""Maximum number of distance pushes in one direction."""
 
 STEP_ROOM_M = 0.006
-"""Room that each part needs towards every edge, beyond its safe distance [m]."""
+"""Clearance that each part needs towards every edge, beyond its safe distance [m]."""
 
 LEAST_GAP_M, TOUCH_M = 0.004, 0.0005
-"""Distance between the rims of two parts at the beginning, and later, at least [m]."""
+"""Minimum gap between two parts at the beginning, and later [m]."""
 
 STILL_M = 5e-4
-"""Standard deviation of a part's place in some images beyond which it moves [m]."""
+"""Standard deviation of a part's place over some images above which the part moves [m]."""
 
 STUCK_FACTOR = 3.0
-"""A part that does not slide at this many times the acceleration of the others is left out."""
+"""A part that does not slide at this multiple of the others' acceleration is excluded."""
 
 HERE_M = 0.005
-"""How far around its place friction of a part is taken for that of the place [m]."""
+"""Radius around a part's place within which its friction is taken for local friction [m]."""
 
 RANGE, CURVE = 2.4, 80
-"""Greatest over least mu that a push tells apart, and values of mu in between."""
+"""Ratio of maximum to minimum mu that a push distinguishes, and number of values in between."""
 
 AGREE = 0.05
 SURE = 3.0
-"""Difference of types, or of directions, worth a word: as a fraction, and in standard errors."""
+"""Minimum difference between types, or directions, that is reported: as a fraction, and in standard
+errors."""
 
 
 class Stage(Enum):
-    """What pushes are for."""
+    """Purpose of a push."""
 
     SEARCH = "search"
     DISTANCE = "distance"
@@ -96,7 +99,7 @@ class Stage(Enum):
 
 @dataclass(frozen=True)
 class Rest:
-    """Where parts are while the plate rests.
+    """Places of the parts while the plate rests.
 
     Attributes
     ----------
@@ -111,8 +114,8 @@ class Rest:
 
     @classmethod
     def of(cls, images: Sequence[Parts]) -> Rest | None:
-        """Return it from what some images show, at least two; None while a part still moves. Parts
-        that are not in each image are left out."""
+        """Average the parts of two or more images; None while a part still moves. Parts that are
+        not in every image are omitted."""
         ids = [name for name in images[0].ids if all(name in seen.ids for seen in images)]
         if not ids:
             return cls({}, 0.0)
@@ -128,20 +131,20 @@ class Rest:
 
 @dataclass(frozen=True)
 class Trial:
-    """A push and what it did.
+    """A push and the slip of each part in it.
 
     Attributes
     ----------
     push : Push
     stage : Stage
     lag : dict of str to float
-        How far each part was left behind, against the push [m].
+        Slip of each part, against the push [m].
     place : dict of str to (2,)
-        Its mean place meanwhile [m].
+        Mean of its places before and after [m].
     error : float
         Standard error of a lag [m].
     curve : (2, n)
-        Values of mu, rising, and the lags [m] that they give.
+        Values of mu, rising, and the lags [m] at these.
     """
 
     push: Push
@@ -152,11 +155,11 @@ class Trial:
     curve: np.ndarray
 
     def lag_at(self, mu: float) -> float:
-        """Return the lag that a part with this mu has [m]."""
+        """Return the lag of a part with this mu [m]."""
         return float(np.interp(mu, *self.curve))
 
     def local(self, name: str) -> tuple[float, float]:
-        """Return mu of a part by this push alone, and its standard error."""
+        """Return mu of a part from only this push, and its standard error."""
         grid, lags = self.curve
         mu = np.interp(self.lag[name], lags[::-1], grid[::-1])
         slope = np.interp(mu, grid, np.gradient(lags, grid))
@@ -173,9 +176,9 @@ class PartFriction:
     place : (2,)
         [m, plate_home].
     mu, error : float
-        Coefficient of dynamic friction, mean along its way, and its standard error.
+        Coefficient of dynamic friction, mean along its path, and its standard error.
     static_ratio : float
-        Static over dynamic friction; NaN if it was not seen.
+        Static over dynamic friction; NaN if its onset was not seen.
     """
 
     id: str
@@ -195,13 +198,13 @@ class FrictionFound:
     mu, error : float
         Mean over the parts, and its standard error.
     between_parts, over_plate : float
-        Standard deviations as fractions of the mean: of the parts' mu, and of one part's along its
-        way on the plate; what the camera's noise explains is taken off.
+        Standard deviations as fractions of the mean: of mu between the parts, and of mu along one
+        part's path on the plate. The contribution of the camera's noise is subtracted.
     static_ratio, static_error : float
-        Static over dynamic friction, mean over the parts, and its standard error; NaN if it was not
-        seen.
+        Static over dynamic friction, mean over the parts, and its standard error; NaN if no onset
+        was seen.
     notes : tuple of str
-        What else there is to know.
+        Further remarks for the user.
     """
 
     parts: tuple[PartFriction, ...]
@@ -215,7 +218,7 @@ class FrictionFound:
 
     @property
     def text(self) -> str:
-        """In a line."""
+        """Result in one line."""
         ratio = "not seen"
         if np.isfinite(self.static_ratio):
             ratio = f"{self.static_ratio:.2f} +- {self.static_error:.2f}"
@@ -228,18 +231,18 @@ class FrictionFound:
 
 @dataclass(frozen=True)
 class FrictionMeasurement:
-    """A measurement under way.
+    """A running measurement.
 
     Attributes
     ----------
     rig : Rig
     most : float
-        Greatest acceleration of a push on this rig [m/s2].
+        Maximum acceleration of a push on this rig [m/s2].
     stage : Stage
     todo : tuple of Push
-        The next one first.
+        Remaining pushes of the stage, the next one first.
     rest : Rest
-        Where parts are now.
+        Current places of the parts.
     trials : tuple of Trial
     slow : float
         Acceleration of slow motions [m/s2].
@@ -260,7 +263,7 @@ class FrictionMeasurement:
 
     @classmethod
     def start(cls, rig: Rig, rest: Rest, corrected: bool = False) -> FrictionMeasurement:
-        """Return the measurement at its beginning.
+        """Start a measurement.
 
         Parameters
         ----------
@@ -272,7 +275,8 @@ class FrictionMeasurement:
         Raises
         ------
         PlateError
-            If no part is seen, one is too near an edge, or two are too near each other.
+            If no part is seen, one is too near an edge, two are too near each other, or the rig's
+            limits do not allow the first push.
         """
         if not rest.place:
             raise PlateError("friction: the camera sees no part, allowed: one or more, at rest")
@@ -309,7 +313,7 @@ class FrictionMeasurement:
 
     @property
     def progress(self) -> str:
-        """How far it is, in words."""
+        """Progress as text."""
         if self.push is None:
             return "done"
         axis = "xy"[self.push.axis]
@@ -320,7 +324,7 @@ class FrictionMeasurement:
 
     @property
     def fraction(self) -> float:
-        """Fraction that is done, roughly, 0 to 1."""
+        """Approximate fraction that is done, 0 to 1."""
         stages = {Stage.SEARCH: 0.0, Stage.DISTANCE: 0.25, Stage.ONSET: 0.6, Stage.DONE: 1.0}
         done = sum(trial.stage is self.stage for trial in self.trials)
         share = {Stage.SEARCH: 0.25, Stage.DISTANCE: 0.35, Stage.ONSET: 0.4, Stage.DONE: 0.0}
@@ -333,9 +337,9 @@ class FrictionMeasurement:
         Parameters
         ----------
         rest : Rest
-            Where parts are now.
+            Current places of the parts.
         played : Push, optional
-            What was commanded, if the rig's limits made it less.
+            Push that was commanded, if the rig's limits scaled it down.
 
         Raises
         ------
@@ -352,7 +356,7 @@ class FrictionMeasurement:
                 "allowed: half of them or more"
             )
         lost = sorted(set(self.rest.place) - set(ids))
-        notes = self.notes + tuple(f"{name} was lost from sight: left out" for name in lost)
+        notes = self.notes + tuple(f"{name} is no longer seen: excluded" for name in lost)
         lag = {name: float(-along @ (rest.place[name] - self.rest.place[name])) for name in ids}
         place = {name: (rest.place[name] + self.rest.place[name]) / 2 for name in ids}
         error = float(np.hypot(np.hypot(rest.error, self.rest.error), FLOOR_M))
@@ -383,11 +387,11 @@ class FrictionMeasurement:
     # Stages
 
     def _searched(self) -> FrictionMeasurement:
-        """Return it after a push of the search: with the next one, or in the next stage."""
+        """Return the measurement after a search push: with the next one, or in the next stage."""
         trial, gravity = self.trials[-1], self.rig.friction.gravity
         guess = dict(self.guess)
         for name, value in trial.lag.items():
-            known = guess.get(name, np.inf) * gravity  # far above it a slip tells little of mu
+            known = guess.get(name, np.inf) * gravity  # far above it slip hardly depends on mu
             slid = value > max(SLID_M, NOISE_FACTOR * trial.error)
             if slid and trial.push.accel < ABOVE * known:
                 _check_slip(trial, name, gravity)
@@ -401,7 +405,7 @@ class FrictionMeasurement:
             typical = float(np.median(list(guess.values()))) * gravity
             if accel > STUCK_FACTOR * typical:
                 notes = tuple(
-                    f"{name} does not slide at {trial.push.accel:.1f} m/s2 as others do: left out"
+                    f"{name} does not slide at {trial.push.accel:.1f} m/s2 as others do: excluded"
                     for name in left
                 )
                 place = {name: new.rest.place[name] for name in guess}
@@ -419,7 +423,7 @@ class FrictionMeasurement:
         return replace(new, todo=(push,))
 
     def _distance(self) -> FrictionMeasurement:
-        """Return it with the pushes for the distance."""
+        """Return the measurement with the distance pushes."""
         gravity = self.rig.friction.gravity
         typical = float(np.median(list(self.guess.values())))
         accel = min(ABOVE * typical * gravity, self.most)
@@ -431,7 +435,7 @@ class FrictionMeasurement:
                 f"{accel:.1f} m/s2, allowed: {LEAST_ABOVE * typical * gravity:.1f} m/s2 or more"
             )
         notes = tuple(
-            f"mu of {name} is about {self.guess[name]:.2f}, others' about {typical:.2f}: left out, "
+            f"mu of {name} is about {self.guess[name]:.2f}, others' about {typical:.2f}: excluded, "
             "measure it without them"
             for name in sorted(set(grip) - set(kept))
         )
@@ -459,7 +463,7 @@ class FrictionMeasurement:
         )
 
     def _room(self, axis: int, sign: int) -> float:
-        """How far all parts may go along an axis [m]."""
+        """Return the displacement along an axis that all parts have clearance for [m]."""
         return min(
             float(
                 self.rig.plate.half[axis]
@@ -470,7 +474,7 @@ class FrictionMeasurement:
         )
 
     def _onset(self) -> FrictionMeasurement:
-        """Return it with the pushes for the onset."""
+        """Return the measurement with the onset pushes."""
         gravity = self.rig.friction.gravity
         mu = [self._dynamic(name)[0] for name in self.rest.place]
         accel, last = ONSET_FROM * min(mu) * gravity, ONSET_TO * max(mu) * gravity
@@ -481,21 +485,20 @@ class FrictionMeasurement:
         stage = Stage.ONSET if todo else Stage.DONE
         return replace(self, stage=stage, todo=tuple(todo))
 
-    # What pushes tell
+    # Evaluation of pushes
 
     def _of(self, name: str, stage: Stage) -> list[Trial]:
         return [t for t in self.trials if t.stage is stage and name in t.lag]
 
     def _local(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return mu of a part in each push for the distance (n,), standard errors (n,), and how far
-        away from its place now that was (n,) [m]."""
+        """Return mu of a part in each distance push (n,), standard errors (n,), and the distances
+        (n,) of these places from its current place [m]."""
         trials, here = self._of(name, Stage.DISTANCE), self.rest.place[name]
         values, errors = np.array([trial.local(name) for trial in trials]).T
         return values, errors, np.array([np.hypot(*(t.place[name] - here)) for t in trials])
 
     def _dynamic(self, name: str) -> tuple[float, float]:
-        """Return mu of a part by least squares over its pushes for the distance, and its standard
-        error."""
+        """Return mu of a part by least squares over its distance pushes, and its standard error."""
         trials = self._of(name, Stage.DISTANCE)
 
         def misses(mu: np.ndarray) -> np.ndarray:
@@ -503,8 +506,8 @@ class FrictionMeasurement:
 
         local, errors, _ = self._local(name)
         fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
-        # A place between two pushes counts in both, so errors of their lags are not independent:
-        # they cancel in pushes of one direction, and add up where it changes.
+        # A place between two pushes enters both lags, so their errors are correlated: they cancel
+        # in pushes of one direction, and add up where the direction changes.
         correlation = np.eye(len(trials))
         for k, (one, other) in enumerate(pairwise(trials)):
             if one.push.axis == other.push.axis:
@@ -516,8 +519,7 @@ class FrictionMeasurement:
         return float(fit.x[0]), float(np.sqrt(noise + uneven))
 
     def _held_and_slid(self, name: str) -> tuple[Trial | None, Trial | None]:
-        """Return the last push for the onset in which a part held, and the first one in which it
-        slid."""
+        """Return the last onset push in which a part held, and the first one in which it slid."""
         held = None
         for trial in self._of(name, Stage.ONSET):
             if trial.lag[name] > _visible(trial):
@@ -528,8 +530,8 @@ class FrictionMeasurement:
     def _static_ratio(self, name: str) -> float:
         """Return static over dynamic friction of a part; NaN if its onset was not seen.
 
-        A push in which it held tells that mu_s g is more than its acceleration only if dynamic
-        friction alone would have let it slide visibly.
+        If the part held in a push, its mu_s g exceeds the push's acceleration. This is certain only
+        if the part would have slid visibly without static friction.
         """
         held, slid = self._held_and_slid(name)
         if slid is None:
@@ -545,7 +547,7 @@ class FrictionMeasurement:
 
     @property
     def found(self) -> FrictionFound:
-        """What was found, at the end."""
+        """Result, at the end of the measurement."""
         parts, along, weights = [], [], []
         for name in self.rest.place:
             mu, error = self._dynamic(name)
@@ -576,7 +578,7 @@ class FrictionMeasurement:
         )  # fmt: skip
 
     def _types(self, parts: Sequence[PartFriction]) -> tuple[str, ...]:
-        """Say what differs between types, if they do."""
+        """Return a note if mu differs between types."""
         kinds: dict[str, list[float]] = {}
         for part in parts:
             kinds.setdefault(part_class(part.id), []).append(part.mu)
@@ -594,7 +596,7 @@ class FrictionMeasurement:
         return (f"types differ: {listed}",)
 
     def _axes(self) -> tuple[str, ...]:
-        """Say that friction along x differs from friction along y, if it does."""
+        """Return a note if mu differs between x and y."""
         pairs = []
         for name in self.rest.place:
             axis = np.array([trial.push.axis for trial in self._of(name, Stage.DISTANCE)])
@@ -609,12 +611,12 @@ class FrictionMeasurement:
 
 
 def rig_mu(rig: Rig, found: FrictionFound) -> float:
-    """Return the mu for the rig file: the mean over parts whose type has none of its own there.
+    """Return the mu for the rig file: the mean over parts of types without a separate mu there.
 
     Raises
     ------
     PlateError
-        If all have.
+        If the types of all parts have a separate mu.
     """
     values = [
         part.mu
@@ -623,19 +625,19 @@ def rig_mu(rig: Rig, found: FrictionFound) -> float:
     ]
     if not values:
         raise PlateError(
-            "friction: all parts are of types with a mu of their own, allowed: one or more "
-            f"without; change it in the file of types: {found.text}"
+            "friction: all parts are of types with a separate mu, allowed: one or more parts "
+            f"without; change mu in the file of types: {found.text}"
         )
     return float(np.mean(values))
 
 
 def _visible(trial: Trial) -> float:
-    """Return the lag that shows that a part has slid [m]."""
+    """Return the minimum lag that shows that a part has slid [m]."""
     return max(BEGAN_M, NOISE_FACTOR * trial.error)
 
 
 def _check_slip(trial: Trial, name: str, gravity: float) -> None:
-    """Refuse a slip that is longer than any mu of the push's curve gives: its mu is not known."""
+    """Refuse a slip beyond the maximum of the push's curve: mu does not follow from it."""
     longest = float(np.max(trial.curve[1]))
     if trial.lag[name] > longest + NOISE_FACTOR * trial.error:
         accel = trial.push.accel
@@ -647,7 +649,7 @@ def _check_slip(trial: Trial, name: str, gravity: float) -> None:
 
 
 def _check_slips(trial: Trial, gravity: float) -> None:
-    """Refuse slips of a push for the distance from which mu does not follow."""
+    """Refuse slips of a distance push from which mu does not follow."""
     for name, lag in trial.lag.items():
         _check_slip(trial, name, gravity)
         if lag <= NOISE_FACTOR * trial.error:
@@ -659,13 +661,13 @@ def _check_slips(trial: Trial, gravity: float) -> None:
 
 
 def _curve(push: Push, gravity: float) -> np.ndarray:
-    """Return values of mu, rising, and the slips [m] (2, n) that a push gives then."""
+    """Return values of mu, rising, and the slips of a push at these [m] (2, n)."""
     grid = push.accel / gravity * np.geomspace(1 / RANGE, 1, CURVE)
     return np.stack([grid, slip(push, grid, 0.0, gravity)])
 
 
 def _check_gaps(rig: Rig, rest: Rest, least: float) -> None:
-    """Refuse parts whose rims are nearer to each other than `least` [m]."""
+    """Refuse parts with a gap of less than `least` [m] between them."""
     names = list(rest.place)
     for i, one in enumerate(names):
         for other in names[i + 1 :]:

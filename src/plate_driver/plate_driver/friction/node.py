@@ -31,19 +31,19 @@ if TYPE_CHECKING:
     from ..node import DriverNode
 
 SETTLE_S = 0.4
-"""From the end of a push to the stamps of images that count [s]: stamps may be that late."""
+"""Delay from the end of a push to the stamps of images that count [s]: stamps may be that late."""
 
 LATE_S = 5.0
-"""Longest delay of a push [s], where starts of cycles are reported."""
+"""Maximum delay of a push [s], if starts of cycles are reported."""
 
 SAME_S = 1e-6
-"""Greatest difference of the lengths of a cycle that was sent and of one that has begun [s]."""
+"""Maximum difference between the periods of the sent cycle and of the cycle that has begun [s]."""
 
 IMAGES = 4
-"""Images in which parts are looked at, at rest."""
+"""Number of images per measurement of parts at rest."""
 
 BLIND_S = 5.0
-"""Longest wait for images that show the parts at rest [s]."""
+"""Maximum wait for images that show the parts at rest [s]."""
 
 
 class FrictionServer:
@@ -69,19 +69,19 @@ class FrictionServer:
         self._plays: PlateCycle | None = None
         self._after_ns: int | None = None  # stamps of images at rest; None: not known yet
         self._images: list[Parts] = []
-        self._since = 0.0  # looking for parts at rest [s]
+        self._since = 0.0  # start of the wait for parts at rest [s]
 
     @property
     def running(self) -> bool:
-        """Whether it measures."""
+        """Whether a measurement runs."""
         return self._running
 
     def configure(self) -> None:
-        """Make the services, the topic and the subscription of parts."""
+        """Create the services, the topic and the subscriptions."""
         driver, self._found = self._driver, None  # it may be of another rig
         self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
         driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
-        self._starts_heard = False
+        self._starts_received = False
         driver.managed_subscription(JointTrajectory, "cycle_started", self._on_start, DATA)
         for kind, name, answer in (
             (MeasureFriction, "measure_friction", self._on_measure),
@@ -113,7 +113,7 @@ class FrictionServer:
             self._found, self._stops = None, driver.latch.number
             self._running, self._since = True, driver.play_time()
             self._started = self._after_ns = driver.get_clock().now().nanoseconds
-            self._publish(Friction.RUNNING, "looking for parts at rest", 0.0)
+            self._publish(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
             response.success, response.message = True, "see the topic friction"
             response.started = to_time(self._started)
         return response
@@ -141,8 +141,10 @@ class FrictionServer:
     # Work
 
     def _on_parts(self, msg: PartsMsg) -> None:
-        """Keep what an image shows while the plate rests, by its stamp: on a busy computer it may
-        come much later."""
+        """Keep the parts of an image whose stamp lies after the end of the push.
+
+        The stamp decides, not the arrival: on a busy computer an image may arrive much later.
+        """
         after_ns = self._after_ns
         if self._running and after_ns is not None and nanoseconds(msg.header.stamp) >= after_ns:
             try:
@@ -151,28 +153,28 @@ class FrictionServer:
                 self._driver.get_logger().warning(f"parts: {error}", throttle_duration_sec=2.0)
 
     def _on_start(self, msg: JointTrajectory) -> None:
-        """Take note of when a push has begun, and so of when it ends."""
-        self._starts_heard = True
+        """Note when a push has begun, to know when it ends."""
+        self._starts_received = True
         push = self._plays
         if push is None or self._after_ns is not None:
             return
         try:
             cycle = msg_to_cycle(msg)
-        except PlateError:  # its publisher is told by others
+        except PlateError:  # the planner warns of it
             return
         if cycle.moves and abs(cycle.period - push.period) < SAME_S:
             length_s = SETTLE_S + sum(part.period for part in push.parts)
             self._after_ns = nanoseconds(msg.header.stamp) + round(1e9 * length_s)
 
     def watch(self, now: float) -> None:
-        """Go on, at `now` [s] by the clock by which cycles are played."""
+        """Continue at `now` [s], in the time in which cycles are played."""
         driver = self._driver
         try:
             if driver.latch.number != self._stops:  # also if they were enabled since
                 raise PlateError("the motors were stopped")
             if self._plays is not None:
                 over_s = now - driver.guard.sent_at - driver.guard.lasts_s
-                if over_s > SETTLE_S and not self._starts_heard:
+                if over_s > SETTLE_S and not self._starts_received:
                     self._after_ns = driver.get_clock().now().nanoseconds
                 elif over_s > LATE_S and self._after_ns is None:
                     raise PlateError(f"friction: a push has not begun within {LATE_S:g} s")
@@ -196,7 +198,7 @@ class FrictionServer:
             self.fail(str(error))
 
     def _step(self, rest: Rest, now: float) -> None:
-        """Take in where parts rest, and send the next push."""
+        """Evaluate the places of the parts, and send the next push."""
         driver, self._images = self._driver, []
         if self._measurement is None:
             new = FrictionMeasurement.start(driver.rig, rest, driver.guard.correction is not None)

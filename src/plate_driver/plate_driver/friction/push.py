@@ -1,16 +1,16 @@
-"""One push of the plate along x or y from which a part's friction follows, and the part's slip.
+"""One push of the plate along x or y that shows a part's friction, and the part's slip in it.
 
-From rest the plate accelerates with a over the way A, brakes with k a, and goes back to home so
-slowly that nothing slides. A part on it holds while a <= mu_s g. Else Coulomb's law (docs/model.md,
-Friction (1)) with r = mu g/a leaves it behind. While the plate accelerates, the part loses
-(1 - r) A. Then their velocities differ by w = (a - mu g) t with A = a t^2/2, and come together at
-mu g + k a, which takes a way of w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k). If k a <= mu g the part
-then holds, and the slip of the whole push is
+From rest the plate accelerates with a over the distance A, brakes with k a, and goes back to home
+so slowly that nothing slides. A part on it holds while a <= mu_s g. Otherwise it slips by Coulomb's
+law (docs/model.md, Friction (1)), with r = mu g/a. While the plate accelerates, the slip is
+(1 - r) A. Then the velocities differ by w = (a - mu g) t, with A = a t^2/2. This difference shrinks
+at mu g + k a, and the part slips by w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k) more. If
+k a <= mu g the part then holds, and the slip of the whole push is
 
     s = A (1 - r) (1 + k)/(r + k)
 
-So the least a with a slip gives static friction, and s gives dynamic friction. `slip` integrates
-the same law over the motion that is really commanded, with its ramps, for all a.
+So the smallest a with a slip gives static friction, and s gives dynamic friction. `slip` integrates
+the same law over the commanded motion, with its ramps, for all a.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from plate_core import PlateCycle, Rig
 from plate_core.motion import usage
 
 BRAKE = 0.4
-"""Braking over accelerating, k: the closed form then holds up to 2.5 times the acceleration of the
-first slip."""
+"""Ratio of braking to acceleration, k. With it the closed form holds up to 2.5 times the
+acceleration of the first slip."""
 
 RAMP = 0.12
-"""Length of the acceleration's first ramp over the time of accelerating: motors follow that."""
+"""Duration of the first ramp, relative to that of the acceleration: motors can follow it."""
 
 STROKE_USED, LIMITS_USED = 0.8, 0.9
-"""Fractions of the motors' stroke, and of all limits, that a push uses at most."""
+"""Maximum fractions of the motors' stroke, and of all limits, that a push uses."""
 
 LONGEST_WAY_M = 0.016
-"""Greatest way of a push [m]: parts then move by some millimetres."""
+"""Maximum length of a push [m]: parts then move by some millimetres."""
 
 QUINTIC_PEAK = 10 / np.sqrt(3)
-"""Peak acceleration of the quintic from rest to rest, times T^2 over its way."""
+"""Peak acceleration of the quintic from rest to rest, times T^2 over its length."""
 
 FAST_STEPS, SLOW_STEPS = 800, 60
 """Steps of the integration in the push, and in each slow motion."""
@@ -53,9 +53,9 @@ class Push:
     sign : int
         1 or -1: its direction.
     accel : float
-        Greatest acceleration [m/s2].
+        Maximum acceleration [m/s2].
     cycle : PlateCycle
-        From rest at home to the end of the push, with the slow way back as its tail.
+        Motion from rest at home to the end of the push. Its tail is the slow return.
     """
 
     axis: int
@@ -65,7 +65,7 @@ class Push:
 
 
 def way_of(rig: Rig) -> float:
-    """Return the way [m] of a push on this rig."""
+    """Return the length [m] of a push on this rig."""
     return min(2 * STROKE_USED * rig.limits.stroke_m, LONGEST_WAY_M)
 
 
@@ -76,9 +76,9 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
     ----------
     axis, sign : int
     accel : float
-        Greatest acceleration [m/s2].
+        Maximum acceleration [m/s2].
     slow : float
-        Greatest acceleration on the ways to its start and back home [m/s2].
+        Maximum acceleration on the paths to its start and back home [m/s2].
     """
     way = way_of(rig)
     unit_t, unit_a = _profile()
@@ -99,7 +99,7 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
 
 
 def most_accel(rig: Rig, slow: float) -> float:
-    """Return the greatest acceleration of a push within the rig's limits [m/s2]."""
+    """Return the maximum acceleration of a push within the rig's limits [m/s2]."""
     accel = LIMITS_USED * rig.limits.accel
     for _ in range(8):  # limits are nearly linear in it, or in its root
         worst = max(
@@ -112,7 +112,7 @@ def most_accel(rig: Rig, slow: float) -> float:
 
 
 def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -> np.ndarray:
-    """Return how far (m,) a push leaves parts behind [m], positive against its direction.
+    """Return the slips (m,) of parts in a push [m], positive against its direction.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     mu : (m,)
         Coefficient of dynamic friction.
     hold : (m,) or float
-        Greatest acceleration at which a part at rest on the plate holds [m/s2], mu_s g; where less
-        than mu g, that.
+        Maximum acceleration at which a part at rest on the plate holds, mu_s g [m/s2]. Values below
+        mu g count as mu g.
     gravity : float
         [m/s2].
     """
@@ -153,8 +153,8 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
 
 
 def _profile() -> tuple[np.ndarray, np.ndarray]:
-    """Times and accelerations of a push with accelerations from 1 to -`BRAKE`, straight between
-    them; it begins and ends at rest."""
+    """Return times and accelerations of a push from rest to rest, with accelerations from 1 to
+    -`BRAKE` that are linear between these times."""
     gain, cross, lose = RAMP, RAMP * (1 + BRAKE), RAMP * BRAKE
     held = 1.0 - RAMP
     # Area of the acceleration: up to zero of the crossing, and from there on.
@@ -165,7 +165,7 @@ def _profile() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _integrated(t: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity and way at times t (k,) under an acceleration a (k,) that is straight between."""
+    """Return velocity and position at times t (k,); the acceleration a (k,) is linear between."""
     dt = np.diff(t)
     v = np.concatenate([[0.0], np.cumsum(dt * (a[:-1] + a[1:]) / 2)])
     x = np.concatenate([[0.0], np.cumsum(dt * v[:-1] + dt**2 * (2 * a[:-1] + a[1:]) / 6)])
