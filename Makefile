@@ -28,8 +28,7 @@ workspace:
 checks:
 	@tools/setup.sh --quiet --checks
 
-# What is set after `make` reaches the shell as a variable of the environment, whatever is in it.
-# What demo and play both take
+# Options of demo and play. Variables set after `make` reach the shell through its environment, whatever they contain.
 RUN = $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} $${METHOD:+--method "$$METHOD"} \
 	    $${CAMERA:+--camera "$$CAMERA"} $${PORT:+--port "$$PORT"}
 

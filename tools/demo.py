@@ -39,8 +39,8 @@ def arguments() -> argparse.Namespace:
         description="Run a task on the vibrating plate: ROS 2 nodes as processes of their "
         "own, in a ROS domain of their own, driven only by what the camera sees.",
         epilog="With make: make demo SCENARIO=sort_10 RIG=my_rig.yaml METHOD=rotations "
-        "CAMERA=/dev/video0 PORT=/dev/ttyACM0 ARGS='--seed 3'. Ctrl-C ends it; what was done so "
-        "far is kept.",
+        "CAMERA=/dev/video0 PORT=/dev/ttyACM0 ARGS='--seed 3'. Ctrl-C ends it and keeps the "
+        "results so far.",
     )
     add = parser.add_argument
     add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
@@ -49,14 +49,14 @@ def arguments() -> argparse.Namespace:
     add(
         "--transport",
         default="",
-        help="what moves the plate: sim, serial, cia402 or odrive (serial with a port or camera)",
+        help="motors: sim, serial, cia402 or odrive (serial with a port or camera)",
     )
     add("--port", default="", help="of a motor controller; serial without one: a simulated one")
     add(
         "--camera",
         default="",
-        help="device of your camera, as `camera --list` shows it, or a film; without one, and with "
-        "a port: another node publishes the images",
+        help="device of your camera, as `camera --list` shows it, or a film; with a port and no "
+        "camera, another node publishes the images",
     )
     add("--seed", type=int, default=0, help="where parts are scattered, image noise (0)")
     add("--lockstep", action="store_true", help="as fast as it goes: simulated time waits for all")

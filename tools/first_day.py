@@ -25,7 +25,7 @@ SIZE: Any = {"width": 1366, "height": 768}
 WIDTH_PX, QUALITY = 860, 55
 
 DEFOCUS_PX = 2.5
-"""Of the camera before its lens is turned."""
+"""Blur of the camera before its lens is turned [px]."""
 
 STEADY_S, MEASURED_S = 6.0, 300.0
 """How long the page watches before a picture, and the longest measurement of friction [s]."""

@@ -89,7 +89,7 @@ def checked(args: argparse.Namespace):
     known = load_rig(rig)  # a mistyped name is reported before the slow imports
 
     import numpy as np
-    from graph.demo import absolute, check_camera, check_run, tell_unmeasured
+    from graph.demo import absolute, check_camera, check_run, print_unmeasured
 
     from plate_bringup import RunOptions
     from plate_solver import METHODS
@@ -103,7 +103,7 @@ def checked(args: argparse.Namespace):
         raise PlateError("simulated time with a port or a camera, allowed: without")
     check_camera(args.camera, args.port)
     if real:
-        tell_unmeasured("play", known, args.port)
+        print_unmeasured("play", known, args.port)
     return RunOptions(
         scenario=absolute(args.scenario), method=METHODS[args.method], seed=args.seed,
         rig_file=absolute(rig), simulated_time=args.simulated_time, view=True,

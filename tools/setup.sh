@@ -246,7 +246,7 @@ build_packages() {
     [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
     if [ -f install/.built ]; then
         changed=$(comm -3 --output-delimiter= install/.built <(echo "$inputs") | changed_packages)
-        # What it changes is in kernels, which say themselves whether that is so, and in programs.
+        # plate_native is used by kernels, which check themselves whether it changed them, and by programs.
         case "$changed" in *plate_native*) changed=$(printf '%s\n' "$changed" $(packages_that_name "from plate_native") | sort -u) ;; esac
     else
         rm -rf install

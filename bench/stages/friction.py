@@ -1,4 +1,4 @@
-"""Friction measured by pushes of the plate: against the simulator's.
+"""Friction measured by pushes of the plate, compared with the simulator's.
 
 Eight parts, whose friction differs from each other and over the plate, are pushed as `plate
 friction` does; the detector sees them in rendered images with noise.
@@ -24,7 +24,7 @@ IMAGES, IMAGE_S = 4, 0.1
 """Images at rest after each push, and the time between two [s]."""
 
 PLACES = [(x, y) for x in (-0.18, -0.06, 0.06, 0.18) for y in (-0.05, 0.05)]
-"""Of the parts [m, plate_home]."""
+"""Places of the parts [m, plate_home]."""
 
 WORLDS = (
     (0.15, 0.0, 0.0, 1.0), (0.15, 0.2, 0.0, 1.2), (0.25, 0.0, 0.0, 1.2), (0.25, 0.1, 0.0, 1.0),
@@ -54,18 +54,18 @@ def parts_at(places: Sequence[tuple[float, float]]) -> Scenario:
 def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, Any]:
     """Return the mean of true and measured values, and the worst errors, over some seeds."""
     mu, spread, patches, static = world
-    told = []
+    values = []
     for seed in seeds:
         unlike = Disturbances(friction_spread=spread, friction_patches=patches, static_ratio=static)
         found, true = measured(rig, parts_at(PLACES), seed, mu, unlike)
         exact = np.array([true[part.id] for part in found.parts])
         errors = np.array([part.mu for part in found.parts]) / exact - 1
-        told.append(
+        values.append(
             (np.mean(exact), found.mu, found.error, np.std(exact, ddof=1) / np.mean(exact),
              found.between_parts, found.over_plate, found.static_ratio, found.static_error,
              np.max(np.abs(errors)))
         )  # fmt: skip
-    mean, most = np.mean(told, axis=0), np.max(told, axis=0)
+    mean, most = np.mean(values, axis=0), np.max(values, axis=0)
     return {
         "exact": round(float(mean[0]), 4), "measured": f"{mean[1]:.4f} +- {mean[2]:.4f}",
         "worst": f"{100 * most[8]:.1f} %", "spread": f"{100 * mean[3]:.1f} %",
@@ -78,7 +78,7 @@ def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, A
 def measured(
     rig: Rig, scenario: Scenario, seed: int, mu: float, world: Disturbances
 ) -> tuple[FrictionFound, dict[str, float]]:
-    """Return the friction that is found, and the true mu of each part, mean along its way.
+    """Return the measured friction, and the true mu of each part, mean along its path.
 
     Raises
     ------

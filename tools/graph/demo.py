@@ -178,7 +178,7 @@ def checked(args: argparse.Namespace) -> Plan:
     if args.port:
         check_terminal()
     if args.port or args.camera:
-        tell_unmeasured("demo", rig, args.port)
+        print_unmeasured("demo", rig, args.port)
     if is_played(args.camera):
         print(
             f"demo: {args.camera} is played once and does not react to the plate: parts are found, "
@@ -205,27 +205,26 @@ def checked(args: argparse.Namespace) -> Plan:
         robot_port=0,
     )
     domain = args.domain
-    if (
-        domain is None and args.port and not args.camera
-    ):  # the camera is somebody else's, in the domain of this shell
+    # Another node publishes the images, in the domain of this shell.
+    if domain is None and args.port and not args.camera:
         domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
     return Plan(args, options, scenario, rig, out, domain)
 
 
 def check_camera(camera: str, port: str) -> None:
-    """Check that there are a camera and a port, if they are given; see `checked`."""
+    """Check that the given camera and port exist; empty: none is given. See `checked`."""
     if camera:
         check_device(camera)
     if port:
         open_port(port).close()
 
 
-def tell_unmeasured(program: str, rig: Rig, port: str) -> None:
-    """Print the facts of the rig that are not measured, or inconsistent, before anything moves."""
-    told = [*unmeasured(rig), *(doubt.text for doubt in doubts(rig))]
-    if told:
-        print(f"{program}: before anything moves, this is not known of your rig:")
-        print("\n".join(f"  - {text}" for text in told))
+def print_unmeasured(program: str, rig: Rig, port: str) -> None:
+    """Print unmeasured and inconsistent facts of the rig before anything moves."""
+    facts = [*unmeasured(rig), *(doubt.text for doubt in doubts(rig))]
+    if facts:
+        print(f"{program}: before anything moves, check these facts of your rig:")
+        print("\n".join(f"  - {text}" for text in facts))
     if port:
         print(
             "  - home: the board finds it when the motors are enabled for the first time; the "
@@ -244,9 +243,9 @@ def check_terminal() -> None:
 
 
 def await_consent(observer: Observer) -> None:
-    """Wait until the person at a real plate presses Enter: nothing moves before.
+    """Wait until the person at a real plate presses Enter. Nothing moves before.
 
-    Only an empty line counts that is entered after the question.
+    Only an empty line that is entered after the question counts.
 
     Raises
     ------
@@ -264,7 +263,7 @@ def await_consent(observer: Observer) -> None:
             observer.until(lambda: False, StatusLine.PERIOD_S)
         try:
             line = os.read(terminal, LINE_BYTES)
-        except OSError:  # a terminal that was hung up
+        except OSError:  # the terminal was closed
             line = b""
         if not line:
             raise PlateError("the terminal's input ended before Enter: the motors stay off")
@@ -402,7 +401,7 @@ def conclude(
         write(plan.out / "result.json", result)
     if not plan.args.no_pictures:
         if problem is not None:
-            print("  drawing what was done so far; Ctrl-C: no pictures", flush=True)
+            print("  drawing the results so far; Ctrl-C: no pictures", flush=True)
         draw(plan, record)
     if result["success"] and result["setpoints_within_limits"] and not any(codes.values()):
         return 0

@@ -128,7 +128,7 @@ class Record:
     Attributes
     ----------
     truth, tables : list of bytes
-        All of ground_truth, or without a simulator of parts, and all of motor_setpoints.
+        All messages of ground_truth (without a simulator: of parts) and of motor_setpoints.
     simulated : bool
         Whether there is a simulator.
     answers : int
@@ -206,7 +206,7 @@ class Observer:
     waiting : callable, optional
         Called with what is waited for, while it is.
     simulated : bool
-        Whether a simulator says where parts are; else the detector does.
+        Whether places of parts come from a simulator; otherwise from the detector.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ class Film:
     ids : tuple of str
         All parts, in the order of `position`.
     time : (n,)
-        Starts of cycles [s]; without a simulator stamps of images.
+        Starts of cycles [s]; without a simulator, stamps of images.
     position : (n, M, 2)
         Parts in plate_home [m] at these times; NaN once off the plate, or while not seen.
     angle : (n, M)
@@ -43,7 +43,7 @@ class Film:
         Stamps of the images that were kept [s].
     images : tuple of (H, W) arrays
     simulated : bool
-        Whether a simulator says where parts are; else the detector does.
+        Whether places of parts come from a simulator; otherwise from the detector.
     """
 
     ids: tuple[str, ...]
@@ -63,7 +63,7 @@ class Film:
         there = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
         if not len(there):
             return 0
-        # The detector gives a part that it loses another name later.
+        # If the detector loses a part, it later gives it another name.
         return int((len(self.ids) if self.simulated else np.max(there)) - there[-1])
 
     @property

@@ -30,31 +30,31 @@ from plate_core.tasks import load_scenario
 from .graph import GraphError, RunOptions, load_graph
 
 COMMON = {
-    "method": "of the solver",
-    "seed": "of scattered parts, image noise and the solver",
-    "transport": "what moves the plate",
-    "rig_file": "measured facts of the rig",
+    "method": "method of the solver",
+    "seed": "random seed of scattered parts, image noise and the solver",
+    "transport": "connection to the motors",
+    "rig_file": "rig file, with the measured facts of the rig",
     "params_file": "ROS parameters of the nodes, over those of config/nodes.yaml",
-    "one_process": "all nodes in one process, not each in its own",
-    "autostart": "false: somebody else configures and activates the nodes",
-    "record": "all messages into a bag (MCAP), by ros2 bag",
-    "view": "a live page, at http://127.0.0.1:8080/",
-    "namespace": "of all nodes and topics, and of the frames in /tf",
+    "one_process": "run all nodes in one process, not each in its own",
+    "autostart": "false: another program configures and activates the nodes",
+    "record": "record all messages into a bag (MCAP), by ros2 bag",
+    "view": "show a live page, at http://127.0.0.1:8080/",
+    "namespace": "namespace of all nodes and topics, and of the frames in /tf",
 }
 SIMULATED = {
     "scenario": "parts on the plate: name in config/scenarios, or path of a .yaml file",
-    "lockstep": "the simulator waits for every answer",
+    "lockstep": "the simulator waits for every answer of the nodes",
     "rate": "simulated seconds per second",
     "image_rate": "images a second of a camera that runs free; 0: one at the start of each cycle",
 }
 HARDWARE = {
     "port": "serial port of the motor controller",
-    "camera": "device of the camera node (camera --list); left out: images of another node",
-    "image_topic": "the camera's image",
-    "info_topic": "the camera's calibration",
+    "camera": "device of the camera node (camera --list); omitted: another node publishes images",
+    "image_topic": "topic of the camera's images",
+    "info_topic": "topic of the camera's calibration",
     "recipe": "with the feeder: a scenario of kind feed, name or path of a .yaml file",
 }
-"""Arguments of the launch files. What is left out is as the files of parameters have it."""
+"""Arguments of the launch files. An omitted argument leaves the value of the parameter files."""
 
 CHOICES = {
     "method": ("rotations", "sinusoids"),
@@ -67,13 +67,13 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
     "lockstep": "true".__eq__, "view": "true".__eq__, "rate": float, "image_rate": float,
     "port": str, "camera": str, "recipe": str,
 }  # fmt: skip
-"""Arguments that are options of a run, and how they are read."""
+"""Arguments that are options of a run, and the functions that convert their text."""
 
 PACKAGE = "plate_bringup"
 
 
 def describe(hardware: bool, file: str) -> LaunchDescription:
-    """Return what the launch file of that path runs: the loop in simulation, or on hardware."""
+    """Return the description of the launch file with that path: simulation, or hardware."""
     # On hardware there may be transports that are not ours.
     choices = {name: CHOICES[name] for name in CHOICES if not (hardware and name == "transport")}
     arguments = [
@@ -94,9 +94,9 @@ def arguments_of(hardware: bool) -> dict[str, str]:
 
 
 def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
-    """Refuse arguments on the command line that are not ours, if it starts this launch file.
+    """Refuse unknown arguments on the command line, if it starts this launch file.
 
-    A launch file that includes ours has arguments of its own, which launch shows to ours too.
+    A launch file that includes this one has other arguments, which launch passes on to this one.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
     Raises
     ------
     GraphError
-        Naming the argument, and those that there are.
+        With the name of the argument and the allowed names.
     """
     if not any(_names(file, before, word) for before, word in pairwise(["", *words])):
         return
@@ -134,9 +134,9 @@ def namespace_of(pushed: str, own: str) -> str:
     Parameters
     ----------
     pushed : str
-        By the actions PushRosNamespace around ours.
+        Namespace pushed by actions PushRosNamespace around this launch file.
     own : str
-        The argument `namespace`: below the pushed one, unless it begins with a slash.
+        Argument `namespace`. It is below the pushed one, unless it begins with a slash.
     """
     return (own if own.startswith("/") else f"{pushed}/{own}").strip("/").replace("//", "/")
 
@@ -176,8 +176,8 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     actions: list[Any] = []
     if hardware and "params_file" not in given:  # which may name the rig
-        told = unmeasured(load_rig(given.get("rig_file", "")))
-        actions += [LogInfo(msg=f"not known of this rig: {text}") for text in told]
+        facts = unmeasured(load_rig(given.get("rig_file", "")))
+        actions += [LogInfo(msg=f"not known of this rig: {text}") for text in facts]
     views = {node.name for node in load_graph() if node.view}
     for name, program in programs(options, given).items():
         last_words = [""]

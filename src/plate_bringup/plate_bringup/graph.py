@@ -55,11 +55,11 @@ class GraphNode:
     transport : str
         The only transport that it is for; empty: all.
     view : bool
-        Whether it only looks on, and so is started only when it is wanted.
+        Whether it only shows the graph. Such a node is started only on request.
     feed : bool
         Whether it is for a task of `feed` alone.
     camera : bool
-        Whether it is only for a camera that is given by name.
+        Whether it runs only if the option `camera` is given.
     """
 
     name: str
@@ -126,10 +126,10 @@ class RunOptions:
     transport, port : str
         Of the driver.
     camera : str
-        Device of the camera node; empty: images come from the simulator, or from a node of others.
+        Device of the camera node. If empty, images come from the simulator or another node.
     hardware : bool
-        Nothing stands in for the hardware. With a port nothing stands in for it either; with a
-        camera alone only a motor controller does.
+        Whether nothing is simulated. A port has the same effect. With a camera but no port, only
+        the motor controller is simulated.
     link : str
         The simulated device's port.
     firmware : str

@@ -27,6 +27,6 @@ class FrameError(PlateError):
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Ask for the nearest of the known words, ` (did you mean mu?)`; empty if none is near."""
+    """Return a hint with the nearest known word, ` (did you mean mu?)`; empty if none is near."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f" (did you mean {near[0]}?)" if near else ""

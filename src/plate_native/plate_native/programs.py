@@ -1,4 +1,4 @@
-"""Programs of nodes: they end at once and without a traceback, whenever Ctrl-C comes."""
+"""Programs of nodes, which Ctrl-C ends at any time, at once and without a traceback."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from setuptools.command.install_scripts import install_scripts
 
 ENV = "/usr/bin/env"
 HOLDING = "--block-signal=INT"
-"""Option of `env`: SIGINT waits until the program lets it come. GNU has it."""
+"""Option of GNU `env`: SIGINT is blocked until the program unblocks it."""
 
 PROGRAM = """
 if __name__ == "__main__":
@@ -18,21 +18,21 @@ if __name__ == "__main__":
     import signal
     import sys
 
-    # Until run_node takes over: 130, as shells say of a program that Ctrl-C has ended.
+    # Until run_node takes over, exit with 130, as shells report for Ctrl-C.
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(128 + number))
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT, signal.SIGTERM])
-    PARENT = os.getppid()  # run_node ends the node when that process is gone
+    PARENT = os.getppid()  # run_node ends the node when this process has ended
     code = 1
 
     def leave():
-        # Python and the libraries would take 0.3 s to tidy up memory that the system takes back.
+        # Skip the clean-up of Python and libraries: it takes 0.3 s, and the system frees memory.
         try:
             sys.stdout.flush()
         finally:
             os._exit(code)
 
-    atexit.register(leave)  # the first one is called last
+    atexit.register(leave)  # the function registered first is called last
     from {module} import {function}
 
     try:
@@ -47,8 +47,8 @@ if __name__ == "__main__":
 def node_programs(*names: str) -> type[install_scripts]:
     """Return the command `install_scripts` for a setup.py whose programs of these names are nodes.
 
-    Python itself needs 20 ms or more before the first line of a program runs, and shows a traceback
-    when Ctrl-C comes then; so `env` holds that signal back, if it can.
+    Python needs 20 ms or more before the first line of a program runs. Ctrl-C during this time
+    would print a traceback, so `env` blocks the signal until then, if it can.
     """
 
     class NodePrograms(install_scripts):
@@ -68,8 +68,8 @@ def node_programs(*names: str) -> type[install_scripts]:
 
 
 def first_line(line: str) -> str:
-    """Return the first line of a script, `#!PYTHON`, as one that starts it with SIGINT held back;
-    unchanged if this machine's `env` cannot do so."""
+    """Return the first line `#!PYTHON` of a script, changed so that it starts with SIGINT blocked.
+    It is unchanged if this machine's `env` cannot do so."""
     try:
         done = subprocess.run([ENV, HOLDING, "true"], capture_output=True, check=False)
     except OSError:

@@ -1,4 +1,4 @@
-"""Change values in a rig file and leave all else as it was, comments too."""
+"""Change values in a rig file and keep all other text, comments too."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..files import draft
 from .rig import Rig, load_rig
 
 Values = Mapping[tuple[str, ...], Mapping[str, str]]
-"""New values as they are written, by key, by the keys that lead to their mapping."""
+"""New values as text. The outer key is the path to a mapping, the inner key is a key in it."""
 
 
 def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> None:
-    """Change values of a rig file: all of them or none; keys that are missing are added.
+    """Change all given values of a rig file, or none. Missing keys are added.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     values : Values
         Such as `{("friction",): {"mu": "0.31"}}`.
     expected : callable
-        Whether the changed file says what it should.
+        Check of the rig that is read from the changed file.
 
     Raises
     ------
     PlateError
-        If the file cannot be written, or would not be a rig file that says so.
+        If the file cannot be written, or the changed file fails `expected` or is no rig file.
     """
     path = path.resolve()  # where a link leads
     try:
@@ -44,16 +44,16 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
         shutil.copymode(path, file.name)
         try:
             if not expected(load_rig(file.name)):
-                raise PlateError("it would say something else")
+                raise PlateError("the changed file would have other values")
         except PlateError as error:
-            raise PlateError(f"{path} stays as it was, change it by hand: {error}") from None
+            raise PlateError(f"{path} is unchanged, change it by hand: {error}") from None
 
 
 def edited(text: str, values: Values) -> str:
-    """Return a rig file's text with other values; keys that are missing stand behind the others of
-    their mapping, in its style."""
+    """Return a rig file's text with new values. Missing keys are added at the end of their mapping,
+    in its style."""
     root: Any = yaml.compose(text, yaml.SafeLoader)
-    edits = []  # from, to, what stands there then
+    edits = []  # start, end, new text
     for keys, new in values.items():
         mapping = root
         for key in keys:
@@ -78,12 +78,12 @@ def edited(text: str, values: Values) -> str:
 
 
 def _start(mapping: Any, key: str) -> int:
-    """Return where a key of a mapping ends: a block begins on the next line."""
+    """Return the end of a key in a mapping: a block begins on the next line."""
     return int(next(name for name, _ in mapping.value if name.value == key).end_mark.index)
 
 
 def _end(node: Any) -> int:
-    """Return where a node's text ends: that of a block ends with its last value, not at the next
+    """Return the end of a node's text. A block's text ends with its last value, not at the next
     key."""
     while not isinstance(node, yaml.ScalarNode) and node.value and not node.flow_style:
         last = node.value[-1]
@@ -92,5 +92,5 @@ def _end(node: Any) -> int:
 
 
 def _item(node: Any, key: str) -> Any:
-    """Return the node of a key in a mapping; None: it is missing."""
+    """Return the node of a key in a mapping; None if the key is missing."""
     return next((value for name, value in node.value if name.value == key), None)

@@ -1,4 +1,4 @@
-"""Facts of a rig file that nobody has measured yet: those of the rig files that are shipped."""
+"""Facts of a rig file that nobody has measured yet: they equal those of a shipped rig file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from .rig import Rig, load_rig, rig_names
 
 
 def unmeasured(rig: Rig) -> list[str]:
-    """Return the facts that are still to be measured, each as a sentence with the command.
+    """Return the facts that must still be measured, each as a sentence with the command.
 
-    A value that a shipped rig file has too counts as not measured. Only what no other check finds
-    is named; see `doubts` for what is inconsistent.
+    A value counts as not measured if a shipped rig file has the same. `doubts` finds inconsistent
+    values.
     """
     shipped = [load_rig(name) for name in ("", *rig_names())]
     corners = np.array(rig.camera.corners_px)

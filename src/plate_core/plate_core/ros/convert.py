@@ -424,15 +424,15 @@ def msg_to_knots(
 
 
 def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> Image:
-    """Return an image (H, W) or (H, W, n), uint8 or uint16, as a message; its values are those of
-    the encoding."""
+    """Convert an image (H, W) or (H, W, n), uint8 or uint16, to a message. `encoding` gives the
+    meaning of its values."""
     msg = Image(header=Header(stamp=stamp, frame_id=CAMERA_FRAME))
     msg.height, msg.width = int(image.shape[0]), int(image.shape[1])
     msg.encoding = encoding
     flat = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
     msg.step = flat.size // msg.height
     data = array.array("B")
-    data.frombytes(flat.data)  # any other type of data is copied byte by byte
+    data.frombytes(flat.data)  # rclpy copies data of any other type byte by byte
     msg.data = data
     return msg
 

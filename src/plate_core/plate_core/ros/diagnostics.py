@@ -54,7 +54,7 @@ class Diagnostics:
     values : callable
         Returns what is published with it, name to value.
     hardware_id : callable
-        Returns what it is about, as the name of a rig.
+        Returns the identifier of the hardware, such as the name of a rig.
     reported : callable, optional
         Called after each periodic report: what is counted per report begins anew.
     stamp : callable, optional

@@ -39,13 +39,13 @@ class NodeOptions:
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     frame_prefix: str = parameter(
-        "", "Prefix of all frame names, as left/: two plates in one tf tree."
+        "", "Prefix of all frame names, such as left/, for two plates in one tf tree."
     )
     autostart: bool = parameter(
-        True, "Configure and activate at start; false: somebody else does it.", fixed=True
+        True, "Configure and activate at start; false: another program does it.", fixed=True
     )
     end_with_parent: bool = parameter(
-        True, "End with the process that started the node; false: live on.", fixed=True
+        True, "End with the process that started the node; false: keep running.", fixed=True
     )
 
 
@@ -239,8 +239,8 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
     ) -> Diagnostics:
         """Publish diagnostics, also while the node is not active: that, and why it is not.
 
-        To be called in the constructor. Parameters as of `Diagnostics`, but for `hardware_id`: a
-        name; the rig's if left out.
+        Call it in the constructor. The parameters are those of `Diagnostics`, except `hardware_id`:
+        a name, by default the rig's.
         """
 
         def idle() -> Finding:
@@ -264,7 +264,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters, as the services and `ros2 param` do: see `set_parameters` of params."""
+        """Set parameters for the services and `ros2 param`; see `set_parameters` in params."""
         return set_parameters(self, parameter_list, super().set_parameters_atomically)
 
     def _fixed_now(self, name: str, spec: Spec) -> str:

@@ -31,7 +31,7 @@ POLL_S = 0.1
 """A signal waits at most this long: Python sees it only when the executor returns."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a node; the last one, of a terminal that is closed, unless it is ignored."""
+"""Signals that end a node. SIGHUP, from a closed terminal, does so unless it is ignored."""
 
 
 def run_node(
@@ -45,8 +45,8 @@ def run_node(
     The node's `destroy_node` runs while ROS still works, so a node can say its last words there:
     rclpy's own handlers would have shut the context down at the signal.
 
-    The node also ends when the process that started it is gone, as `ros2 launch` after SIGTERM,
-    unless its parameter `end_with_parent` is false.
+    The node also ends when the process that started it has ended, such as `ros2 launch` after
+    SIGTERM, unless its parameter `end_with_parent` is false.
 
     Exit code 0 after SIGINT, SIGTERM, SIGHUP or a shutdown; 2, with one line, if the node refuses
     its parameters or files; 1, with a traceback, after a defect.
@@ -93,11 +93,11 @@ def _run(
         if not (again or waiting):
             raise KeyboardInterrupt
 
-    for number in ENDING:  # whatever is inherited: a script has `program &` ignore SIGINT
+    for number in ENDING:  # override inherited handlers: in a script `program &` ignores SIGINT
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, on_signal)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
-    # The first line of a program keeps it: while code is loaded it may go.
+    # A program notes its parent before it loads code, because the parent may end meanwhile.
     parent = getattr(sys.modules["__main__"], "PARENT", os.getppid())
     try:
         _init(args)

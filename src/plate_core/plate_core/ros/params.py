@@ -101,9 +101,9 @@ def declare(node: Node, kind: type[Options]) -> Options:
 
 
 def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) -> None:
-    """Refuse parameters that were given at start and that nobody declares: spelling mistakes, and
-    those of earlier versions; `moved` says by name where the latter are now. One that a file of
-    parameters gives to nodes of any name is for others: a warning."""
+    """Refuse parameters that were given at start but are not declared: spelling mistakes, and
+    parameters of earlier versions. `moved` gives the replacement of the latter, by name. If only a
+    wildcard section of a parameter file gives one, it is for other nodes: only warn."""
     names = [
         name
         for name in node._parameter_overrides
@@ -129,15 +129,15 @@ def _unknown(node: Node, name: str, known: Sequence[str]) -> str:
 
 
 def for_others(words: Sequence[str], node: str) -> set[str]:
-    """Return the parameters that only sections with a wildcard in place of a node's name give, as
-    `/**` does.
+    """Return the parameters that only sections with a wildcard in place of the node's name give,
+    such as `/**`.
 
     Parameters
     ----------
     words : sequence of str
         Command line of the node.
     node : str
-        Its name. A section `/**/NAME` names it.
+        Name of the node. A section `/**/NAME` names the node.
     """
     by_wildcard: set[str] = set()
     by_name: set[str] = set()
@@ -177,8 +177,10 @@ def set_parameters(
     parameters: Sequence[Parameter],
     change: Callable[[list[Parameter]], SetParametersResult],
 ) -> SetParametersResult:
-    """Set parameters by `change`; what it refuses is accepted if it has that value already, and
-    what the node does not have is refused by name. Call it in `set_parameters_atomically`.
+    """Set parameters by `change`. Call it in `set_parameters_atomically`.
+
+    If `change` refuses, parameters that have the requested value already are omitted, and the
+    others are tried again. An unknown parameter is refused by name.
     """
     new = []
     for item in parameters:
