@@ -1,5 +1,6 @@
 """Types learned from drawn pictures beside their truth; what cannot be learned; the program."""
 
+import re
 import resource
 from contextlib import contextmanager
 from dataclasses import replace
@@ -309,3 +310,20 @@ def test_side_faces_are_not_learned_and_the_height_stays(rng, tmp_path):
     flat = add_type(file, "post", shown, *given, 0.0).part
     assert flat.area_m2 > 1.2 * taught.area_m2
     assert flat.height_m == 0
+
+
+@pytest.mark.parametrize(("height", "given", "warns"), [(8, 0, 1), (8, 8, 0), (0, 0, 0)])
+def test_a_height_that_is_not_given_is_asked_for(height, given, warns, rng):
+    """Cylinders of a height [mm] at three places show side faces of three lengths."""
+    look = Look(distance=0.43, focal_px=430.0)
+    vision = make_vision(look.rig(radius=0.012))
+    bare = learn_plate(np.stack([cast(look, np.empty((0, 2)), np.empty(0), rng)]))
+    place = np.array([[0.13, 0.05], [0.0, -0.02], [-0.09, 0.05]])
+    image = cast(look, place, np.full(3, 60.0), rng, radius=0.012, height=1e-3 * height)
+    learned = vision.calibration, bare, vision.region, 1e-3 * given
+    lesson = learn_type("post", [Example(image)], *learned)
+    assert lesson.count == 3
+    assert len(lesson.doubts) == warns
+    for doubt in lesson.doubts:
+        told = re.search(r"agree best as parts of about (\d+) mm height: .* --height", doubt)
+        assert int(told[1]) == pytest.approx(height, abs=2)

@@ -84,6 +84,16 @@ BLUR_PX, BLUR_RADIUS = 2.0, 0.1
 """A part whose rim is blurred by more, standard deviation, in pixels and in its radii, is badly
 seen."""
 
+HEIGHTS = (0.25, 0.5, 0.75, 1.0, 1.5)
+"""Heights that are tried for a part that is taken for flat, relative to its reach [-]."""
+
+HIGHEST = 0.5
+"""Greatest of these heights, relative to that of the camera [-]."""
+
+BETTER, BETTER_PX = 2.0, 0.05
+"""A part may have a height if that divides the difference of its examples, at one size, by more
+than the first, from more than the second [px]. HEIGHTS_TEXT"""
+
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
 """How far to both sides of its rim a part's blur is looked for, in pixels and in its radii."""
 
@@ -228,6 +238,8 @@ def learn_type(
     size = 2 * np.sqrt(np.array([o.area for o in outlines]) / np.pi)
     picture = _picture(part, shown[0].example, pose, calibration)
     doubts = _doubts(name, shown, colour, coloured)
+    if height == 0:
+        doubts += _height_doubt(name, outlines, calibration, scale, unlike)
     size_m = np.array([size.mean(), size.std()])
     return Lesson(part, len(outlines), size_m, picture, tuple(unused), doubts)
 
@@ -380,6 +392,29 @@ def _doubts(
             f"{COLOUR_LAB:g}: many will be unknown; teach each colour as a type of its own"
         )
     return tuple(doubts)
+
+
+def _height_doubt(
+    name: str, outlines: Sequence[Outline], calibration: Calibration, scale: float, unlike: float
+) -> tuple[str, ...]:
+    """Return a doubt if outlines of a type, `unlike` each other by so much [m], agree much better
+    as those of a part with a height: side faces are as long as they are away from the camera."""
+    if calibration.place is None or unlike * scale < BETTER_PX:
+        return ()
+    reach = float(np.median([outline.reach for outline in outlines]))
+    rest, height = min(
+        (_mean_outline(footprints(outlines, calibration, height), scale)[3], height)
+        for height in reach * np.array(HEIGHTS)
+        if height < HIGHEST * calibration.place[2]
+    )
+    if unlike < BETTER * rest:
+        return ()
+    return (
+        f"type {name}: its examples agree best as parts of about {1e3 * height:.0f} mm height: "
+        f"outlines then differ by {scale * rest:.2f} px, as flat parts by {scale * unlike:.2f} px; "
+        "if it is not flat, its places are wrong: teach it again with --height, or with height_m "
+        "in the file of types",
+    )
 
 
 def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
