@@ -19,7 +19,7 @@ from plate_core.rig import (
     rig_names,
     to_image,
 )
-from plate_core.rig.check_rig import report, shake
+from plate_core.rig.check_rig import main, report, shake
 from plate_core.rig.consistency import check
 
 RIG = load_rig()
@@ -163,10 +163,17 @@ def test_sinusoids_by_hand():
     assert turned.accel == pytest.approx(most * np.hypot(0.3, 0.15))
 
 
-def check_rig(*arguments):
-    command = [sys.executable, "-m", "plate_core.rig.check_rig", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    return done.returncode, done.stdout, done.stderr
+@pytest.fixture(name="check_rig")
+def _check_rig(monkeypatch, capsys):
+    """The command in this process: returns exit code, output and errors."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["check_rig", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, *capsys.readouterr()
+
+    return run
 
 
 NO_LENS = replace(RIG, camera=replace(RIG.camera, lens=None))
@@ -215,7 +222,7 @@ def test_heights_that_contradict_each_other(spoilt):
     assert not doubt.impossible
 
 
-def test_command_tells_and_draws(tmp_path):
+def test_command_tells_and_draws(check_rig, tmp_path):
     drawing = tmp_path / "new" / "desk.svg"
     code, out, err = check_rig("desk", "--drawing", drawing)
     assert (code, err) == (0, "")
@@ -239,7 +246,7 @@ def test_command_whose_output_nobody_reads(tmp_path):
         assert done.stdout.strip() in ("0", "141")
 
 
-def test_command_says_what_lasts_once(spoilt, tmp_path):
+def test_command_says_what_lasts_once(check_rig, spoilt, tmp_path):
     path = spoilt(("limits", "continuous_force_n"), 12.0)
     code, out, _ = check_rig(path, "--drawing", tmp_path / "a.svg")
     assert code == 0
@@ -248,14 +255,14 @@ def test_command_says_what_lasts_once(spoilt, tmp_path):
     assert "continuous" not in out.split("shaken as a sinusoid, for a moment")[1]
 
 
-def test_command_warns(spoilt, tmp_path):
+def test_command_warns(check_rig, spoilt, tmp_path):
     path = spoilt(("limits", "stroke_m"), 0.6)
     code, out, _ = check_rig(path, "--drawing", tmp_path / "a.svg")
     assert code == 0
     assert "\nwarning: limits: stroke_m is 0.6, but at 5 Hz" in out
 
 
-def test_command_tells_all_that_is_wrong(spoilt, tmp_path):
+def test_command_tells_all_that_is_wrong(check_rig, spoilt, tmp_path):
     path = spoilt(("motors", "motor_1", "point_m"), [-3.0, 0.1])
     text = path.read_text(encoding="utf-8").replace("radius_m: 0.008", "radius_m: 0.0025")
     path.write_text(text, encoding="utf-8")

@@ -11,8 +11,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-LINES = 800
-"""More than a pipe holds."""
+PIPE_BYTES = 4096
+"""What the console's pipe holds: the least that Linux has."""
+
+LINES = 100
+"""More than it holds."""
 
 PROGRAM = """
 import sys
@@ -35,7 +38,7 @@ run_node(Talker)
 @contextmanager
 def talker(lines, file):
     command = [sys.executable, "-X", "faulthandler", "-c", PROGRAM, str(lines), str(file)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as node:
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, pipesize=PIPE_BYTES) as node:
         try:
             yield node
         finally:

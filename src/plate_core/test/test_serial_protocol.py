@@ -205,7 +205,7 @@ def test_random_and_mutated_frames():
     rng = np.random.default_rng(1)
     originals = [frame(pack(p)) for p in SAID]
     reader, accepted, right = Reader(), 0, []
-    for trial in range(20_000):
+    for trial in range(5_000):
         if trial % 2:
             data = bytearray(rng.bytes(int(rng.integers(1, 300))) + b"\0")
         else:
@@ -219,14 +219,14 @@ def test_random_and_mutated_frames():
             parse(packet)  # mutants with a right CRC are the originals
             accepted += 1
         assert len(reader.held) == 0
-    assert 2_000 < accepted < 10_000
-    assert reader.refused > 10_000
+    assert 500 < accepted < 2_500
+    assert reader.refused > 2_500
 
 
 def test_random_packets_with_a_right_crc_are_said_or_refused():
     rng = np.random.default_rng(2)
     said = 0
-    for _ in range(20_000):
+    for _ in range(5_000):
         code = int(rng.choice([1, 2, 3, 4, 5, 16, 17, 18, 129, 130, 131, 132, 99]))
         packet = bytes([code]) + rng.bytes(int(rng.choice([2, 3, 6, 7, 10, 58, 214, 51, 5, 18])))
         try:
@@ -235,7 +235,7 @@ def test_random_packets_with_a_right_crc_are_said_or_refused():
             continue
         assert pack(found) == packet
         said += 1
-    assert said > 500
+    assert said > 125
 
 
 def test_endless_frame_does_not_fill_memory():

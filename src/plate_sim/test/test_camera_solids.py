@@ -30,6 +30,9 @@ WASHER = PartType("washer", radius_m=0.012, holes=(tuple(map(tuple, HOLE.tolist(
 FINE = 8
 """Sub-pixels along a pixel's side in the masks that are compared with."""
 
+WINDOW = 96
+"""Pixels along the side of such a mask: it holds one part."""
+
 INVISIBLE = Lighting(side_shade=PLATE / BLACK)
 """Side faces as bright as the plate."""
 
@@ -71,10 +74,11 @@ def dense(corners, each=12):
     )
 
 
-def mask_of(polygon):
-    """Which sub-pixels (H, W) of an image a polygon (n, 2) [px] covers."""
-    mask = np.zeros((480 * FINE, 640 * FINE), np.uint8)
-    cv2.fillPoly(mask, [np.round((polygon + 0.5) * FINE - 0.5).astype(np.int32)], 1)
+def mask_of(polygon, corner):
+    """Which sub-pixels of the window at a pixel a polygon (n, 2) [px] covers, all of it inside."""
+    assert np.all((polygon > corner) & (polygon < corner + WINDOW - 1))
+    mask = np.zeros((WINDOW * FINE, WINDOW * FINE), np.uint8)
+    cv2.fillPoly(mask, [np.round((polygon - corner + 0.5) * FINE - 0.5).astype(np.int32)], 1)
     return mask.astype(bool)
 
 
@@ -86,11 +90,12 @@ def centroid(outline):
     return origin + (a + b).T @ cross / (3 * cross.sum()), abs(cross.sum()) / 2
 
 
-def moments_of(mask):
-    """Centre (2,) [px] and area [px2] of a mask of sub-pixels, which is larger by 1 to 2 %: it has
-    those on the edge."""
+def moments_of(mask, corner):
+    """Centre (2,) [px] and area [px2] of the mask of a window, which is larger by 1 to 2 %: it has
+    the sub-pixels on the edge."""
     v, u = np.nonzero(mask)
-    return np.array([u.mean() + 0.5, v.mean() + 0.5]) / FINE - 0.5, len(u) / FINE**2
+    middle = np.array([u.mean() + 0.5, v.mean() + 0.5]) / FINE - 0.5
+    return corner + middle, len(u) / FINE**2
 
 
 def covered(camera, image, around, reach=25):
@@ -132,11 +137,12 @@ def test_silhouettes_are_the_union_of_all_sections(lens, kind):
         solid = ring(0.008) if kind is None else kind.polygon
         holes = [] if kind is None else [dense(np.array(hole)) for hole in kind.holes]
         union, through = False, True
+        corner = np.round(in_space(lens, place[None], 0)[0]) - WINDOW // 2
         for level in np.linspace(0, HEIGHT, 60):
-            union = union | mask_of(in_space(lens, place + dense(solid) @ rotation, level))
+            union = union | mask_of(in_space(lens, place + dense(solid) @ rotation, level), corner)
             for hole in holes:
-                through = through & mask_of(in_space(lens, place + hole @ rotation, level))
-        expected, area = moments_of(union & ~through if holes else union)
+                through = through & mask_of(in_space(lens, place + hole @ rotation, level), corner)
+        expected, area = moments_of(union & ~through if holes else union, corner)
         centre, weight = covered(camera, image, expected)
         assert np.hypot(*(centre - expected)) < 0.1
         assert weight == pytest.approx(area, rel=0.03)

@@ -112,7 +112,7 @@ def test_coin_circles_at_constant_speed_and_moves_out(frequency, least):
 
 
 def test_whirlpool_moves_a_disc_as_scipy_says():
-    radius, period, cycles = 0.02, 0.02, 25
+    radius, period, cycles = 0.02, 0.02, 12
     cycle = strokes(period)
     x, y = cells(radius, 12, 36)
     inner = [end for end in cycle.times if 0 < end < period]
@@ -140,7 +140,7 @@ def test_whirlpool_moves_a_disc_as_scipy_says():
         samples=8,
         step=2e-5,
     )
-    assert run.angle[-1, 0] < -0.1
+    assert run.angle[-1, 0] < -0.04
     assert run.angle[-1, 0] == pytest.approx(state[2], rel=1e-3)
     assert run.position[-1, 0] == pytest.approx(state[:2], abs=2e-5)
     assert run.spin[-1, 0] == pytest.approx(state[5], rel=3e-3)

@@ -73,9 +73,7 @@ def draw(view, shapes, room, noise=2.0, seed=0, slope=0.0):
     for point, grey in shapes:
         corner = (view.see(point) + 0.5) * FINE - 0.5
         ring = np.rint(corner * 2**BITS).astype(np.int32)
-        mask = np.zeros(fine.shape[:2], np.uint8)
-        cv2.fillPoly(mask, [ring], 1, shift=BITS)
-        fine[mask > 0] = grey
+        cv2.fillPoly(fine, [ring], np.broadcast_to(grey, room.shape).tolist(), shift=BITS)
     image = cv2.resize(fine, view.size, interpolation=cv2.INTER_AREA).reshape(height, width, -1)
     light = 1 + slope * np.linspace(-1, 1, width)[None, :, None]
     rng = np.random.default_rng(seed)
