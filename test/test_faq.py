@@ -36,7 +36,7 @@ def test_every_message_is_one_of_ours():
     [
         ("hardware.md", "Gamma = a/(mu g) of {:g} or more"),
         ("hardware.md", "Below {:g} tasks take"),
-        ("faq.md", "below {:g} it is the first suspect"),
+        ("faq.md", "Below {:g} it is the probable cause"),
         ("guide/tasks.md", "limited by accel_mps2; {:g} or more would do"),
     ],
 )

@@ -145,7 +145,7 @@ def test_a_refusal_stands_where_it_was_asked(page):
 def test_a_node_that_says_nothing_is_named(page, graph):
     graph.processes.signal("driver", signal.SIGSTOP)
     try:
-        page.locator("#alarm").filter(has_text="Nothing heard from driver").wait_for()
+        page.locator("#alarm").filter(has_text="No message from driver").wait_for()
         assert "no word" in page.inner_text("#driver-state")
         page.keyboard.press("Space")
         page.locator("#alarm").filter(has_text="Cut the power by hand").wait_for()
