@@ -632,12 +632,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._idle, self._run, self._reported = self._estimator, None, ""
             self._statuses.publish(self._idle_status(Reason.STOPPED))
             response.message = f"no task runs; the last one: {was}" if was else "no task runs"
-        # The driver's pushes are no task, but who stops wants the plate to rest.
+        # A measurement of friction is no task of the planner, but a stop must end it too.
         if self._friction.service_is_ready():
             self._friction.call_async(MeasureFriction.Request(start=False))
         driver = self._inputs.driver_status
         if driver is not None and driver.state is DriverState.CALIBRATING:
-            response.message += "; a measurement of friction ends, calibrate goes on"
+            response.message += "; a measurement of friction ends, calibrate continues"
         self._go_on()
         response.success = True
         return response

@@ -180,7 +180,7 @@ def test_a_stop_ends_a_measurement_of_friction(graph):
     graph.driver = DriverStatus(state=DriverStatus.CALIBRATING, text="calibrating")
     graph.until(graph.planner._friction.service_is_ready)
     graph.until(lambda: graph.driver_text() == "calibrating")
-    said = "no task runs; a measurement of friction ends, calibrate goes on"
+    said = "no task runs; a measurement of friction ends, calibrate continues"
     assert graph.stop().message == said
     graph.until(lambda: calls)
     assert calls == [False]

@@ -58,9 +58,9 @@ class PageNode(SafeLifecycleNode[Options]):
     """Node `page`: serves a live page of the graph, and does what it asks for by the graph's public
     actions, topics, services and parameters.
 
-    Subscribes, while a browser looks on: parts, part_forces, part_targets, cycle_started,
+    Subscribes, while a browser is connected: parts, part_forces, part_targets, cycle_started,
     motor_setpoints, task_status, driver_status, friction, diagnostics, /rosout, and image_raw if a
-    browser wants it. Publishes targets. Without a browser it hears nothing.
+    browser wants it. Publishes targets. Without a browser it subscribes to nothing.
     """
 
     def __init__(self) -> None:

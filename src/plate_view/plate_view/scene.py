@@ -33,7 +33,7 @@ FAR_HALVES = 3.0
 """Centres of rotation are shown as far as this [half lengths of the plate]."""
 
 CAMERA_PX = 960
-"""Maximum width of the camera's picture as browsers get it [px]."""
+"""Maximum width of the camera's picture in browsers [px]."""
 
 CAMERA_QUALITY = 80
 """Of its JPEG [%]."""
@@ -42,7 +42,7 @@ Scene = dict[str, Any]
 
 
 def camera_scene(stamp: float, image: np.ndarray) -> Scene:
-    """Return the picture of a camera (H, W) or (H, W, 3), blue, green, red, as it comes."""
+    """Return a camera's picture (H, W) or (H, W, 3), blue, green, red, scaled and compressed."""
     height, width = image.shape[:2]
     scale = min(1.0, CAMERA_PX / width)
     if scale < 1:

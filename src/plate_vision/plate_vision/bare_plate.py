@@ -61,11 +61,11 @@ def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tu
 def know_plate(
     plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
-    """Take in one image (H, W) or (H, W, 3): learn the bare plate if that is wanted, model it if it
-    is not known, else follow its light and focus.
+    """Process one image (H, W) or (H, W, 3): learn the bare plate if requested, model it if it is
+    unknown, otherwise follow its light and focus.
 
-    Returns what is then known, a vision that knows the background in this light, and what a user
-    should know.
+    Return the new state of the bare plate, a vision with the background in this light, and a
+    finding for the user.
 
     Raises
     ------

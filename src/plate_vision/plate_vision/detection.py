@@ -66,7 +66,7 @@ dark; by a fit of its contour; by its outline, if nothing was known of it; as a 
 to be several parts."""
 
 LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
-"""The labels of parts, and how they were measured: not by moments, by moments."""
+"""Labels of parts, and names of the methods: not by moments, by moments."""
 
 DETECTION = np.dtype(
     [
@@ -106,7 +106,7 @@ ROUGH = 0.25
 for."""
 
 FAINT = 2.0
-"""Contrast below which a thing is too faint, relative to the least contrast of a part."""
+"""Minimum contrast of a thing that is not too faint, relative to the minimum contrast of a part."""
 
 MIN_ALIKE = 3
 """Parts of like size from which on their size is taken as known."""
@@ -332,8 +332,7 @@ class Scene:
 
 
 def _doubtful(discs: Discs) -> bool:
-    """Whether many things look like no part, or only roughly: as parts with shadows do, that are
-    not known."""
+    """Whether many things look like no part, or only roughly. Parts with unknown shadows do."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
     doubtful = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
@@ -436,8 +435,8 @@ def _other_discs(
 
 
 def _overlapping(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Tell which discs (n,) DISC overlap one that fits better: two seeds in one part with its
-    shadow."""
+    """Return which discs (n,) DISC overlap one that fits better, for example two seeds in one part
+    with its shadow."""
     place, reach = _places(discs), APART * parts["radius_px"]
     if not np.any(crowded(place, float(np.max(reach, initial=0)))):
         return np.zeros(len(discs), np.bool_)
@@ -464,8 +463,8 @@ def _accepted(
     region: Region,
     options: DetectorOptions,
 ) -> Discs:
-    """Return those of the measured discs (n,) DISC that are parts: by their silhouettes (n,), marks
-    (n, 2) [px], and brightness (n,) relative to the plate; (n,) are measured by moments."""
+    """Return the measured discs (n,) DISC that are parts, by their silhouettes (n,), marks (n, 2)
+    [px], and brightness (n,) relative to the plate. `alone` (n,): whether measured by moments."""
     kept, labels, numbers = judge(
         discs, parts, marks, light, region, noise, options.radius_tolerance,
         options.class_threshold, options.margin_px,

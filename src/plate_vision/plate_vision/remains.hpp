@@ -1,4 +1,4 @@
-// What is on the plate beside parts: see remains.py.
+// Things on the plate other than parts: see remains.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -10,14 +10,14 @@
 
 namespace plate {
 
-// Width [px] of the border around a part that counts as seen with it: its blurred edge.
+// Width [px] of the border around a part that counts as part of it: its blurred edge.
 constexpr double CLEAR_PX = 2.5;
 
 // Write 0 on a grid (h, w) where parts are: silhouettes (n,) at places (n, 2) [px].
 inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
                         View<const double, 2> places, const Silhouette* parts) {
     for (int k = 0; k < places.size(0); k++) {
-        // A part is within a width of the line from its place to the middle of its top.
+        // All of a part is within this width of the line from its place to the middle of its top.
         const double x0 = places(k, 0), y0 = places(k, 1);
         double dx, dy;
         parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], dx, dy);
@@ -42,8 +42,8 @@ inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
     }
 }
 
-// Whether four neighbours of a grid deviate from the plate by more than a limit, all of which may
-// count (h, w), beside parts: silhouettes (n,) at places (n, 2) [px].
+// Whether any four neighbours of a grid outside the parts deviate from the plate by more than a
+// limit. All four must be set in `counts` (h, w). Parts are silhouettes (n,) at places (n, 2) [px].
 inline bool any_odd(View<const uint8_t, 3> image, View<const float, 2> lights, double limit,
                     View<const bool, 2> counts, const std::array<int, 3>& grid,
                     View<const double, 2> places, const Silhouette* parts) {

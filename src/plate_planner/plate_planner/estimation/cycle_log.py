@@ -39,8 +39,8 @@ INTERVALS_KEPT = 3
 """Intervals remembered: the median of three is not deceived by one lost image."""
 
 DELAYS_KEPT = 7
-"""Delays remembered: a prediction takes their median, so that a single late answer does not count;
-a gain takes the greatest."""
+"""Number of delays remembered. Predictions use their median, so that a single late answer does not
+count. Gains use their maximum."""
 
 LATEST = 3
 """No answer is expected to begin more cycles late than this."""
@@ -158,8 +158,8 @@ class CycleLog:
 
     @property
     def longest_delay(self) -> int:
-        """Greatest of the last delays, at most `LATEST` cycles: a controller that is stable with
-        this delay stays stable where delays vary."""
+        """Maximum of the last delays, at most `LATEST` cycles. A controller that is stable with
+        this delay stays stable if delays vary."""
         return min(max(self.delays, default=0), LATEST)
 
     @property

@@ -9,9 +9,8 @@ cycle:
 kp = 1 corrects the whole predicted error in one cycle. Where one of the last answers began n cycles
 late, kp is divided by 1 + n: the plate may repeat the cycle n times before the next one begins, and
 all of these together correct the error once. The solver brings a part from the drift it has to the
-one it should have: that is the D of PD, with a gain of 1. What parts are known to do otherwise than
-predicted, the drift bias, is part of the prediction, and the planner takes it away from what is
-asked.
+one it should have: that is the D of PD, with a gain of 1. The drift bias is the known deviation of
+parts from the model. It is part of the prediction, and the planner subtracts it from the request.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ class Situation:
     kept : bool
         Whether that image did not count: see `TaskRules.keeps_last`.
     late : int
-        Greatest number of cycles that one of the last answers began late.
+        Maximum delay of the last answers, in cycles.
     resting_since : float
         Since when the plate has been at rest, as far as is known [s]; infinite if it has not.
     """

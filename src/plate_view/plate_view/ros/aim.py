@@ -1,8 +1,7 @@
-"""The view to aim by, as the page gets it."""
+"""The data of the page's view for aiming the camera."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from geometry_msgs.msg import Point
@@ -11,35 +10,26 @@ from plate_core.ros import seconds
 from plate_interfaces.msg import Aim, AimCheck, LensPictures
 
 from ..scene import Scene
+from .values import plain, state_names
 
-LEVELS = {
-    AimCheck.OK: "ok",
-    AimCheck.WAIT: "wait",
-    AimCheck.WARN: "warn",
-    AimCheck.ERROR: "error",
-}
-STATES = {
-    LensPictures.IDLE: "idle",
-    LensPictures.TAKING: "taking",
-    LensPictures.FITTING: "fitting",
-    LensPictures.FITTED: "fitted",
-}
+LEVELS = state_names(AimCheck, "OK", "WAIT", "WARN", "ERROR")
+STATES = state_names(LensPictures, "IDLE", "TAKING", "FITTING", "FITTED")
 
 
 def aim_scene(msg: Aim) -> Scene:
-    """Return what the detector measured in a picture; places in pixels."""
+    """Convert the detector's measurements of a picture; places are in pixels."""
     lens = msg.lens
     return {
         "kind": "aim", "stamp": seconds(msg.header.stamp), "width": msg.width, "height": msg.height,
-        "sharpness": _number(msg.sharpness), "best": _number(msg.sharpness_best),
-        "change": _number(msg.sharpness_change), "black": msg.black, "white": msg.white,
+        "sharpness": plain(msg.sharpness), "best": plain(msg.sharpness_best),
+        "change": plain(msg.sharpness_change), "black": msg.black, "white": msg.white,
         "histogram": [int(count) for count in msg.histogram],
         "part_px": [round(msg.part_px_min, 2), round(msg.part_px_max, 2)],
         "expected": _points(msg.expected), "seen": _points(msg.seen),
         "things": [
             {
-                "id": one.id, "x": _number(one.x_px), "y": _number(one.y_px),
-                "radius": _number(one.radius_px), "reason": one.reason, "remedy": one.remedy,
+                "id": one.id, "x": plain(one.x_px), "y": plain(one.y_px),
+                "radius": plain(one.radius_px), "reason": one.reason, "remedy": one.remedy,
             }
             for one in msg.things
         ],
@@ -52,14 +42,10 @@ def aim_scene(msg: Aim) -> Scene:
             "state": STATES.get(lens.state, "idle"), "kept": lens.kept, "needed": lens.needed,
             "columns": lens.cover_columns, "rows": lens.cover_rows, "cover": list(lens.cover),
             "missing": list(lens.missing), "corners": _points(lens.corners), "text": lens.text,
-            "error_px": _number(lens.error_px), "file": lens.file,
+            "error_px": plain(lens.error_px), "file": lens.file,
         },
     }  # fmt: skip
 
 
 def _points(points: Sequence[Point]) -> list[list[float]]:
     return [[round(point.x, 2), round(point.y, 2)] for point in points]
-
-
-def _number(value: float) -> float | None:
-    return round(value, 6) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Hears what the graph says, and tells the browsers; only while somebody looks on."""
+"""Passes messages of the graph on to the browsers, and subscribes only while there is a browser."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ from ..scene import (
 from ..server import PageServer
 from ..top_view import TopView
 from .aim import aim_scene
+from .values import plain, state_names
 
 SAME_CLOCK_S = 10.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
@@ -51,23 +52,18 @@ LATENCIES = 200
 """Setpoints over which the latency is taken."""
 
 CAMERA_S = 0.1
-"""Least time between two pictures for the view to aim by [s]."""
+"""Minimum time between two pictures in the view to aim by [s]."""
 
 WARN_PERIOD_S = 2.0
 """Least time between two equal warnings [s]."""
 
 
-def _names(kind: type, *names: str) -> dict[int, str]:
-    """Return the words for the numbers that a message has for its states."""
-    return {getattr(kind, name): name.lower() for name in names}
-
-
-TASK_STATES = _names(TaskStatus, "IDLE", "RUNNING", "DONE", "STUCK", "LOST", "ABORTED")
-DRIVER_STATES = _names(
+TASK_STATES = state_names(TaskStatus, "IDLE", "RUNNING", "DONE", "STUCK", "LOST", "ABORTED")
+DRIVER_STATES = state_names(
     DriverStatus, "UNCONFIGURED", "INACTIVE", "DISABLED", "ENABLING", "READY", "CALIBRATING",
     "BRAKING", "STOPPED", "ERROR",
 )  # fmt: skip
-FRICTION_STATES = _names(Friction, "NONE", "RUNNING", "DONE", "FAILED")
+FRICTION_STATES = state_names(Friction, "NONE", "RUNNING", "DONE", "FAILED")
 SEVERITIES = {20: "info", 30: "warn", 40: "error", 50: "error"}
 """Of rcl_interfaces/Log; what is less is not shown."""
 
@@ -75,7 +71,7 @@ ROSOUT = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Listener:
-    """Subscribes while a browser looks on, and tells all browsers what has come.
+    """Subscribes while a browser is connected, and passes messages on to all browsers.
 
     Parameters
     ----------
@@ -150,7 +146,7 @@ class Listener:
                 "kind": "task", "task": msg.task, "state": TASK_STATES.get(msg.state, "idle"),
                 "reason": int(msg.reason), "text": msg.text,
                 "progress": {
-                    name: _plain(getattr(progress, name))
+                    name: plain(getattr(progress, name))
                     for name in progress.get_fields_and_field_types()
                 },
             }
@@ -169,9 +165,9 @@ class Listener:
         self._tell(
             {
                 "kind": "friction", "state": FRICTION_STATES.get(msg.state, "failed"),
-                "text": msg.text, "fraction": _plain(msg.fraction), "mu": _plain(msg.mu),
+                "text": msg.text, "fraction": plain(msg.fraction), "mu": plain(msg.mu),
                 "parts": [
-                    {"id": one.id, "mu": _plain(one.mu), "error": _plain(one.mu_error)}
+                    {"id": one.id, "mu": plain(one.mu), "error": plain(one.mu_error)}
                     for one in msg.parts
                 ],
             }
@@ -222,7 +218,7 @@ class Listener:
 
     def _show_targets(self, msg: Targets) -> None:
         targets = [
-            {"id": each.id, "x": _plain(each.x), "y": _plain(each.y), "angle": _plain(each.angle)}
+            {"id": each.id, "x": plain(each.x), "y": plain(each.y), "angle": plain(each.angle)}
             for each in msg.targets
         ]
         self._tell({"kind": "targets", "targets": targets})
@@ -268,8 +264,8 @@ class Listener:
             {
                 "kind": "timing",
                 "latency_ms": {
-                    "median": _plain(float(np.median(latency_ms))),
-                    "p99": _plain(float(np.percentile(latency_ms, 99))),
+                    "median": plain(float(np.median(latency_ms))),
+                    "p99": plain(float(np.percentile(latency_ms, 99))),
                 },
                 "cycle_rate": round(rate, 1),
                 "browsers": len(self._server.browsers),
@@ -281,9 +277,9 @@ class Listener:
 
 
 class Topic(NamedTuple):
-    """What is listened to; what is done with it, at once with each message, or as often as browsers
-    can draw it with the newest. It is listened to only while a browser watches one of `watched`, if
-    there are any."""
+    """A topic to subscribe to, and the function that takes its messages: each one at once, or only
+    the newest as often as browsers can draw it. If `watched` is not empty, it is subscribed to only
+    while a browser watches one of these."""
 
     kind: type
     qos: QoSProfile
@@ -308,10 +304,3 @@ TOPICS: Mapping[str, Topic] = {
     "aim": Topic(Aim, DATA, Listener._show_aim, watched=("camera",)),
 }
 """By name of a topic."""
-
-
-def _plain(value: Any) -> float | int | None:
-    """Return a number as JSON can have it: None where it is not finite."""
-    if isinstance(value, int):
-        return value
-    return round(float(value), 6) if math.isfinite(value) else None

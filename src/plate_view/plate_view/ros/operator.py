@@ -54,7 +54,7 @@ MOVE_TOLERANCE_M, MOVE_TOLERANCE_RAD = 0.001, 0.05
 """When a part that was dragged counts as there."""
 
 MOST_SQUARES = 255
-"""Along a side of a board: what TakeLensPictures holds; the detector allows fewer."""
+"""Maximum squares along a side of a board in TakeLensPictures. The detector allows fewer."""
 
 FOLLOW_ERROR_M, FOLLOW_LIMIT_S = 0.02, 600.0
 """A part further from its drawn path ends the task, and so does a longer time."""
@@ -165,7 +165,7 @@ class Operator:
         self._call(asked, RemovePart, "simulator/remove_part", request, asked.done)
 
     def _take_lens_pictures(self, asked: Asked) -> None:
-        """Take pictures of a board; numbers that its message cannot hold are refused here."""
+        """Take pictures of a board. Numbers that the message cannot hold are refused here."""
         given = {key: value for key, value in asked.values.items() if value is not None}
         for side in ("columns", "rows"):
             if given.get(side, 0) > MOST_SQUARES:

@@ -1,11 +1,11 @@
-// The camera's picture as it comes, with what the detector sees in it: to aim, focus and light by.
+// The camera's picture, with the detector's measurements in it: to aim, focus and light by.
 
 import { known, on } from "./bus.js";
 import { Chart } from "./charts.js";
 import { byId, colour, fitted, tell } from "./dom.js";
 
 const FONT = "12px system-ui, sans-serif";
-const EXPECTED = "#00b4ff"; // on pictures of any brightness, in every theme; dashes tell it too
+const EXPECTED = "#00b4ff"; // on pictures of any brightness, in every theme; dashes mark it too
 const SEEN = "#ffb000";
 const TAKEN = "#30e090";
 const LEFT = "#ff6a5a";
@@ -25,12 +25,12 @@ export class AimView {
     new ResizeObserver(() => this.draw()).observe(byId("plate-box"));
   }
 
-  /** What the detector measured last, or undefined. */
+  /** The detector's last measurements, or undefined. */
   get known() {
     return known.aim;
   }
 
-  /** Show a picture; while one is being unpacked others are left out. */
+  /** Show a picture; skip pictures while one is being unpacked. */
   async #take({ jpeg, width, height }) {
     if (this.unpacking) return;
     this.unpacking = true;
@@ -84,7 +84,7 @@ export class AimView {
     for (const point of lens?.corners ?? []) dot(context, at(point), 2.5, BOARD);
     label(context, "dashed: the plate by the rig file; dots: its edges as seen", left + 6, top + 12, EXPECTED, "left");
     const taken = things.filter(({ id }) => id).length;
-    this.canvas.setAttribute("aria-label", `The camera's picture: ${taken} parts taken, ${things.length - taken} things left. The panel Camera tells the same.`);
+    this.canvas.setAttribute("aria-label", `The camera's picture: ${taken} parts taken, ${things.length - taken} things left. The panel Camera lists the same values.`);
   }
 }
 

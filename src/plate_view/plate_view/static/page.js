@@ -70,10 +70,10 @@ function allow() {
 }
 
 function changed(state) {
-  const words = { connected: "connected", silent: "nothing heard", lost: "connection lost" };
+  const words = { connected: "connected", silent: "no messages", lost: "connection lost" };
   badge(byId("connection"), state === "lost" ? "lost_connection" : state, words[state]);
   document.documentElement.dataset.connection = state;
-  alarm("link", state === "lost" ? "Connection lost. What is shown is old; the plate goes on with its task. Trying again." : state === "silent" ? "Nothing heard for 2.5 s: what is shown may be old." : null);
+  alarm("link", state === "lost" ? "Connection lost: the page shows old data, and the plate continues its task. Reconnecting." : state === "silent" ? "No message for 2.5 s: the page may show old data." : null);
   if (state === "connected") stop.again();
   if (state === "lost") view.ghosts.clear();
   allow();
@@ -90,7 +90,7 @@ function alarm(kind, text) {
 
 on("nodes", () => {
   const names = silent();
-  alarm("nodes", names.length ? `Nothing heard from ${names.join(", ")}.` : null);
+  alarm("nodes", names.length ? `No message from ${names.join(", ")}.` : null);
 });
 
 /** Tell the server what this page wants to have. */

@@ -51,17 +51,17 @@ constexpr double SIDE_RANGE[] = {0.3, 3.0};
 // edge is no reason to drop a disc.
 constexpr double WORST_FRACTION = 0.4;
 
-// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top, and that of
-// the side faces; both are one, and the last one is not looked for, unless the part has a height.
+// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top and of the side
+// faces. If the part has no height, both darknesses are equal and the last unknown is not fitted.
 enum Unknown { X, Y, RADIUS, EDGE, TOP, SIDE, UNKNOWNS };
 constexpr int FLAT_UNKNOWNS = SIDE;
 using DiscFit = std::array<double, UNKNOWNS>;
 
-// The usable pixels around a disc, row by row: their places [px], their darkness, that less the
-// neighbours', and the fraction of each that these do not cover.
+// The usable pixels around a disc, row by row: their places [px], darkness, darkness minus that of
+// the neighbours, and the fraction of each pixel that no neighbour covers.
 struct DiscWindow {
     int size = 0, most;
-    double all = 0;  // pixels of the window, those that cannot be used among them
+    double all = 0;  // number of pixels of the window, including unusable ones
     std::vector<float> numbers;
 
     float* x() { return numbers.data(); }
@@ -131,9 +131,9 @@ inline void DiscWindow::to_darkness(const float* light) {
     levels_to_darkness(x(), y(), light, size, dark());
 }
 
-// What is added up of a pixel is the products of its numbers: the slopes of the disc's darkness in
-// its unknowns; the error; its square, if the pixel is at the contour; whether it is there, and how
-// much of it is seen.
+// The fit sums products of these numbers of a pixel: the derivatives of the disc's darkness by its
+// unknowns; the error; its square, if the pixel is at the contour; whether the pixel is near the
+// contour; and its visible fraction.
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
 // These numbers of all pixels of a window, eight pixels at once; the last ones are 0.
@@ -259,11 +259,11 @@ struct Shadows {
     }
 };
 
-// Room for errors of rounding [px] where pixels are left out as no disc reaches them.
+// Margin for rounding errors [px] when pixels beyond the reach of a disc are skipped.
 constexpr double SAFE_PX = 0.1;
 
-// Subtract the neighbours' darkness from a window; pixels in their shadows do not count. `stretch`
-// (n,) are those of the discs.
+// Subtract the neighbours' darkness from a window. Pixels in their shadows do not count. `stretch`
+// (n,) holds the stretch of each disc.
 PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<DiscFit>& discs,
                                       const Silhouette* parts, const std::vector<double>& stretch,
                                       const Shadows& shadows, const std::vector<int>& neighbours) {

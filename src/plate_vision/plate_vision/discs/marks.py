@@ -1,8 +1,8 @@
-"""Marks: a spot off the middle of a part, darker or lighter than it, tells its angle.
+"""Marks: a spot off the middle of a part, darker or lighter than the part, shows its angle.
 
-A spot is what stands out from the part's grey round the place where it does most. It is painted
-over, so that the part is then measured as one without a mark. Highlights, which are as bright as
-the plate or brighter, are painted over too, and are no marks.
+A spot is the region around the pixel that differs most from the part's grey. It is painted over, so
+that the part is then measured like one without a mark. Highlights, which are as bright as the plate
+or brighter, are painted over too, but do not count as marks.
 """
 
 from __future__ import annotations

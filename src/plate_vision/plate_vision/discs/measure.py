@@ -1,4 +1,4 @@
-"""The numbers of a disc, as all ways to measure it give them; and which discs are near others.
+"""The numbers of a disc, common to all methods that measure it; and which discs are near others.
 
 Darkness is 1 - grey / bare plate: 0 on the plate, the same all over a part whatever the shading.
 """

@@ -29,21 +29,21 @@ inline LitPlate lit_plate(const In<uint8_t, 2>& grey, const In<float, 1>& light,
     return {view(grey), view(light), view(usable)};
 }
 
-// Whether these are edges of a region: see region.py.
+// Require the shapes of the edges of a region: see region.py.
 inline void require_edges(const In<double, 2>& edges, const In<double, 2>& bows) {
     require(edges.shape(1) == 3 && bows.shape(1) >= 3 &&
                 (bows.shape(0) == 0 || bows.shape(0) == edges.shape(0)),
             "shapes: edges (n, 3), bows (n, >= 3) or none");
 }
 
-// Whether there is a light (9,) for each channel of an image (h, w, c).
+// Require a light (9,) for each channel of an image (h, w, c).
 inline void require_lights(const In<uint8_t, 3>& image, const In<float, 2>& lights) {
     require(lights.shape(0) == image.shape(2) && lights.shape(1) == 9 && image.shape(0) > 0 &&
                 image.shape(1) > 0,
             "shapes: image (h, w, c), lights (c, 9)");
 }
 
-// Whether a grid of so many rows and columns is within an image (h, w, ...).
+// Require that a grid with these numbers of rows and columns lies within an image (h, w, ...).
 template <class Image>
 void require_grid(const std::array<int, 3>& grid, int64_t rows, int64_t columns,
                   const Image& image) {

@@ -90,8 +90,8 @@ class Region:
         return usable
 
     def outside(self, step: int) -> np.ndarray:
-        """Which pixels of every `step`-th row and column of the box show no plate: bool, made
-        once."""
+        """Whether pixels of every `step`-th row and column of the box show no plate: bool. The
+        result is cached."""
         known = self._outside
         if step not in known:
             x0, y0, x1, y1 = self.box

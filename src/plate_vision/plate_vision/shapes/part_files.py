@@ -73,8 +73,8 @@ def add_type(
     region: Region | None,
     height: float | None = None,
 ) -> Lesson:
-    """Learn a type and write it, and its picture, into a file of types, in place of one of that
-    name, whose mass, friction and height stay; another height [m] may be given.
+    """Learn a type, and write it and its picture into a file of types. It replaces a type of the
+    same name but keeps its mass, friction and height. Another height [m] may be given.
 
     Raises
     ------

@@ -197,8 +197,8 @@ def learn_type(
 ) -> Lesson:
     """Learn one type of part of a height [m]; the other arguments are those of `teach`.
 
-    If the camera's place is known, the outline is that of the part's base: its side faces, and the
-    shift of its top, are taken off.
+    If the camera's position is known, the outline is that of the part's base, without its side
+    faces and the shift of its top.
 
     Raises
     ------

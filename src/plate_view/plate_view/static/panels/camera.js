@@ -14,7 +14,7 @@ export function camera(panel, ask, aim) {
     node.addEventListener("click", () => ask(command(), answer));
     return node;
   };
-  const state = el("p", { className: "said", id: "camera-state" }, "Nothing heard from the detector yet.");
+  const state = el("p", { className: "said", id: "camera-state" }, "No message from the detector yet.");
   const checks = el("ol", { className: "checks", id: "camera-checks" });
   const left = el("ul", { className: "small", id: "camera-left" });
   const home = el("p", { className: "small", id: "camera-home" });
@@ -34,13 +34,13 @@ export function camera(panel, ask, aim) {
   });
   const discard = { do: "take_lens_pictures", on: false, columns: null, rows: null, square_m: null, marker_m: null };
   const cover = el("div", { className: "cover", role: "img" });
-  const told = el("p", { id: "lens-text" });
+  const lensText = el("p", { id: "lens-text" });
   const missing = el("ul", { className: "small", id: "lens-missing" });
   const take = button("Take pictures for the lens", board, answers.lens);
   const fit = button("Fit the lens", () => ({ do: "fit_lens" }), answers.lens);
   const save = button("Write the lens to the rig file", () => ({ do: "save_lens" }), answers.lens, "main");
   const drop = button("Discard", () => discard, answers.lens);
-  const taking = el("div", { className: "row" }, cover, el("div", {}, told, missing));
+  const taking = el("div", { className: "row" }, cover, el("div", {}, lensText, missing));
   const name = el("input", { id: "teach-name", type: "text", maxLength: 40, autocomplete: "off", spellcheck: false, required: true });
   const teach = el("form", { className: "row" }, el("label", { htmlFor: "teach-name" }, "Type ", name), el("button", { type: "submit" }, "Teach this part"));
   teach.addEventListener("submit", (event) => {
@@ -66,7 +66,7 @@ export function camera(panel, ask, aim) {
     take.hidden = now !== "idle";
     fit.disabled = kept < needed;
     if (now === "idle") {
-      tell(told, "");
+      tell(lensText, "");
       missing.replaceChildren();
       return;
     }
@@ -74,7 +74,7 @@ export function camera(panel, ask, aim) {
     cover.replaceChildren(...cells.map((seen) => el("i", { className: seen ? "seen" : "" })));
     cover.setAttribute("aria-label", `The board was seen in ${cells.filter(Boolean).length} of ${cells.length} parts of the picture`);
     const words = now === "fitted" ? `Error ${error.toFixed(3)} px; ${text}. Write it to ${file}?` : `${kept} taken; ${text}.`;
-    tell(told, words);
+    tell(lensText, words);
     const next = now === "taking" ? lacks : [];
     missing.replaceChildren(...next.map((each) => el("li", {}, each)));
     if (now === "taking" && !lacks.length) missing.append(el("li", {}, "enough: fit the lens"));

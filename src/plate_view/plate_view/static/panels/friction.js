@@ -13,11 +13,11 @@ export function friction(panel, ask) {
   const measure = button("Measure friction", { do: "measure_friction", start: true });
   const end = button("End", { do: "measure_friction", start: false });
   const write = button("Write", { do: "write_friction" }, "main");
-  const done = el("progress", { max: 1, value: 0, "aria-label": "Friction that is measured" });
+  const done = el("progress", { max: 1, value: 0, "aria-label": "Progress of the measurement of friction" });
   const text = el("p", { className: "small", id: "friction-text" });
   const list = el("ul", { className: "small", id: "friction-parts" });
   panel.append(el("fieldset", { className: "controls stack" }, el("legend", {}, "Friction"),
-    el("p", { className: "small" }, "The plate makes about 40 small pushes in a minute; parts move by some millimetres and come back. Parts apart, away from the edges, no task."),
+    el("p", { className: "small" }, "The plate makes about 40 small pushes in a minute; parts move by some millimetres and come back. Put parts apart, away from the edges, and run no task."),
     el("div", { className: "row" }, measure, end, write), done, answer, text, list));
   const show = ({ state, text: words, fraction, mu, parts }) => {
     measure.hidden = state === "running";

@@ -1,0 +1,17 @@
+"""Values of messages as JSON can have them."""
+
+from __future__ import annotations
+
+import math
+
+
+def state_names(kind: type, *names: str) -> dict[int, str]:
+    """Return the names of a message's constants, in lower case, by their values."""
+    return {getattr(kind, name): name.lower() for name in names}
+
+
+def plain(value: float) -> float | None:
+    """Return a number rounded to six decimals; None if it is not finite."""
+    if isinstance(value, int):
+        return value
+    return round(float(value), 6) if math.isfinite(value) else None
