@@ -188,7 +188,6 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
                 f"{', '.join(TAKEN)}, which are classes of parts of no type"
             )
         types[name] = _part_type(name, fields.child(name))
-    fields.finish()
     return types
 
 

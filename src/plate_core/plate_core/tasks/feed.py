@@ -80,7 +80,6 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
     if fields.has("mix"):
         child = fields.child("mix")
         mix = {label: child.number(label, 0, 1) for label in child.keys()}  # noqa: SIM118 - no mapping
-        child.finish()
         known = ", ".join(labels)
         if unknown := [label for label in mix if label not in labels]:
             hint = did_you_mean(unknown[0], labels)
