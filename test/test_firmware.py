@@ -176,6 +176,10 @@ def test_brakes_within_a_cycle_and_goes_home(device, cause):
         assert 0 < braking[0] - heard[-1] - SILENCE_S <= 0.012
     after = [m for m in states if m.device_us * 1e-6 > braking[-1] + 0.02]
     assert {m.table for m in after} == {0}
+    homeward = done.setpoints[done.times > braking[-1] + 0.02]
+    slope = np.gradient(homeward[:, 1], 1e-3, axis=0)
+    assert (np.max(np.abs(slope)) > 0.01) == (cause != "silence")  # which ends at home
+    np.testing.assert_allclose(homeward[1:-1, 2], slope[1:-1], atol=1e-3)
 
 
 def test_stop_now_takes_the_current_away(device):
