@@ -152,6 +152,22 @@ def test_no_parts_no_motion(rig, scene, method):
     np.testing.assert_allclose(drift[-1], 0.005, atol=0.002)
 
 
+def test_parts_that_return_to_an_empty_plate_are_at_rest(rig):
+    """Whatever speed parts of the same names had before it was empty."""
+    position = np.array([[0.0, 0.05], [0.05, -0.05]])
+    parts, gone = Parts.make(("a", "b"), position), Parts.make((), np.zeros((0, 2)))
+    controller = Controller(rig)
+    wave = np.cos(2 * np.pi * np.arange(64) / 64)
+    swing = PlateCycle.from_samples(0.2, np.outer(wave, [0.01, 0, 0]))
+    controller.answer(Wanted.make(parts, np.full((2, 2), 1e-3)), swing)
+    controller.answer(Wanted.make(gone), swing)
+    zone = Targets(position + 0.0005, position + 0.0015, np.ones((2, 2)), 0.0)
+    answer = controller.answer(Wanted.make(parts, targets=zone), PlateCycle.rest(0.1))
+    end = simulate(answer.cycle, position, np.zeros((2, 2)), rig.friction.mu).position[-1]
+    predicted = answer.solution.predicted.reshape(2, 2).T
+    np.testing.assert_allclose(end, predicted, atol=0.15e-3)
+
+
 @METHOD
 @pytest.mark.parametrize("way", [[1.0, 0.0], [0.0, -1.0], [0.7, 0.7]])
 def test_part_driven_outward_stays_and_does_not_stop_the_other(rig, method, way):
