@@ -232,3 +232,45 @@ def test_parts_that_do_not_touch_take_nothing_from_a_pair_that_does():
         contacts=Contacts(),
     )  # fmt: skip
     np.testing.assert_allclose(run.velocity[-1, :, 0], [0.05, 0.05, 0, -0.1], atol=1e-12)
+
+
+def corners_at(shape, place, angle):
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return shape.outline[0] @ np.array([[cosine, sine], [-sine, cosine]]) + place
+
+
+def off(point, corners):
+    """Distance (n,) [m] of points (n, 2) from the rim of a polygon."""
+    after = np.roll(corners, -1, axis=0)
+    side = after - corners
+    share = np.sum((point[:, None] - corners) * side, axis=2) / np.sum(side**2, axis=1)
+    nearest = corners + np.clip(share, 0, 1)[..., None] * side
+    return np.min(np.linalg.norm(point[:, None] - nearest, axis=2), axis=1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_push_of_two_parts_acts_where_they_touch(seed):
+    """Without rubbing its line of action follows from both parts' changes of speed and spin."""
+    rng = np.random.default_rng(seed)
+    shapes = [bar(0.04, 0.012, mass=0.02), TRIANGLE, bar(0.02, 0.02, mass=0.05)]
+    parts = [shapes[k] for k in rng.integers(0, 3, 2)]
+    angle = rng.choice([rng.uniform(0, 6), 0.0, np.pi / 2], 2)
+    place = np.array([[0.0, 0.0], [0.06, rng.uniform(-0.012, 0.012)]])
+    speed = np.array([[0.3, 0.0], [-0.3, rng.uniform(-0.1, 0.1)]])
+    run = simulate_bodies(
+        PlateCycle.rest(0.1), parts, place, angle, speed, 0, 0, contacts=Contacts(), samples=5000
+    )
+    moved = np.flatnonzero(np.any(run.velocity[:, 0] != speed[0], axis=1))
+    if not len(moved):  # they pass each other
+        assert np.all(run.spin == 0)
+        return
+    hit = moved[0]
+    push = parts[0].mass * (run.velocity[hit, 0] - speed[0])
+    assert -push == pytest.approx(parts[1].mass * (run.velocity[hit, 1] - speed[1]), abs=1e-9)
+    across = np.array([push[1], -push[0]]) / np.hypot(*push)
+    one, other = (corners_at(parts[k], run.position[hit, k], angle[k]) for k in (0, 1))
+    touching = np.concatenate([one[off(one, other) < 1e-4], other[off(other, one) < 1e-4]])
+    low, high = np.min(touching @ across) - 1e-4, np.max(touching @ across) + 1e-4
+    for k, sign in ((0, 1), (1, -1)):
+        arm = sign * parts[k].inertia * run.spin[hit, k] / np.hypot(*push)
+        assert low <= run.position[hit, k] @ across + arm <= high
