@@ -1,7 +1,5 @@
 """A key that no reader knows is refused by name, however deep it stands, in every kind of file."""
 
-from pathlib import Path
-
 import pytest
 import yaml
 

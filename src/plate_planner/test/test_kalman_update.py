@@ -1,4 +1,4 @@
-"""The Kalman update of many parts with one uncertain stamp, against the plain one of all at once."""
+"""The Kalman update of parts with one uncertain stamp, against the plain one of all at once."""
 
 import numpy as np
 import pytest
