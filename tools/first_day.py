@@ -25,16 +25,18 @@ SIZE: Any = {"width": 1366, "height": 768}
 WIDTH_PX, QUALITY = 860, 55
 
 DEFOCUS_PX = 2.5
-"""Blur of the camera before its lens is turned [px]."""
+"""Blur of the camera when its lens was turned the wrong way [px]."""
 
 STEADY_S, MEASURED_S = 6.0, 300.0
-"""How long the page watches before a picture, and the longest measurement of friction [s]."""
+"""How long the page watches before a picture; maximum time of a measurement of friction, and until a
+busy machine's nodes are heard [s]."""
 
 
 def shoot(page: Any, graph: Session, out: Path) -> None:
     """Photograph each step."""
 
     def save(name: str) -> None:
+        page.locator("#alarm").wait_for(state="hidden", timeout=1e3 * MEASURED_S)
         image = Image.open(io.BytesIO(page.screenshot(type="png"))).convert("RGB")
         size = WIDTH_PX, round(image.height * WIDTH_PX / image.width)
         path = out / f"{name}.webp"
@@ -42,6 +44,7 @@ def shoot(page: Any, graph: Session, out: Path) -> None:
         print(path)
 
     page.get_by_role("tab", name="Camera").click()
+    page.wait_for_timeout(1e3 * STEADY_S)  # of the best sharpness, with which it compares
     for name, blur in (("focus", DEFOCUS_PX), ("ready", 0.0)):
         graph.observer.set_parameter("simulator", "defocus_px", blur)
         page.wait_for_timeout(1e3 * STEADY_S)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from .plate.outline import (
     OUTWARD,
     Outline,
     OutlineGrid,
+    contrasted,
     edge_points,
     fitting_flips,
     judge_outline,
@@ -44,6 +45,20 @@ CLIPPED = 0.01
 BLURRED = 0.85
 """Sharpness relative to the best of the last minute below which the image counts as out of focus
 [-]. Noise, or a part that is moved, changes sharpness by less than 5 %."""
+
+PASSED, BACK = 0.9, 0.95
+"""Sharpness relative to the best of the last minute [-]. The best value is a maximum if the
+sharpness was below the first fraction before and after it, and is above the second one now."""
+
+SHARP_PX = 1.5
+"""Standard deviation of the blur of the plate's edges up to which a picture is sharp [px]. Drawn
+pictures of a sharp lens have 1.0, with a defocus of 1 px 1.4, and with one of 2 px 2.2."""
+
+ESF_PX = 12
+"""Length of the profile on each side of the plate's edge by which its blur is measured [px]."""
+
+ESF_ENDS = 4
+"""Number of values at each end of that profile whose medians give the contrast."""
 
 BEST_S, LATELY_S = 60.0, 2.0
 """Time over which the best sharpness is taken, and time over which its change is measured [s]."""
@@ -157,22 +172,76 @@ def sharpness_of(image: np.ndarray, field: AimField) -> float:
     return math.sqrt(power) / contrast
 
 
+def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
+    """Return the blur of the plate's edges in an image (H, W) or (H, W, 3), a standard deviation
+    [px]: contrast over slope, the median of the edges that are seen; NaN if none is."""
+    calibration, along = field.vision.calibration, field.grid.along
+    grey = contrasted(image, field.grid)
+    middle, slope, bow = (column[:, None] for column in outline.edges.T)
+    away = middle + slope * along + bow * (1 - along**2)
+    foot = edge_points(field.grid.half, along)
+    steps = np.arange(-ESF_PX, ESF_PX + 1.0)
+    blurs = []
+    for edge in np.flatnonzero(outline.seen):
+        offset = away[edge, :, None] + steps / field.grid.scale[edge]
+        point = foot[edge, :, None] + offset[..., None] * OUTWARD[edge]
+        x, y = calibration.to_image(point.reshape(-1, 2)).reshape(*offset.shape, 2).T
+        x, y = (np.nan_to_num(each, nan=-1e4).astype(np.float32) for each in (x, y))
+        profile = np.median(cv2.remap(grey, x, y, cv2.INTER_LINEAR), axis=1)
+        contrast = abs(float(np.median(profile[:ESF_ENDS]) - np.median(profile[-ESF_ENDS:])))
+        steepest = float(np.abs(np.diff(profile)).max())
+        blurs.append(contrast / (math.sqrt(2 * math.pi) * max(steepest, 1e-9)))
+    return float(np.median(blurs)) if blurs else math.nan
+
+
 @dataclass(frozen=True)
 class Focus:
-    """The sharpness of the last minute.
+    """The sharpness of the last minute, and whether the focus was found.
+
+    It is found if the plate's edges are sharp, or if the sharpness rose, fell, and is back near its
+    maximum. It is lost if the sharpness falls far below its maximum.
 
     Attributes
     ----------
     values : tuple of (float, float)
         Stamps [s] and sharpness [1/px], the newest last.
+    blur_px : float
+        Of the plate's edges in the newest image [px]; NaN if it is not known.
+    peaked : bool
+        Whether the maximum was passed.
+    sharp : bool
+        Whether the edges were sharp when their blur was last known.
     """
 
     values: tuple[tuple[float, float], ...] = ()
+    blur_px: float = math.nan
+    peaked: bool = False
+    sharp: bool = False
 
-    def add(self, stamp: float, sharpness: float) -> Focus:
-        """Return a copy with one more value. If the clock was set back, drop the earlier values."""
+    def add(self, stamp: float, sharpness: float, blur_px: float = math.nan) -> Focus:
+        """Return a copy with one more value, and the blur of the plate's edges [px] in that image.
+        If the clock was set back, drop the earlier values."""
         kept = self.values if self.values and stamp > self.values[-1][0] else ()
-        return Focus((*(one for one in kept if one[0] > stamp - BEST_S), (stamp, sharpness)))
+        values = (*(one for one in kept if one[0] > stamp - BEST_S), (stamp, sharpness))
+        focus = replace(self if kept else Focus(), values=values, blur_px=blur_px)
+        lost = not focus.now >= BLURRED * focus.best
+        known = math.isfinite(blur_px)
+        return replace(
+            focus,
+            peaked=not lost and (focus.peaked or focus._passed),
+            sharp=not lost and (blur_px <= SHARP_PX if known else focus.sharp),
+        )
+
+    @property
+    def _passed(self) -> bool:
+        """Whether the sharpness rose, fell, and is back near its maximum."""
+        value = np.array([value for _, value in self.values if math.isfinite(value)])
+        best = int(np.argmax(value)) if len(value) else 0
+        before, after = value[:best], value[best + 1 :]
+        if not (len(before) and len(after)):
+            return False
+        low = PASSED * value[best]
+        return bool(before.min() < low and after.min() < low and self.now >= BACK * value[best])
 
     @property
     def now(self) -> float:
@@ -220,7 +289,15 @@ class Focus:
                 f"{share:.0%} of the best of the last minute ({self.best:.3f}): turn the focus back"
             )
             return Finding(Level.WARN, f"{text}, {why}")
-        return Finding(Level.OK, f"{text}, best {self.best:.3f}")
+        edges = ""
+        if math.isfinite(self.blur_px):
+            edges = f", the plate's edges are blurred by {self.blur_px:.1f} px"
+        if self.sharp or self.peaked:
+            return Finding(Level.OK, f"{text}, best {self.best:.3f}{edges}")
+        turn = "turn the focus past the best value and back"
+        if edges:
+            return Finding(Level.WARN, f"{text}{edges}, allowed: {SHARP_PX:g} px: {turn}")
+        return Finding(Level.STALE, f"{text}, the best value is not known yet: {turn}")
 
 
 def outline_px(outline: Outline, field: AimField) -> np.ndarray:

@@ -13,6 +13,7 @@ from plate_vision import make_vision
 from plate_vision.aiming import (
     AimField,
     Focus,
+    edge_blur_px,
     light_finding,
     light_on_plate,
     outline_finding,
@@ -83,22 +84,70 @@ def test_a_covered_lens_has_no_sharpness(field):
     assert "not seen" in outline.message
 
 
+def turned(focus, values, blur_px=np.nan):
+    """The focus after more values, 0.4 s apart."""
+    for value in values:
+        stamp = focus.values[-1][0] + 0.4 if focus.values else 0.0
+        focus = focus.add(stamp, value, blur_px)
+    return focus
+
+
 def test_the_trend_tells_falling_from_rising():
-    focus = Focus()
-    for k in range(8):
-        focus = focus.add(0.4 * k, 0.20)
+    focus = turned(Focus(), [0.20] * 8, 1.0)
     assert focus.trend == "steady"
     assert focus.finding.level == Level.OK
-    for k in range(8, 12):
-        focus = focus.add(0.4 * k, 0.20 - 0.02 * (k - 7))
+    focus = turned(focus, [0.18, 0.16, 0.14, 0.12])
     assert focus.trend == "falls"
     assert focus.finding.level == Level.WARN
     assert "turn the focus back" in focus.finding.message
-    for k in range(12, 16):
-        focus = focus.add(0.4 * k, 0.12 + 0.02 * (k - 11))
+    focus = turned(focus, [0.14, 0.16, 0.18, 0.20])
     assert focus.trend == "rises"
     assert focus.best == pytest.approx(0.20)
     assert focus.add(0.0, 0.1).best == pytest.approx(0.1)  # a clock that was set back
+
+
+def test_a_focus_is_found_once_its_maximum_was_passed():
+    blurred = turned(Focus(), [0.12] * 200)  # for longer than the best value is kept
+    assert blurred.finding.level == Level.STALE
+    assert "turn the focus past the best value and back" in blurred.finding.message
+    rising = turned(blurred, [0.14, 0.16, 0.18, 0.20])
+    assert rising.finding.level == Level.STALE
+    assert turned(rising, [0.18, 0.16]).finding.level == Level.WARN
+    found = turned(rising, [0.18, 0.16, 0.18, 0.20])
+    assert found.finding.level == Level.OK
+    assert turned(found, [0.20] * 200).finding.level == Level.OK
+    lost = turned(found, [0.16] * 200)
+    assert lost.finding.level == Level.STALE  # not its own best value
+
+
+def test_a_focus_is_found_where_the_plates_edges_are_sharp():
+    found = turned(Focus(), [0.12], 1.2)
+    assert found.finding.level == Level.OK
+    assert "the plate's edges are blurred by 1.2 px" in found.finding.message
+    assert turned(found, [0.12]).finding.level == Level.OK  # a plate that moves
+    blurred = turned(found, [0.12], 1.9)
+    assert blurred.finding.level == Level.WARN
+    assert "blurred by 1.9 px, allowed: 1.5 px: turn the focus" in blurred.finding.message
+    assert turned(blurred, [0.12]).finding.level == Level.STALE
+    beveled = turned(blurred, [0.16, 0.20, 0.16, 0.20], 1.7)
+    assert beveled.finding.level == Level.OK
+
+
+@pytest.mark.parametrize("view", [VIEW, View(distance=1.3, tilt_x=20.0, tilt_y=-12.0)])
+def test_the_blur_of_the_plates_edges(view):
+    rig = rig_of(view)
+    field, image = AimField.of(rig, make_vision(rig), Expected(0.008, 0.008)), picture(view)
+
+    def blur(by_px):
+        seen = cv2.GaussianBlur(image, (0, 0), by_px) if by_px else image
+        return edge_blur_px(seen, measure_outline(seen, field.grid), field)
+
+    sharp = blur(0)
+    assert sharp < 1.1
+    for by_px in (1.0, 2.0, 3.0):
+        assert blur(by_px) == pytest.approx(np.hypot(sharp, by_px), rel=0.03)
+    nothing = np.full((480, 640), 60, np.uint8)
+    assert np.isnan(edge_blur_px(nothing, measure_outline(nothing, field.grid), field))
 
 
 def test_light_and_clipping_of_the_plate_alone(field):

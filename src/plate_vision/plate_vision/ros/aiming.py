@@ -29,6 +29,7 @@ from ..aiming import (
     AimField,
     Focus,
     Situation,
+    edge_blur_px,
     light_finding,
     light_on_plate,
     outline_finding,
@@ -279,15 +280,17 @@ class AimingView:
             measured = AimField.of(situation.rig, situation.vision, situation.expected)
             self._field, self._focus = measured, Focus()
         light = light_on_plate(image, measured)
-        self._focus = focus = self._focus.add(stamp, sharpness_of(image, measured))
-        msg.sharpness, msg.sharpness_best = focus.now, focus.best
-        msg.sharpness_change = focus.change
         msg.black, msg.white = light.black, light.white
         msg.histogram = light.histogram.astype(np.uint32)
         msg.part_px_min, msg.part_px_max = measured.part_px
-        if board:
-            return [("focus", focus.finding)]
+        msg.sharpness = sharpness_of(image, measured)
+        msg.sharpness_best = msg.sharpness_change = math.nan
+        if board:  # its sharpness does not compare with that of the plate
+            return []
         outline = measure_outline(image, measured.grid)
+        blur_px = math.nan if situation.moving else edge_blur_px(image, outline, measured)
+        self._focus = focus = self._focus.add(stamp, msg.sharpness, blur_px)
+        msg.sharpness_best, msg.sharpness_change = focus.best, focus.change
         msg.expected = points(situation.vision.region.outline_px)
         msg.seen = points(outline_px(outline, measured))
         return [
