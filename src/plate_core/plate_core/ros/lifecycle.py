@@ -39,13 +39,13 @@ class NodeOptions:
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     frame_prefix: str = parameter(
-        "", "Prefix of all frame names, such as left/, for two plates in one tf tree."
+        "", "Prefix of frame names, such as left/: two plates in one tf tree."
     )
     autostart: bool = parameter(
-        True, "Configure and activate at start; false: another program does it.", fixed=True
+        True, "Configure and activate at start; false: others do this.", fixed=True
     )
     end_with_parent: bool = parameter(
-        True, "End with the process that started the node; false: keep running.", fixed=True
+        True, "End with the process that started it; false: keep running.", fixed=True
     )
 
 
