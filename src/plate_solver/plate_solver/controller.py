@@ -53,7 +53,7 @@ swing for ever where they are to lie."""
 
 EFFORT: dict[str, dict[str, Any]] = {
     "rotations": {"iterations": 20, "restarts": 1},
-    "sinusoids": {"iterations": 24, "restarts": 40},
+    "sinusoids": {"iterations": 16, "restarts": 40},
 }
 """Most iterations from one start and most further starts: what suits a loop. More take longer, and
 buy little: see docs/results.md."""

@@ -6,6 +6,7 @@ cycle, and a test compares the two.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -103,13 +104,15 @@ def limit_use(
     return _kernels.limit_use(pose, twist, accel, weight, limits, linear)
 
 
-def within_limits(cycle: PlateCycle, full: Limits, rest: PlateCycle | None = None) -> PlateCycle:
-    """Return the cycle, brought nearer to another one of the same knots, to rest if that is left
-    out, as far as its control points exceed the full limits."""
+def within_limits(
+    cycle: PlateCycle, full: Limits, resting: Callable[[], PlateCycle] | None = None
+) -> PlateCycle:
+    """Return the cycle, brought nearer to another one of the same knots, which `resting` makes, as
+    far as its control points exceed the full limits. Default: the cycle at rest."""
     used = _use(cycle, full)
     if used <= CERTAIN:
         return cycle
-    rest = cycle.scaled(0.0) if rest is None else rest
+    rest = cycle.scaled(0.0) if resting is None else resting()
     least = _use(rest, full)
     if not least <= CERTAIN:
         raise CycleError(

@@ -44,3 +44,15 @@ def sinusoid_cycle():
         )
 
     return make
+
+
+@pytest.fixture
+def through_twist():
+    """Derivatives by pose (2, n, R) and twist (3, n, R) at the middles of steps, as those by twist
+    alone: the pose follows from it."""
+
+    def add(on_pose, on_twist, dt):
+        later = np.cumsum(on_pose[:, ::-1], axis=1)[:, ::-1] - on_pose / 2
+        return on_twist + dt * np.concatenate([later, np.zeros_like(on_twist[:1])])
+
+    return add

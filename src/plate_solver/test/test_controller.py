@@ -307,7 +307,7 @@ def test_a_deadline_ends_a_hard_search_and_is_told(rig, method):
     controller = Controller(rig, method, restarts=1000)
     hard = controller.answer(wanted, None, time.monotonic() + 0.01)
     assert usage(rig, hard.cycle).worst <= 1
-    assert hard.solution.iterations < 24 * 100
+    assert hard.solution.iterations < 16 * 100
     assert controller.cut_short == 1
 
 

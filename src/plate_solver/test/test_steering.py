@@ -168,8 +168,8 @@ def test_weights_that_say_nothing_are_refused(wrong):
         Goal(none, none, none, none, 2.45, turns=turns)
 
 
-@pytest.mark.parametrize("count", [1, 16, 17])
-def test_blocks_do_as_the_cycle_map_and_so_do_their_derivatives(rig, scene, count):
+@pytest.mark.parametrize("count", [1, LANES, LANES + 1])
+def test_blocks_do_as_the_cycle_map_and_so_do_their_derivatives(rig, scene, through_twist, count):
     rng, position = scene(3, count)
     velocity = 0.02 * rng.normal(size=(count, 2))
     friction = rng.uniform(2, 3, count)
@@ -178,7 +178,7 @@ def test_blocks_do_as_the_cycle_map_and_so_do_their_derivatives(rig, scene, coun
     twist = np.sin(90 * t[:, None] + [0, 1, 2]) * [0.2, 0.1, 1.0]
     pose = np.cumsum(twist, axis=0) * dt
     state = blocks_of(position, velocity, friction, dt)
-    steps = np.empty((n, len(state), TRACE))
+    steps = np.empty((n, len(state), TRACE), np.float32)
     trace(state, pose, twist, dt, steps)
     place, left = end_state(position, velocity, pose, twist, np.full(n, dt), friction)
 
@@ -187,20 +187,17 @@ def test_blocks_do_as_the_cycle_map_and_so_do_their_derivatives(rig, scene, coun
         own = own.reshape(*of.shape[:-1], size, LANES)
         return np.moveaxis(own, -3, -2).reshape(*of.shape[:-2], size, -1)[..., :count]
 
-    np.testing.assert_allclose(rows(state, 0, 2).T, place, atol=1e-12)
-    np.testing.assert_allclose(rows(state, 2, 2).T, left, atol=1e-12)
-    blocks = len(state)
-    by_twist, by_pose = np.empty((10, blocks, 2, 3 * LANES)), np.empty((10, blocks, 2, 2 * LANES))
-    adjoint(steps, twist, dt, coast, by_twist, by_pose)
+    np.testing.assert_allclose(rows(state, 0, 2).T, place, atol=1e-7)
+    np.testing.assert_allclose(rows(state, 2, 2).T, left, atol=1e-6)
+    by_twist = np.empty((10, len(state), 2, 3 * LANES), np.float32)
+    adjoint(steps, twist, dt, coast, by_twist)
     on_pose, on_twist, _ = end_state_gradient(
         position, velocity, pose, twist, np.full(n, dt), friction, coast
     )
-    for mine, right in ((by_twist, on_twist), (by_pose, on_pose)):
-        size = len(right)
-        bins = right.reshape(size, 10, 4, 2, count).sum(axis=2)  # c, bin, axis, part
-        np.testing.assert_allclose(
-            rows(np.moveaxis(mine, 1, 2), 0, size).transpose(2, 0, 1, 3), bins, atol=1e-12
-        )
+    right = through_twist(on_pose, on_twist, dt)
+    bins = right.reshape(3, 10, 4, 2, count).sum(axis=2)  # c, bin, axis, part
+    mine = rows(np.moveaxis(by_twist, 1, 2), 0, 3).transpose(2, 0, 1, 3)
+    np.testing.assert_allclose(mine, bins, atol=1e-4 * np.abs(bins).max())
 
 
 PLATE = np.array([[1e-3, -5e-4, 0.01], [0.05, 0.1, -0.5], [5.0, -3.0, 20.0]])
@@ -223,9 +220,9 @@ def test_a_descents_slopes_agree_with_differences(rig, scene, plate):
     assert len(found.error) > 6 + 3  # places, pairs, and limits that are exceeded
     for k in rng.choice(len(theta), 8, replace=False):
         step = np.zeros(len(theta))
-        step[k] = 1e-5
+        step[k] = 2e-4  # places have single precision
         above, below = (descend(problem, theta + s, 0.0, 0).error for s in (step, -step))
-        slope = (above - below) / 2e-5
+        slope = (above - below) / 4e-4
         size = np.max(np.abs(found.jacobian))
         # Bins of four steps stand for their mean: measured 6 % of the greatest at most.
         np.testing.assert_allclose(-slope, found.jacobian[:, k], atol=0.1 * size)

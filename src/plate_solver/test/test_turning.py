@@ -96,7 +96,7 @@ def test_derivatives_agree_with_differences():
 
 
 @pytest.mark.parametrize("count", [3, LANES + 1])
-def test_blocks_are_the_same_map(count):
+def test_blocks_are_the_same_map(through_twist, count):
     rng = np.random.default_rng(3)
     n, dt, each = 40, 4e-4, 4
     position, velocity, spin, spread = state(rng, count)
@@ -105,21 +105,18 @@ def test_blocks_are_the_same_map(count):
     motion = pose, twist, np.full(n, dt), friction
     place, _, turn, _ = end_turning(position, velocity, spin, spread, *motion)
     blocks = turning_blocks_of(position, velocity, friction, dt, spin, spread)
-    steps = np.empty((n, len(blocks), TURNING_TRACE))
+    steps = np.empty((n, len(blocks), TURNING_TRACE), np.float32)
     trace_turning(blocks, pose, twist, dt, steps)
     rows = blocks.reshape(len(blocks), -1, LANES).transpose(0, 2, 1).reshape(-1, 10)[:count]
-    np.testing.assert_allclose(rows[:, :2], place, rtol=1e-9)
-    np.testing.assert_allclose(rows[:, 5], turn, rtol=1e-7, atol=1e-12)
-    by_twist = np.empty((n // each, len(blocks), 3, 3 * LANES))
-    by_pose = np.empty((n // each, len(blocks), 3, 2 * LANES))
-    adjoint_turning(steps, twist, dt, COAST, by_twist, by_pose)
-    slopes = end_turning_gradient(position, velocity, spin, spread, *motion, COAST)
-    for got, want in zip((by_pose, by_twist), slopes, strict=False):
-        axes = len(want)
-        want = want.reshape(axes, n // each, each, 3, count).sum(2)
-        got = got.reshape(n // each, len(blocks), 3, axes, LANES).transpose(3, 0, 2, 1, 4)
-        got = got.reshape(axes, n // each, 3, -1)[..., :count]
-        np.testing.assert_allclose(got, want, rtol=1e-7, atol=1e-9 * np.abs(want).max())
+    np.testing.assert_allclose(rows[:, :2], place, atol=1e-7)
+    np.testing.assert_allclose(rows[:, 5], turn, rtol=1e-4, atol=1e-7)
+    by_twist = np.empty((n // each, len(blocks), 3, 3 * LANES), np.float32)
+    adjoint_turning(steps, twist, dt, COAST, by_twist)
+    on_pose, on_twist, _ = end_turning_gradient(position, velocity, spin, spread, *motion, COAST)
+    want = through_twist(on_pose, on_twist, dt).reshape(3, n // each, each, 3, count).sum(2)
+    got = by_twist.reshape(n // each, len(blocks), 3, 3, LANES).transpose(3, 0, 2, 1, 4)
+    got = got.reshape(3, n // each, 3, -1)[..., :count]
+    np.testing.assert_allclose(got, want, rtol=1e-3, atol=1e-4 * np.abs(want).max())
 
 
 @pytest.mark.parametrize(("length", "width"), [(0.016, 0.016), (0.024, 0.012), (0.028, 0.006)])

@@ -1,6 +1,7 @@
 """Motors that lack force, or get hot: both methods design within what they can, both maps."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -100,14 +101,14 @@ def test_a_cycle_in_motion_keeps_the_limits_and_so_does_the_way_to_rest_from_its
     for seed in range(6):
         family = limited_sinusoids(8, 0.1, Limits.of(rig), 1.3, free_end=True, plate=plate)
         theta = 2 * family.random(np.random.default_rng(seed))
-        nothing = family.cycle(0 * theta)
-        cycle = within_limits(family.cycle(theta), full, nothing)
+        resting = partial(family.cycle, 0 * theta)
+        cycle = within_limits(family.cycle(theta), full, resting)
         assert 0.8 < usage(rig, cycle).overall <= 1
-        assert usage(rig, nothing).overall <= 1
+        assert usage(rig, resting()).overall <= 1
         plate = cycle.state(-1)
     far = limited_sinusoids(8, 0.1, Limits.of(rig), 1.3, free_end=True, plate=100 * plate)
     with pytest.raises(CycleError, match="times its limits to rest"):
-        within_limits(far.cycle(theta), full, far.cycle(0 * theta))
+        within_limits(far.cycle(theta), full, lambda: far.cycle(0 * theta))
 
 
 @SOLVERS

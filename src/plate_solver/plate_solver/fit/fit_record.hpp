@@ -6,7 +6,8 @@
 namespace plate {
 
 // The fields of `Fit` of Python.
-inline nb::tuple fields_of(Fit&& fit) {
+template <class Number>
+nb::tuple fields_of(FitOf<Number>&& fit) {
     const size_t rows = fit.error.size(), columns = fit.parameters.size();
     return nb::make_tuple(to_numpy<1>(std::move(fit.parameters), {columns}),
                           to_numpy<1>(std::move(fit.error), {rows}),

@@ -37,7 +37,7 @@ static nb::tuple fit(nb::callable evaluate, nb::callable admissible, Numbers sta
         if (parameters.size() != count) throw nb::value_error("the number of parameters changes");
     };
     const auto slopes_there = [&](Matrix& jacobian) { copy(nb::cast<Table>(slopes()), jacobian); };
-    return fields_of(levenberg_marquardt(evaluate_there, slopes_there, numbers_of(nb::cast(start)),
+    return fields_of(levenberg_marquardt<double>(evaluate_there, slopes_there, numbers_of(nb::cast(start)),
                                          DAMPING, tolerance, iterations));
 }
 
@@ -63,9 +63,10 @@ void bind_fit(nb::module_& m) {
     m.def("least_norm_step", [](Table jacobian, Numbers error, double damping) {
         check("error", error, {jacobian.shape(0)});
         const Matrix matrix = matrix_of(jacobian);
-        LeastNormStep least_norm_step;
-        std::vector<double> step = least_norm_step(
-            matrix, {error.data(), error.data() + error.size()}, damping);
+        LeastNormStep<double> least_norm_step;
+        least_norm_step.take(matrix);
+        std::vector<double> step =
+            least_norm_step({error.data(), error.data() + error.size()}, damping);
         return to_numpy<1>(std::move(step), {jacobian.shape(1)});
     });
     m.def("condition_of", [](Table jacobian) {

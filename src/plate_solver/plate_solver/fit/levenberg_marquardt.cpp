@@ -10,82 +10,139 @@
 
 namespace plate {
 
-// Solve (a' a + damping mean(diag) 1) x = right in place, for a (terms, count), by Cholesky's
-// method. Of each pair of entries the one of the upper half is kept: then loops go along rows.
-PLATE_WIDE void solve_damped(const double* a, int terms, int count, double damping, double* right,
-                             Matrix& square) {
-    square.resize(count, count);
-    square_product(a, count, terms, count, square[0]);
-    double diagonal = 0;
-    for (int i = 0; i < count; i++) diagonal += square[i][i];
-    const double more = damping * diagonal / count + 1e-30;
-    for (int i = 0; i < count; i++) square[i][i] += more;
+// Solve root' root x = right in place, for a symmetric matrix (count, wide) of which the upper half is
+// given, by Cholesky's method. Of each pair of entries the one of the upper half is kept: then loops
+// go along rows. Rows are whole vectors; what is left of the diagonal in one of them is set to zero.
+template <class Number>
+[[gnu::always_inline]] inline void solve_of(MatrixOf<Number>& root, int count, Number* right) {
+    constexpr int VECTOR = LANES_OF<Number>;
+    const int wide = root.columns;
     for (int j = 0; j < count; j++) {
-        double* __restrict own = square[j];
-        for (int k = 0; k < j; k++) {
-            const double* __restrict above = square[k];
-            const double factor = above[j];
+        Number* __restrict own = root[j];
+        const int from = j / VECTOR * VECTOR;
+        int k = 0;
+        for (; k + 4 <= j; k += 4) {
+            const Number *__restrict a = root[k], *__restrict b = root[k + 1];
+            const Number *__restrict c = root[k + 2], *__restrict d = root[k + 3];
+            const Number by_a = a[j], by_b = b[j], by_c = c[j], by_d = d[j];
 #pragma omp simd
-            for (int i = j; i < count; i++) own[i] -= above[i] * factor;
+            for (int i = from; i < wide; i++)
+                own[i] = own[i] - a[i] * by_a - b[i] * by_b - c[i] * by_c - d[i] * by_d;
         }
-        own[j] = std::sqrt(std::max(own[j], 1e-300));
-        for (int i = j + 1; i < count; i++) own[i] /= own[j];
+        for (; k < j; k++) {
+            const Number* __restrict above = root[k];
+            const Number factor = above[j];
+#pragma omp simd
+            for (int i = from; i < wide; i++) own[i] -= above[i] * factor;
+        }
+        const Number inverse = 1 / std::sqrt(std::max(own[j], std::numeric_limits<Number>::min()));
+#pragma omp simd
+        for (int i = from; i < wide; i++) own[i] *= inverse;
+        std::fill(own + from, own + j, Number(0));
+        own[j] = inverse;
     }
     for (int k = 0; k < count; k++) {
-        const double* __restrict own = square[k];
-        right[k] /= own[k];
-        for (int i = k + 1; i < count; i++) right[i] -= own[i] * right[k];
+        const Number* __restrict own = root[k];
+        const Number known = right[k] *= own[k];
+        for (int i = k + 1; i < wide; i++) right[i] -= own[i] * known;
     }
     for (int i = count - 1; i >= 0; i--) {
-        for (int k = i + 1; k < count; k++) right[i] -= square[i][k] * right[k];
-        right[i] /= square[i][i];
+        const Number* __restrict own = root[i];
+        Number part[VECTOR] = {}, sum = 0;
+        const Number known = right[i];
+        right[i] = 0;
+        for (int k = i / VECTOR * VECTOR; k < wide; k += VECTOR)
+            for (int lane = 0; lane < VECTOR; lane++) part[lane] += own[k + lane] * right[k + lane];
+        for (Number each : part) sum += each;
+        right[i] = (known - sum) * own[i];
     }
 }
 
-const std::vector<double>& LeastNormStep::operator()(const Matrix& jacobian,
-                                                     const std::vector<double>& error,
-                                                     double damping) {
-    step.assign(jacobian.columns, 0.0);
-    if (jacobian.rows <= jacobian.columns) {
-        transpose(jacobian, across);
-        weights = error;
-        solve_damped(across[0], across.rows, across.columns, damping, weights.data(), square);
-        add_rows(jacobian, weights);
+PLATE_WIDE void solve(Matrix& root, int count, double* right) { solve_of(root, count, right); }
+
+PLATE_WIDE void solve(MatrixOf<float>& root, int count, float* right) {
+    solve_of(root, count, right);
+}
+
+template <class Number>
+void LeastNormStep<Number>::take(const MatrixOf<Number>& of) {
+    constexpr int VECTOR = LANES_OF<Number>;
+    jacobian = &of;
+    count = std::min(of.rows, of.columns);
+    const int terms = std::max(of.rows, of.columns), wide = (count + VECTOR - 1) / VECTOR * VECTOR;
+    tall.resize(terms, wide);
+    for (int k = 0; k < terms; k++) {
+        Number* row = tall[k];
+        if (by_rows())
+            for (int i = 0; i < count; i++) row[i] = of[i][k];
+        else
+            std::copy_n(of[k], count, row);
+        std::fill(row + count, row + wide, Number(0));
+    }
+    gram.resize(wide, wide);
+    square_product(tall[0], wide, terms, wide, gram[0]);
+    mean = 0;
+    for (int i = 0; i < count; i++) mean += gram[i][i] / count;
+}
+
+template <class Number>
+const std::vector<Number>& LeastNormStep<Number>::operator()(const std::vector<double>& error,
+                                                             double damping) {
+    root.resize(gram.rows, gram.columns);
+    std::copy_n(gram[0], gram.rows * gram.columns, root[0]);
+    for (int i = 0; i < count; i++) root[i][i] += static_cast<Number>(damping * mean + 1e-30);
+    right.assign(error.begin(), error.end());
+    step.assign(jacobian->columns, Number(0));
+    if (by_rows()) {
+        right.resize(gram.columns);
+        solve(root, count, right.data());
+        add_rows(right);
     } else {
-        add_rows(jacobian, error);
-        solve_damped(jacobian[0], jacobian.rows, jacobian.columns, damping, step.data(), square);
+        add_rows(right);
+        step.resize(gram.columns);
+        solve(root, count, step.data());
+        step.resize(count);
     }
     return step;
 }
 
-void LeastNormStep::add_rows(const Matrix& jacobian, const std::vector<double>& weight) {
-    double* __restrict sum = step.data();
-    for (int i = 0; i < jacobian.rows; i++) {
-        const double* __restrict row = jacobian[i];
-        for (int c = 0; c < jacobian.columns; c++) sum[c] += weight[i] * row[c];
+template <class Number>
+void LeastNormStep<Number>::add_rows(const std::vector<Number>& weight) {
+    Number* __restrict sum = step.data();
+    for (int i = 0; i < jacobian->rows; i++) {
+        const Number* __restrict row = (*jacobian)[i];
+        const Number share = weight[i];
+        for (int c = 0; c < jacobian->columns; c++) sum[c] += share * row[c];
     }
 }
 
-Fit levenberg_marquardt(const Evaluate& evaluate, const Slopes& slopes, std::vector<double> start,
-                        const Damping& damping, double tolerance, int iterations) {
-    Fit best{.parameters = std::move(start)};
+template class LeastNormStep<double>;
+
+template <class Number>
+FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>& slopes,
+                                  std::vector<double> start, const Damping& damping,
+                                  double tolerance, int iterations) {
+    FitOf<Number> best{.parameters = std::move(start)};
     evaluate(best.parameters, best.error);
     slopes(best.jacobian);
     double cost = squared(best.error), factor = damping.first;
     std::vector<double> trial, trial_error, history(iterations + 1);
-    LeastNormStep least_norm_step;
+    LeastNormStep<Number> least_norm_step;
+    bool moved = true;
     int& done = best.iterations;
     while (worst(best.error) > tolerance && done < iterations) {
         history[done] = cost;
         const int past = done - damping.stall_steps;
         if (past >= 0 && cost > damping.stall_fraction * history[past]) break;
         done++;
+        if (moved) least_norm_step.take(best.jacobian);
         trial = best.parameters;
-        const std::vector<double>& step = least_norm_step(best.jacobian, best.error, factor);
+        const std::vector<Number>& step = least_norm_step(best.error, factor);
         for (size_t p = 0; p < trial.size(); p++) trial[p] += step[p];
         evaluate(trial, trial_error);
         const double trial_cost = squared(trial_error);
-        if (trial_cost < cost) {
+        moved = trial_cost < cost;
+        if (moved) {
             best.parameters.swap(trial), best.error.swap(trial_error);
             cost = trial_cost;
             slopes(best.jacobian);
@@ -97,6 +154,11 @@ Fit levenberg_marquardt(const Evaluate& evaluate, const Slopes& slopes, std::vec
     }
     return best;
 }
+
+template FitOf<double> levenberg_marquardt(const Evaluate&, const Slopes<double>&,
+                                           std::vector<double>, const Damping&, double, int);
+template FitOf<float> levenberg_marquardt(const Evaluate&, const Slopes<float>&,
+                                          std::vector<double>, const Damping&, double, int);
 
 // A symmetric matrix of three diagonals: the middle one (n,), and squares of that beside it, the
 // first of which is zero.

@@ -1,8 +1,8 @@
 """The cycle map for searches: parts in blocks, and derivatives summed over a few steps each.
 
-The same map as `stick_slip`. Parts are innermost, in blocks of `LANES`: loops of known length over
-neighbours in memory become vector instructions, so a block of few parts takes as long as a full
-one, and sixteen parts take half as long as there. Steps are equal.
+The same map as `stick_slip`, in single precision: places are rounded by less than 1e-7 m. Parts are
+innermost, in blocks of `LANES`: loops of known length over neighbours in memory become vector
+instructions, so a block of few parts takes as long as a full one. Steps are equal.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def blocks_of(
 ) -> np.ndarray:
     """Return the state (b, `STATE`) of parts (M, 2), (M, 2), (M,); what is over is zero."""
     rows = np.column_stack([position, velocity, friction_accel * dt])
-    state = np.zeros((-(-len(rows) // LANES) * LANES, 5))
+    state = np.zeros((-(-len(rows) // LANES) * LANES, 5), np.float32)
     state[: len(rows)] = rows
     return np.ascontiguousarray(state.reshape(-1, LANES, 5).transpose(0, 2, 1)).reshape(-1, STATE)
 
@@ -39,7 +39,7 @@ def trace(
 
 def adjoint(
     steps: np.ndarray, twist: np.ndarray, dt: float, coast: float,
-    by_twist: np.ndarray, by_pose: np.ndarray,
+    by_twist: np.ndarray,
 ) -> None:  # fmt: skip
     """Find the derivatives of where parts would be if they kept their last velocity for `coast` [s]
     after the motion; each is the sum over a bin of as many steps.
@@ -50,7 +50,8 @@ def adjoint(
         Of `trace`.
     twist : (n, 3)
     dt, coast : float
-    by_twist, by_pose : (bins, b, 2, 3 LANES), (bins, b, 2, 2 LANES)
-        Results: of x, then of y, of a block's parts, by the plate's x and y, and theta last.
+    by_twist : (bins, b, 2, 3 LANES)
+        Result: of x, then of y, of a block's parts, by the plate's twist along x, y and theta.
+        Poses follow from it.
     """
-    _kernels.adjoint(steps, twist, dt, coast, by_twist, by_pose)
+    _kernels.adjoint(steps, twist, dt, coast, by_twist)

@@ -125,29 +125,27 @@ static void bind_turning(nb::module_& m) {
 template <auto TRACE_PARTS, auto ADJOINT>
 static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjoint_name,
                         size_t axes, size_t state_size, size_t trace_size) {
-    m.def(trace_name, [=](Array<double, 2> state, Table pose, Table twist, double dt,
-                          Array<double, 3> steps) {
+    using Singles = Array<const float, 2>;
+    m.def(trace_name, [=](Array<float, 2> state, Singles pose, Singles twist, float dt,
+                          Array<float, 3> steps) {
         check("state", state, {state.shape(0), state_size});
         check("pose", pose, {pose.shape(0), 3});
         check("twist", twist, {pose.shape(0), 3});
         check("steps", steps, {pose.shape(0), state.shape(0), trace_size});
         nb::gil_scoped_release others_may_run;
-        TRACE_PARTS(view(state), LANES * state.shape(0), samples(pose), samples(twist), dt,
-                    view(steps));
+        TRACE_PARTS(view(state), samples(pose), samples(twist), dt, view(steps));
     }, "state"_a.noconvert(), "pose"_a, "twist"_a, "dt"_a, "steps"_a.noconvert());
-    m.def(adjoint_name, [=](Box steps, Table twist, double dt, double coast,
-                            Array<double, 4> by_twist, Array<double, 4> by_pose) {
+    m.def(adjoint_name, [=](Array<const float, 3> steps, Singles twist, float dt, float coast,
+                            Array<float, 4> by_twist) {
         const size_t blocks = steps.shape(1), bins = by_twist.shape(0);
         check("steps", steps, {twist.shape(0), blocks, trace_size});
         check("twist", twist, {twist.shape(0), 3});
         check("by_twist", by_twist, {bins, blocks, axes, 3 * LANES});
-        check("by_pose", by_pose, {bins, blocks, axes, 2 * LANES});
         if (bins == 0 || twist.shape(0) % bins)
             throw nb::value_error("the steps are no multiple of the bins");
         nb::gil_scoped_release others_may_run;
-        ADJOINT(view(steps), LANES * blocks, samples(twist), dt, coast, view(by_twist),
-                view(by_pose));
-    }, "steps"_a, "twist"_a, "dt"_a, "coast"_a, "by_twist"_a.noconvert(), "by_pose"_a.noconvert());
+        ADJOINT(view(steps), samples(twist), dt, coast, view(by_twist));
+    }, "steps"_a, "twist"_a, "dt"_a, "coast"_a, "by_twist"_a.noconvert());
 }
 
 void bind_maps(nb::module_& m) {

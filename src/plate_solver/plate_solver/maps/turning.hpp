@@ -16,7 +16,7 @@ constexpr int TURNING_STATE = 10 * LANES, TURNING_TRACE = 11 * LANES;
 namespace turning {
 
 // Rows of a state: as in `blocks`, then turn [rad], spin [rad/s] and second moments [m2].
-using blocks::X, blocks::Y, blocks::VX, blocks::VY, blocks::BOUND, blocks::TINY, blocks::GROUP;
+using blocks::X, blocks::Y, blocks::VX, blocks::VY, blocks::BOUND;
 constexpr int TURN = 5 * LANES, SPIN = 6 * LANES;
 constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
 
@@ -28,92 +28,90 @@ constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 // slides J is its mean over all directions.
 constexpr double SLOW2 = 1e-4;
 
+// Keeps 0/0 away [m2/s2].
+constexpr double TINY = 1e-30;
+
 }  // namespace turning
 
 // As `trace`, in blocks (b, TURNING_STATE), (n, b, TURNING_TRACE).
-PLATE_WIDE inline void trace_turning(View<double, 2> state, int parts, Samples pose, Samples twist,
-                                     double dt, View<double, 3> steps) {
+PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose,
+                                     SamplesOf<float> twist, float dt, View<float, 3> steps) {
     using namespace turning;
+    constexpr float slow2 = SLOW2, tiny = TINY;
     for (int k = 0; k < twist.count; k++) {
-        const double px = pose(k, 0), py = pose(k, 1);
-        const double u = twist(k, 0), v = twist(k, 1), s = twist(k, 2);
+        const float px = pose(k, 0), py = pose(k, 1);
+        const float u = twist(k, 0), v = twist(k, 1), s = twist(k, 2);
         for (int block = 0; block < state.size(0); block++) {
-            double* __restrict own = state[block];
-            double* __restrict step = &steps(k, block, 0);
-            for (int lane = 0; lane < lanes_used(parts, block); lane += GROUP)
+            float* __restrict own = state[block];
+            float* __restrict step = &steps(k, block, 0);
 #pragma omp simd
-                for (int i = lane; i < lane + GROUP; i++) {
-                    const double rx = own[X + i] - px, ry = own[Y + i] - py;
-                    const double dx = u - s * ry - own[VX + i], dy = v + s * rx - own[VY + i];
-                    const double dw = s - own[SPIN + i];
-                    const double xx = own[SXX + i], xy = own[SXY + i], yy = own[SYY + i];
-                    const double square = dx * dx + dy * dy;
-                    const double by_gyration2 = 1 / (xx + yy), by_square = 1 / (square + SLOW2);
-                    const double along = dx * dx * xx + 2 * dx * dy * xy + dy * dy * yy;
-                    const double j = (along + SLOW2 * 0.5 * (xx + yy)) * by_square;
-                    const double jx = 2 * (dx * xx + dy * xy - dx * j) * by_square;
-                    const double jy = 2 * (dx * xy + dy * yy - dy * j) * by_square;
-                    const double inverse = 1 / std::sqrt(square + j * dw * dw + TINY);
-                    double g = own[BOUND + i] * inverse;
-                    const double slips = g < 1 ? 1.0 : 0.0;
-                    g = std::min(g, 1.0);
-                    const double down = g * inverse * inverse * slips;
-                    const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;
-                    const double lever = j * by_gyration2, turns = dw * by_gyration2;
-                    step[i] = g - down * dx * bx, step[LANES + i] = -down * dx * by;
-                    step[2 * LANES + i] = -down * dx * j * dw;
-                    step[3 * LANES + i] = -down * dy * bx, step[4 * LANES + i] = g - down * dy * by;
-                    step[5 * LANES + i] = -down * dy * j * dw;
-                    step[6 * LANES + i] = turns * (g * jx - down * j * bx);
-                    step[7 * LANES + i] = turns * (g * jy - down * j * by);
-                    step[8 * LANES + i] = lever * (g - down * dw * j * dw);
-                    step[ARM_X + i] = rx, step[ARM_Y + i] = ry;
-                    const double vx = own[VX + i] + g * dx, vy = own[VY + i] + g * dy;
-                    const double spin = own[SPIN + i] + g * lever * dw;
-                    own[VX + i] = vx, own[VY + i] = vy, own[SPIN + i] = spin;
-                    own[X + i] += dt * vx, own[Y + i] += dt * vy, own[TURN + i] += dt * spin;
-                }
+            for (int i = 0; i < LANES; i++) {
+                const float rx = own[X + i] - px, ry = own[Y + i] - py;
+                const float dx = u - s * ry - own[VX + i], dy = v + s * rx - own[VY + i];
+                const float dw = s - own[SPIN + i];
+                const float xx = own[SXX + i], xy = own[SXY + i], yy = own[SYY + i];
+                const float square = dx * dx + dy * dy;
+                const float by_gyration2 = 1 / (xx + yy), by_square = 1 / (square + slow2);
+                const float along = dx * dx * xx + 2 * dx * dy * xy + dy * dy * yy;
+                const float j = (along + slow2 * 0.5f * (xx + yy)) * by_square;
+                const float jx = 2 * (dx * xx + dy * xy - dx * j) * by_square;
+                const float jy = 2 * (dx * xy + dy * yy - dy * j) * by_square;
+                const float inverse = 1 / std::sqrt(square + j * dw * dw + tiny);
+                float g = own[BOUND + i] * inverse;
+                const float slips = g < 1 ? 1.0f : 0.0f;
+                g = std::min(g, 1.0f);
+                const float down = g * inverse * inverse * slips;
+                const float bx = dx + 0.5f * dw * dw * jx, by = dy + 0.5f * dw * dw * jy;
+                const float lever = j * by_gyration2, turns = dw * by_gyration2;
+                step[i] = g - down * dx * bx, step[LANES + i] = -down * dx * by;
+                step[2 * LANES + i] = -down * dx * j * dw;
+                step[3 * LANES + i] = -down * dy * bx, step[4 * LANES + i] = g - down * dy * by;
+                step[5 * LANES + i] = -down * dy * j * dw;
+                step[6 * LANES + i] = turns * (g * jx - down * j * bx);
+                step[7 * LANES + i] = turns * (g * jy - down * j * by);
+                step[8 * LANES + i] = lever * (g - down * dw * j * dw);
+                step[ARM_X + i] = rx, step[ARM_Y + i] = ry;
+                const float vx = own[VX + i] + g * dx, vy = own[VY + i] + g * dy;
+                const float spin = own[SPIN + i] + g * lever * dw;
+                own[VX + i] = vx, own[VY + i] = vy, own[SPIN + i] = spin;
+                own[X + i] += dt * vx, own[Y + i] += dt * vy, own[TURN + i] += dt * spin;
+            }
         }
     }
 }
 
-// As `adjoint`, of places and turns: (bins, b, 3, 3 LANES), (bins, b, 3, 2 LANES).
-PLATE_WIDE inline void adjoint_turning(View<const double, 3> steps, int parts, Samples twist,
-                                       double dt, double coast, View<double, 4> by_twist,
-                                       View<double, 4> by_pose) {
+// As `adjoint`, of places and turns: (bins, b, 3, 3 LANES).
+PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<float> twist, float dt,
+                                       float coast, View<float, 4> by_twist) {
     using namespace turning;
     const int bins = by_twist.size(0), each = twist.count / bins;
     for (int block = 0; block < steps.size(1); block++)
         for (int axis = 0; axis < 3; axis++) {
-            alignas(64) double own[6 * LANES] = {};  // adjoints of x, y, turn; vx, vy, spin
-            std::fill_n(own + axis * LANES, LANES, 1.0);
-            std::fill_n(own + (3 + axis) * LANES, LANES, coast);
+            const Eight end_x = Eight{} + (axis == 0 ? 1.0f : 0.0f), end_y = Eight{} + (axis == 1 ? 1.0f : 0.0f);
+            const Eight turn = Eight{} + (axis == 2 ? 1.0f : 0.0f);
+            Eight x = end_x, y = end_y, vx = coast * x, vy = coast * y, spin = coast * turn;
             for (int bin = bins - 1; bin >= 0; bin--) {
-                alignas(64) double sum[5 * LANES] = {};
+                Eight on_u{}, on_v{}, on_w{};
                 for (int k = (bin + 1) * each - 1; k >= bin * each; k--) {
-                    const double s = twist(k, 2);
-                    const double* __restrict step = &steps(k, block, 0);
-                    for (int lane = 0; lane < lanes_used(parts, block); lane += GROUP)
-#pragma omp simd
-                        for (int i = lane; i < lane + GROUP; i++) {
-                            const double* d = step + i;
-                            const double cx = own[3 * LANES + i] + dt * own[i];
-                            const double cy = own[4 * LANES + i] + dt * own[LANES + i];
-                            const double cw = own[5 * LANES + i] + dt * own[2 * LANES + i];
-                            const double gx = d[0] * cx + d[3 * LANES] * cy + d[6 * LANES] * cw;
-                            const double gy = d[LANES] * cx + d[4 * LANES] * cy + d[7 * LANES] * cw;
-                            const double gw =
-                                d[2 * LANES] * cx + d[5 * LANES] * cy + d[8 * LANES] * cw;
-                            own[3 * LANES + i] = cx - gx, own[4 * LANES + i] = cy - gy;
-                            own[5 * LANES + i] = cw - gw;
-                            own[i] += s * gy, own[LANES + i] -= s * gx;
-                            sum[i] += gx, sum[LANES + i] += gy;
-                            sum[2 * LANES + i] += d[ARM_X] * gy - d[ARM_Y] * gx + gw;
-                            sum[3 * LANES + i] -= s * gy, sum[4 * LANES + i] += s * gx;
-                        }
+                    const float s = twist(k, 2);
+                    const float* step = &steps(k, block, 0);
+                    Eight d[9], arm_x, arm_y;
+                    for (int c = 0; c < 9; c++) load(d[c], step + c * LANES);
+                    load(arm_x, step + ARM_X), load(arm_y, step + ARM_Y);
+                    const Eight cx = vx + dt * x, cy = vy + dt * y, cw = spin + dt * turn;
+                    const Eight gx = d[0] * cx + d[3] * cy + d[6] * cw;
+                    const Eight gy = d[1] * cx + d[4] * cy + d[7] * cw;
+                    const Eight gw = d[2] * cx + d[5] * cy + d[8] * cw;
+                    vx = cx - gx, vy = cy - gy, spin = cw - gw;
+                    const Eight more_x = s * gy, more_y = s * gx;
+                    on_u += gx + dt * (end_x - x - 0.5f * more_x);
+                    on_v += gy + dt * (end_y - y + 0.5f * more_y);
+                    on_w += arm_x * gy - arm_y * gx + gw;
+                    x += more_x, y -= more_y;
                 }
-                std::copy_n(sum, 3 * LANES, &by_twist(bin, block, axis, 0));
-                std::copy_n(sum + 3 * LANES, 2 * LANES, &by_pose(bin, block, axis, 0));
+                float* on_twist = &by_twist(bin, block, axis, 0);
+                store(on_u, on_twist), store(on_v, on_twist + LANES);
+                store(on_w, on_twist + 2 * LANES);
             }
         }
 }

@@ -92,7 +92,7 @@ def turning_blocks_of(
     up a block lie still."""
     still = np.zeros(len(position))
     rows = np.column_stack([position, velocity, friction_accel * dt, still, spin, spread])
-    state = np.zeros((-(-len(rows) // LANES) * LANES, 10))
+    state = np.zeros((-(-len(rows) // LANES) * LANES, 10), np.float32)
     state[:, 7] = state[:, 9] = 1.0  # second moments xx and yy
     state[: len(rows)] = rows
     blocks = state.reshape(-1, LANES, 10).transpose(0, 2, 1)
@@ -109,7 +109,7 @@ def trace_turning(
 
 def adjoint_turning(
     steps: np.ndarray, twist: np.ndarray, dt: float, coast: float,
-    by_twist: np.ndarray, by_pose: np.ndarray,
+    by_twist: np.ndarray,
 ) -> None:  # fmt: skip
     """Find the derivatives of places and turns as `blocks.adjoint` does of places.
 
@@ -119,8 +119,8 @@ def adjoint_turning(
         Of `trace_turning`.
     twist : (n, 3)
     dt, coast : float
-    by_twist, by_pose : (bins, b, 3, 3 LANES), (bins, b, 3, 2 LANES)
-        Results: of x, of y, then of the turns of a block's parts, by the plate's x and y, and theta
-        last.
+    by_twist : (bins, b, 3, 3 LANES)
+        Result: of x, of y, then of the turns of a block's parts, by the plate's twist along x, y
+        and theta. Poses follow from it.
     """
-    _kernels.adjoint_turning(steps, twist, dt, coast, by_twist, by_pose)
+    _kernels.adjoint_turning(steps, twist, dt, coast, by_twist)

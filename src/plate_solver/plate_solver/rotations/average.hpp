@@ -187,7 +187,8 @@ inline Fit descend(const SequenceForces& problem, Parameters theta, double toler
         for (int r = 0; r < jacobian.rows; r++)
             for (int p = 0; p < jacobian.columns; p++) jacobian[r][p] *= problem.scale(r);
     };
-    return levenberg_marquardt(evaluate, slopes, std::move(theta), PATIENT, tolerance, iterations);
+    return levenberg_marquardt<double>(evaluate, slopes, std::move(theta), PATIENT, tolerance,
+                                       iterations);
 }
 
 }  // namespace plate::rotations

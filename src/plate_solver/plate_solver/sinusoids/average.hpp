@@ -199,8 +199,8 @@ private:
             force_error(grid, force, trial, error, &now);  // slopes share most of the work
         };
         const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };
-        return levenberg_marquardt(evaluate, slopes, std::move(theta), damping, tolerance,
-                                   iterations);
+        return levenberg_marquardt<double>(evaluate, slopes, std::move(theta), damping, tolerance,
+                                           iterations);
     }
 
     // Coefficients (h, 3) of parameters (3 h,).

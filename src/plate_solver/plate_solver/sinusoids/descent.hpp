@@ -17,35 +17,37 @@ namespace plate::descent {
 
 using namespace sinusoids;
 
-// Where what is left is much more than what a cycle can do, a step gains little of it.
-constexpr Damping DAMPING{1e-2, 1e-6, 1e3, 3.0, 4.0, 6, 0.9999};
+// If the distances to go are much longer than one cycle allows, a step gains little of them. With 1e-2
+// at first, most of the first five steps are refused.
+constexpr Damping DAMPING{1.0, 1e-6, 1e3, 3.0, 4.0, 6, 0.9999};
 
-// A basis of h sinusoidal motions, and the limits that it presses against.
+// A basis of h sinusoidal motions, and the limits that it presses against. What moves parts is in
+// single precision.
 struct Motions {
-    Matrix pose, twist;            // (h, n): the basis at the middles of steps
-    Matrix pose_bins, twist_bins;  // (bins, h): its means over bins of steps
-    Looks looks;                   // where limits are looked at
-    double scale[3];               // coefficients of a parameter along x, y and theta
-    double dt;                     // length of a step [s]
+    MatrixOf<float> pose, twist;  // (h, n): the basis at the middles of steps
+    MatrixOf<float> twist_bins;   // (bins, h): its means over bins of steps
+    Looks looks;                  // where limits are looked at
+    double scale[3];              // coefficients of a parameter along x, y and theta
+    double dt;                    // length of a step [s]
     Limits limits;
 
     int size() const { return pose.rows; }
     int steps() const { return pose.columns; }
-    int bins() const { return pose_bins.rows; }
+    int bins() const { return twist_bins.rows; }
 };
 
 // What the plate does without the basis: on its way to rest from the state in which it begins.
 struct Settling {
-    Matrix pose, twist;  // (3, n) at the middles of steps
-    Looked looked;       // where limits are looked at
-    bool moves;          // whether it does anything
+    MatrixOf<float> pose, twist;  // (3, n) at the middles of steps
+    Looked looked;                // where limits are looked at
+    bool moves;                   // whether it does anything
 };
 
 // What a descent is to do.
 struct Problem {
     const Motions& motions;
     const Settling& settling;
-    View<const double, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
+    View<const float, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
     double coast;  // [s]
     double most;   // fraction of the limits that may be used on the way
@@ -57,9 +59,11 @@ struct Problem {
 
 // Memory of a descent: what is written anew at each evaluation.
 struct Room {
-    AlignedNumbers steps, by_twist, by_pose;
+    AlignedNumbers<float> steps, by_twist;
+    std::vector<float> moving;
     std::vector<double> own, place;
-    Matrix state, pose, twist, on_twist, on_pose, ends, by_place, used;
+    MatrixOf<float> state, pose, twist, on_twist, ends;
+    Matrix by_place, used;
     Looked looked;
     Excess excess;
 };
@@ -72,7 +76,6 @@ public:
         const int trace = problem.turning() ? TURNING_TRACE : TRACE;
         room.steps.resize(motions.steps() * blocks * trace);
         room.by_twist.resize(motions.bins() * blocks * axes * 3 * LANES);
-        room.by_pose.resize(motions.bins() * blocks * axes * 2 * LANES);
         room.own.resize(3 * motions.size());
         room.place.resize(axes * problem.ends.parts);
         steps = {room.steps.data(), {motions.steps(), blocks, trace}};
@@ -90,8 +93,9 @@ public:
             for (double& value : theta) value *= std::max(share, 0.0);
             look_at(theta);
         }
-        combine(room.own.data(), motions.pose, room.pose);
-        combine(room.own.data(), motions.twist, room.twist);
+        room.moving.assign(room.own.begin(), room.own.end());
+        combine(room.moving.data(), motions.pose, room.pose);
+        combine(room.moving.data(), motions.twist, room.twist);
         if (problem.settling.moves) {
             add_to(room.pose, problem.settling.pose);
             add_to(room.twist, problem.settling.twist);
@@ -107,17 +111,17 @@ public:
     }
 
     // Minus the derivatives (R + K, 3 h) of the errors of the motion that was evaluated last.
-    void slopes(Matrix& jacobian) {
+    void slopes(MatrixOf<float>& jacobian) {
         find_slopes_of_ends();
         const int rows = room.by_place.rows, wide = 3 * motions.size();
         jacobian.resize(rows + room.excess.found, wide);
         for (int r = 0; r < rows; r++) {
-            double* __restrict row = jacobian[r];
-            std::fill_n(row, wide, 0.0);
+            float* __restrict row = jacobian[r];
+            std::fill_n(row, wide, 0.0f);
             for (int c = 0; c < room.by_place.columns; c++) {
-                const double factor = room.by_place[r][c];
+                const float factor = room.by_place[r][c];
                 if (factor == 0) continue;  // most are
-                const double* __restrict end = room.ends[c];
+                const float* __restrict end = room.ends[c];
                 for (int p = 0; p < wide; p++) row[p] += factor * end[p];
             }
         }
@@ -133,7 +137,7 @@ private:
     Room& room;
     int blocks, axes;
     double settling_use = 0;  // fraction of the limits
-    View<double, 3> steps;
+    View<float, 3> steps;
 
     double use_of(const Looked& at) const {
         const std::vector<double>& weight = motions.looks.weight;
@@ -151,7 +155,8 @@ private:
         add_to(room.looked.accel, problem.settling.looked.accel);
     }
 
-    static void add_to(Matrix& path, const Matrix& more) {
+    template <class Number>
+    static void add_to(MatrixOf<Number>& path, const MatrixOf<Number>& more) {
         for (int axis = 0; axis < path.rows; axis++)
             for (int k = 0; k < path.columns; k++) path[axis][k] += more[axis][k];
     }
@@ -163,12 +168,12 @@ private:
         const int parts = problem.ends.parts, wide = problem.start.size(1);
         room.state.resize(blocks, wide);
         std::copy_n(problem.start.data, blocks * wide, room.state[0]);
-        const View<double, 2> state{room.state[0], {blocks, wide}};
+        const View<float, 2> state{room.state[0], {blocks, wide}};
         const auto trace = problem.turning() ? trace_turning : plate::trace;
-        trace(state, parts, samples(room.pose), samples(room.twist), motions.dt, steps);
+        trace(state, samples(room.pose), samples(room.twist), motions.dt, steps);
         for (int axis = 0; axis < axes; axis++)
             for (int i = 0; i < parts; i++) {
-                const double* own = state[i / LANES] + i % LANES;
+                const float* own = state[i / LANES] + i % LANES;
                 room.place[axis * parts + i] = own[PLACE[axis]] + problem.coast * own[RATE[axis]];
             }
     }
@@ -176,46 +181,33 @@ private:
     // The derivatives (C, 3 h) of where parts end, by the parameters.
     void find_slopes_of_ends() {
         const int size = motions.size(), bins = motions.bins(), parts = problem.ends.parts;
-        const View<double, 4> by_twist{room.by_twist.data(), {bins, blocks, axes, 3 * LANES}};
-        const View<double, 4> by_pose{room.by_pose.data(), {bins, blocks, axes, 2 * LANES}};
+        const View<float, 4> by_twist{room.by_twist.data(), {bins, blocks, axes, 3 * LANES}};
         const auto adjoint = problem.turning() ? adjoint_turning : plate::adjoint;
-        adjoint({steps.data, steps.shape}, parts, samples(room.twist), motions.dt, problem.coast,
-                by_twist, by_pose);
-        const int each = blocks * axes * LANES;
-        onto_basis(motions.twist_bins, room.by_twist.data(), 3 * each, room.on_twist);
-        onto_basis(motions.pose_bins, room.by_pose.data(), 2 * each, room.on_pose);
+        adjoint({steps.data, steps.shape}, samples(room.twist), motions.dt, problem.coast, by_twist);
+        const int wide = blocks * axes * 3 * LANES;
+        room.on_twist.resize(size, wide);
+        product(motions.twist_bins[0], size, room.by_twist.data(), wide, bins, size, wide,
+                room.on_twist[0], wide);
         room.ends.resize(axes * parts, 3 * size);
         for (int axis = 0; axis < axes; axis++)
             for (int i = 0; i < parts; i++) {
-                const int at = i / LANES * axes + axis, lane = i % LANES;
-                double* row = room.ends[axis * parts + i];
-                for (int h = 0; h < size; h++) {
-                    const double* on_twist = room.on_twist[h] + at * 3 * LANES + lane;
-                    const double* on_pose = room.on_pose[h] + at * 2 * LANES + lane;
-                    row[3 * h] = motions.scale[0] * (on_twist[0] + on_pose[0]);
-                    row[3 * h + 1] = motions.scale[1] * (on_twist[LANES] + on_pose[LANES]);
-                    row[3 * h + 2] = motions.scale[2] * on_twist[2 * LANES];
-                }
+                const int at = (i / LANES * axes + axis) * 3 * LANES + i % LANES;
+                float* row = room.ends[axis * parts + i];
+                for (int h = 0; h < size; h++)
+                    for (int c = 0; c < 3; c++)
+                        row[3 * h + c] = motions.scale[c] * room.on_twist[h][at + c * LANES];
             }
-    }
-
-    // result (h, wide) = basis' (h, bins) times derivatives (bins, wide).
-    static void onto_basis(const Matrix& basis, const double* derivatives, int wide,
-                           Matrix& result) {
-        result.resize(basis.columns, wide);
-        product(basis[0], basis.columns, derivatives, wide, basis.rows, basis.columns, wide,
-                result[0], wide);
     }
 };
 
 // Improve a motion (3 h,) until no part misses more than `tolerance` [m], or it helps no more. The
 // errors of the result are those of the ends, and then limits that are exceeded.
-inline Fit descend(const Problem& problem, std::vector<double> theta, double tolerance,
+inline FitOf<float> descend(const Problem& problem, std::vector<double> theta, double tolerance,
                    int iterations, Room& room) {
     Descent descent(problem, room);
-    return levenberg_marquardt(
+    return levenberg_marquardt<float>(
         [&](auto& parameters, auto& error) { descent.evaluate(parameters, error); },
-        [&](Matrix& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance,
+        [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance,
         iterations);
 }
 

@@ -37,12 +37,10 @@ class Motions(NamedTuple):
     @classmethod
     def of(cls, basis: SinusoidBasis, limits: Limits) -> Motions:
         """Take a basis whose number of steps is a multiple of `BIN`."""
-        pose_bins, twist_bins = (
-            matrix.reshape(-1, BIN, basis.size).mean(axis=1) for matrix in (basis.pose, basis.twist)
-        )
+        twist_bins = basis.twist.reshape(-1, BIN, basis.size).mean(axis=1)
         scale = np.array([1.0, 1.0, 1 / limits.arm_m])
         kept = _kernels.motions_of(
-            basis.pose, basis.twist, pose_bins, twist_bins, *basis.looks,
+            basis.pose, basis.twist, twist_bins, *basis.looks,
             TAIL_LOOKS * basis.free_end, scale, basis.dt, limits,
         )  # fmt: skip
         return cls(basis, kept)

@@ -10,15 +10,18 @@ using namespace sinusoids;
 using descent::Motions;
 using descent::Problem;
 
-static Matrix matrix_of(const Table& array) {
-    Matrix result(array.shape(0), array.shape(1));
+template <class Number = double>
+static MatrixOf<Number> matrix_of(const Table& array) {
+    MatrixOf<Number> result(array.shape(0), array.shape(1));
     std::copy_n(array.data(), array.size(), result[0]);
     return result;
 }
 
-static Matrix transposed(const Table& array) {
-    Matrix result;
-    transpose(matrix_of(array), result);
+template <class Number = double>
+static MatrixOf<Number> transposed(const Table& array) {
+    MatrixOf<Number> result(array.shape(1), array.shape(0));
+    for (int i = 0; i < result.rows; i++)
+        for (int c = 0; c < result.columns; c++) result[i][c] = array(c, i);
     return result;
 }
 
@@ -51,18 +54,17 @@ static nb::tuple found_by(const Table& coefficients, const Looks& basis, int mos
                           to_numpy<3>({slope, slope + rows * 3 * size}, {rows, size, 3}));
 }
 
-static Motions motions_of(Table pose, Table twist, Table pose_bins, Table twist_bins,
-                          Table look_pose, Table look_twist, Table look_accel, int tail, Numbers scale,
-                          double dt, nb::tuple limits) {
-    const size_t size = pose.shape(1), bins = pose_bins.shape(0);
+static Motions motions_of(Table pose, Table twist, Table twist_bins, Table look_pose,
+                          Table look_twist, Table look_accel, int tail, Numbers scale, double dt,
+                          nb::tuple limits) {
+    const size_t size = pose.shape(1), bins = twist_bins.shape(0);
     check("twist", twist, {pose.shape(0), size});
-    check("pose_bins", pose_bins, {bins, size});
     check("twist_bins", twist_bins, {bins, size});
     check("looks", look_pose, {look_pose.shape(0), size});
     check("scale", scale, {3});
     if (bins == 0 || pose.shape(0) % bins)
         throw nb::value_error("the steps are no multiple of the bins");
-    return {transposed(pose), transposed(twist), matrix_of(pose_bins), matrix_of(twist_bins),
+    return {transposed<float>(pose), transposed<float>(twist), matrix_of<float>(twist_bins),
             looks_of(look_pose, look_twist, look_accel, tail), {scale(0), scale(1), scale(2)}, dt,
             limits_of(limits)};
 }
@@ -74,12 +76,13 @@ static descent::Settling settling_of(Table pose, Table twist, Table look_pose, T
     for (const Table* each : {&look_pose, &look_twist, &look_accel})
         check("settling", *each, {look_pose.shape(0), 3});
     const auto moves = [](double value) { return value != 0; };
-    return {transposed(pose), transposed(twist),
+    return {transposed<float>(pose), transposed<float>(twist),
             {transposed(look_pose), transposed(look_twist), transposed(look_accel)},
             std::any_of(look_accel.data(), look_accel.data() + look_accel.size(), moves)};
 }
 
-static nb::tuple descend(const Motions& motions, const descent::Settling& settling, Table start, nb::tuple ends_record, double coast,
+static nb::tuple descend(const Motions& motions, const descent::Settling& settling,
+                         Array<const float, 2> start, nb::tuple ends_record, double coast,
                          double most, Numbers theta, double tolerance, int iterations) {
     const bool turning = start.shape(1) == TURNING_STATE;
     const size_t ends = nb::cast<Numbers>(ends_record[0]).size(), axes = turning ? 3 : 2;
@@ -93,7 +96,7 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
         settling.looked.pose.columns != motions.looks.count())
         throw nb::value_error("settling and motions do not belong together");
     check("theta", theta, {3 * static_cast<size_t>(motions.size())});
-    Fit fit;
+    FitOf<float> fit;
     {
         nb::gil_scoped_release others_may_run;
         static thread_local descent::Room room;

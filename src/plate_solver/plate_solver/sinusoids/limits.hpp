@@ -45,10 +45,14 @@ struct Excess {
     }
 };
 
-inline Samples samples(const Matrix& path) { return {path[0], path.columns, 1, path.columns}; }
+template <class Number>
+SamplesOf<Number> samples(const MatrixOf<Number>& path) {
+    return {path[0], path.columns, 1, path.columns};
+}
 
 // path (3, n) = the motion that coefficients (h, 3) make of a basis (h, n).
-inline void combine(const double* coefficients, const Matrix& basis, Matrix& path) {
+template <class Number>
+void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf<Number>& path) {
     path.resize(3, basis.columns);
     product(coefficients, 3, basis[0], basis.columns, basis.rows, 3, basis.columns, path[0],
             basis.columns);

@@ -16,7 +16,7 @@ from plate_core import PlateCycle
 
 from ..fit import Fit
 from ..limits import Limits, within_limits
-from ..maps import finely_sampled
+from ..maps import PREDICTION_STEP
 from ..requests import Goal
 from .basis import sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
@@ -30,6 +30,9 @@ EXACT: Grid = (0.4e-3, 26, 8)
 ROUGH: Grid = (0.8e-3, 16, 5)
 """Of exact drifts, and of progress: friction acts by first-order steps, which miss 10 % of a drift
 at 1 ms; what they miss at the end is aimed at once more. Fewer knots are sooner sent."""
+
+FINE: Grid = (PREDICTION_STEP, 1, 5)
+"""Of the steps by which a motion is judged."""
 
 BEYOND = 1.3
 """Fraction of the limits that the search may use on its way."""
@@ -133,8 +136,9 @@ class SinusoidSteering:
         def start(index: int, near: Fit) -> np.ndarray:
             if index < fresh:
                 return family.random(rng)
-            size = SPREAD * np.sqrt(np.mean(near.parameters**2))
-            return near.parameters + size * rng.normal(size=len(near.parameters))
+            own = near.parameters
+            size = SPREAD * math.sqrt(own @ own / len(own))
+            return own + size * rng.normal(size=len(own))
 
         def improved(start: np.ndarray) -> Fit:
             return descend(problem, start, tolerance, self._iterations)
@@ -145,9 +149,10 @@ class SinusoidSteering:
         began = self._clock()
         last = self._within(goal, motions, best.parameters, tolerance)
         strict = family_of(1.0)
+        fine = limited_sinusoids(*key[:2], self._limits, 1.0, FINE, *key[3:], goal.plate)
         for _ in range(AIMS):
-            fine = goal.end(*finely_sampled(strict.cycle(last.parameters)))
-            off = fine - goal.end(*strict.samples(last.parameters))
+            own = last.parameters
+            off = goal.end(*fine.samples(own)) - goal.end(*strict.samples(own))
             last = self._within(goal.shifted(-off), motions, last.parameters, tolerance)
             iterations += last.iterations
         self._warm[key] = strict.samples(last.parameters)[1]
@@ -155,7 +160,9 @@ class SinusoidSteering:
         asked = asked[np.any(asked != 0, axis=1)]
         condition = last._replace(jacobian=asked).condition if len(asked) else 1.0
         self._finishing = self._clock() - began
-        cycle = within_limits(strict.cycle(last.parameters), self._full, strict.cycle(0 * begin))
+        cycle = within_limits(
+            strict.cycle(last.parameters), self._full, lambda: strict.cycle(0 * begin)
+        )
         return cycle, iterations, condition
 
     def _search(

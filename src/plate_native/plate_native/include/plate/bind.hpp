@@ -43,7 +43,8 @@ inline nb::object field(const nb::tuple& record, size_t at) {
 }
 
 // Samples (n, 3).
-inline Samples samples(const Array<const double, 2>& array) {
+template <class Number>
+SamplesOf<Number> samples(const Array<const Number, 2>& array) {
     return {array.data(), static_cast<int>(array.shape(0)), 3, 1};
 }
 

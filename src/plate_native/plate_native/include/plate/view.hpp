@@ -46,30 +46,37 @@ struct Aligned {
     bool operator==(const Aligned&) const { return true; }
 };
 
-using AlignedNumbers = std::vector<double, Aligned<double>>;
+template <class Number>
+using AlignedNumbers = std::vector<Number, Aligned<Number>>;
 
 // A matrix that owns its numbers and keeps its memory when it becomes smaller.
-struct Matrix {
+template <class Number>
+struct MatrixOf {
     int rows = 0, columns = 0;
-    AlignedNumbers numbers;
+    AlignedNumbers<Number> numbers;
 
-    Matrix() = default;
-    Matrix(int r, int c) { resize(r, c); }
+    MatrixOf() = default;
+    MatrixOf(int r, int c) { resize(r, c); }
 
     void resize(int r, int c) {
         rows = r, columns = c;
         if (numbers.size() < static_cast<size_t>(r) * c) numbers.resize(static_cast<size_t>(r) * c);
     }
-    double* operator[](int row) { return numbers.data() + row * columns; }
-    const double* operator[](int row) const { return numbers.data() + row * columns; }
+    Number* operator[](int row) { return numbers.data() + row * columns; }
+    const Number* operator[](int row) const { return numbers.data() + row * columns; }
 };
+
+using Matrix = MatrixOf<double>;
 
 // Three numbers for each instant of a motion, in either order: x, y and theta of pose or twist.
-struct Samples {
-    const double* data;
+template <class Number>
+struct SamplesOf {
+    const Number* data;
     int count, by_sample, by_axis;
 
-    double operator()(int sample, int axis) const { return data[sample * by_sample + axis * by_axis]; }
+    Number operator()(int sample, int axis) const { return data[sample * by_sample + axis * by_axis]; }
 };
+
+using Samples = SamplesOf<double>;
 
 }  // namespace plate
