@@ -41,7 +41,7 @@ play: workspace ## Play on a live page: [SCENARIO=play] [RIG=...] [METHOD=...] [
 # Two for each core, 4 to 8: half of them mostly wait for real nodes, to which the others give way (test/lanes.py).
 WORKERS ?= $(shell cores=$$(env -u OMP_NUM_THREADS nproc); echo $$(( cores < 2 ? 4 : cores > 4 ? 8 : 2 * cores )))
 
-test-tools: checks ## Install Chromium, the ARM compiler and launch, for some tests: [SOURCES=https://github.com]
+test-tools: checks ## Install Chromium, ARM compilers and launch, for some tests: [SOURCES=https://github.com]
 	@$(ENTER) exec python tools/needs.py --install
 
 # What was made of the tests' code is kept, or each worker makes it anew, in 7 s, before its first one.

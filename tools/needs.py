@@ -28,6 +28,8 @@ PROGRAMS = {
     "chromium": (("chromium", "chromium-browser", "google-chrome"), "chromium"),
     "arm-none-eabi-gcc": (("arm-none-eabi-gcc",), "gcc-arm-none-eabi libnewlib-arm-none-eabi"),
     "qemu-system-arm": (("qemu-system-arm",), "qemu-system-arm"),
+    "aarch64-linux-gnu-g++": (("aarch64-linux-gnu-g++",), "g++-aarch64-linux-gnu"),
+    "qemu-aarch64": (("qemu-aarch64", "qemu-aarch64-static"), "qemu-user"),
 }
 """Programs that will do, any of them, and the Debian packages that hold one."""
 

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <vector>
 
+#include <plate/length.hpp>
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
 
@@ -74,7 +75,7 @@ inline void unit_slips(View<const double, 2> twists, View<const double, 2> posit
         for (int i = 0; i < position.size(0); i++) {
             const double wx = twists(t, 0) - spin * position(i, 1);
             const double wy = twists(t, 1) + spin * position(i, 0);
-            const double size = std::hypot(wx, wy);
+            const double size = length_of(wx, wy);
             slips(t, 2 * i) = size > 0 ? wx / size : 0;
             slips(t, 2 * i + 1) = size > 0 ? wy / size : 0;
         }
@@ -91,7 +92,7 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
     for (int i = 0; i < position.size(0); i++) {
         const double px = position(i, 0), py = position(i, 1);
         const double lx = separating[2 * i], ly = separating[2 * i + 1];
-        const double weight = std::hypot(lx, ly);
+        const double weight = length_of(lx, ly);
         if (weight == 0) continue;
         const double reach = radius * std::sqrt(1 + (px * px + py * py) / (arm_m * arm_m));
 #pragma omp simd
@@ -215,7 +216,7 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             circle.turn_to(tilt, turn);
             // Farthest normal of the cell from its middle, and half a step along the circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
-            const double radius = std::hypot(high - low, widest * (right - left)) / 2 + PI / n;
+            const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());
             if (greatest_triple(most.data(), n) < limit) continue;
             if (level == HALVINGS || work > MOST_WORK) return false;

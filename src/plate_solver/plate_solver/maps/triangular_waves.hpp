@@ -2,6 +2,8 @@
 #pragma once
 #include <cmath>
 
+#include <plate/length.hpp>
+
 #include "maps/mean_force.hpp"
 
 namespace plate {
@@ -14,8 +16,8 @@ constexpr double STRAIGHT = 1e-12;
 // direction's integral is the difference of sizes, across it the logarithm, here as
 // asinh, which loses no digits.
 inline Force mean_direction_between(Force p, Force q) {
-    const double first = std::hypot(p.x, p.y), last = std::hypot(q.x, q.y);
-    const double dx = q.x - p.x, dy = q.y - p.y, change = std::hypot(dx, dy);
+    const double first = length_of(p.x, p.y), last = length_of(q.x, q.y);
+    const double dx = q.x - p.x, dy = q.y - p.y, change = length_of(dx, dy);
     if (change <= STRAIGHT * (first + last))
         return first > 0 ? Force{p.x / first, p.y / first} : Force{0, 0};
     const double ex = dx / change, ey = dy / change;

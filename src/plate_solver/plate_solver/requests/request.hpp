@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include <plate/length.hpp>
 #include <plate/view.hpp>
 
 namespace plate {
@@ -33,7 +34,7 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
             flags.moving |= velocity(i, axis) != 0;
             flags.slack |= free != 0;
             flags.within &= wanted <= free;
-            least = std::hypot(least, std::max(wanted - free, 0.0));
+            least = scaled_length(least, std::max(wanted - free, 0.0));  // any finite force is sound
         }
         flags.loaded = std::max(flags.loaded, least);
     }

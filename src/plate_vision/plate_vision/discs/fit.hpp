@@ -5,6 +5,8 @@
 #include <cmath>
 #include <vector>
 
+#include <plate/length.hpp>
+
 #include "discs/measure.hpp"
 #include "discs/silhouette.hpp"
 
@@ -447,7 +449,7 @@ inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const 
         fits.push_back({x, y, radius, EDGE_PX[1], dark, dark});
         stretch.push_back(parts[k].stretch());
         const double cast =
-            shadows.any() ? std::hypot(shadows.cast[2 * k], shadows.cast[2 * k + 1]) : 0;
+            shadows.any() ? length_of(shadows.cast[2 * k], shadows.cast[2 * k + 1]) : 0;
         reach.push_back(parts[k].reach() + stretch[k] * cast + rim_of(parts[k]));
         discs[k].misfit = 1;
     }

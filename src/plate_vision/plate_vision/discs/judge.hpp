@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <vector>
 
+#include <plate/length.hpp>
+
 #include "discs/measure.hpp"
 #include "discs/silhouette.hpp"
 
@@ -72,7 +74,7 @@ inline Parts judge(const Disc* discs, const Silhouette* parts, View<const double
         kept.labels.push_back(light[k] > 1 + EQUAL ? 2 : light[k] >= limits.class_threshold);
         kept.found.push_back({disc.x_px, disc.y_px, disc.radius_px, angle,
                               std::clamp(1 - disc.misfit / most, 0.0, 1.0),
-                              std::hypot(disc.scatter_px, odd_px), disc.misfit});
+                              length_of(disc.scatter_px, odd_px), disc.misfit});
     }
     return kept;
 }

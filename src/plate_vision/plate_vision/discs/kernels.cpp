@@ -117,7 +117,7 @@ void bind_discs(nb::module_& m) {
                 "shape: cast (n, 2)");
         require(shade >= 0 && shade <= 1 && edge_px > 0, "shade: allowed: 0 to 1, edge_px: above 0");
         for (size_t k = 0; shade > 0 && k < cast.shape(0); k++)
-            require(std::hypot(cast(k, 0), cast(k, 1)) <= MOST_RADIUS_PX,
+            require(length_of(cast(k, 0), cast(k, 1)) <= MOST_RADIUS_PX,
                     "cast: allowed: up to 1e4 px");
         nb::gil_scoped_release others_may_run;
         fit_discs(plate, view(seeds), shapes, {cast.data(), shade, edge_px}, noise, out);

@@ -6,6 +6,8 @@
 #include <numbers>
 #include <vector>
 
+#include <plate/length.hpp>
+
 #include "discs/silhouette.hpp"
 #include "plate/light.hpp"
 
@@ -114,7 +116,7 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
         const float flat = sum[RoundWindow::FLAT] / mass - right * right + down * down;
         const float askew = sum[RoundWindow::ASKEW] / mass - 2 * right * down;
         const auto [expected_flat, expected_askew] = parts[k].flatness();
-        const double oblong = std::hypot(flat / wide - expected_flat, askew / wide - expected_askew);
+        const double oblong = length_of(flat / wide - expected_flat, askew / wide - expected_askew);
         // The mean over the inner part; the seed is near enough for that to be all inside.
         const float dark = std::max(inner / window.inner, static_cast<float>(MIN_DARKNESS));
         const double area = mass / (std::numbers::pi * dark);

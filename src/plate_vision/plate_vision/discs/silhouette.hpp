@@ -4,6 +4,8 @@
 #include <array>
 #include <cmath>
 
+#include <plate/length.hpp>
+
 namespace plate {
 
 // One row of `SILHOUETTE` (silhouette.py). `across` (2, 2) takes image offsets [px] from the part's
@@ -31,7 +33,7 @@ struct Silhouette {
         return {(xx - yy) / (xx + yy), 2 * xy / (xx + yy)};
     }
     bool is_high() const { return growth != 1 || lean_px[0] != 0 || lean_px[1] != 0; }
-    double lean_length() const { return std::hypot(lean_px[0], lean_px[1]); }
+    double lean_length() const { return length_of(lean_px[0], lean_px[1]); }
 
     // Largest length [px of the image] of what has a length of 1 px in the disc's frame.
     double stretch() const {

@@ -7,6 +7,7 @@
 #include <limits>
 #include <vector>
 
+#include <plate/length.hpp>
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
 
@@ -163,7 +164,7 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
     std::vector<double> way(number + 1);
     for (int i = 0; i < number; i++) {
         const Point &a = moved[i], &b = moved[(i + 1) % number];
-        way[i + 1] = way[i] + std::hypot(b.x - a.x, b.y - a.y);
+        way[i + 1] = way[i] + length_of(b.x - a.x, b.y - a.y);
     }
     for (int k = 0, i = 0; k < thinned.size(0); k++) {
         const double wanted = way[number] * k / thinned.size(0);

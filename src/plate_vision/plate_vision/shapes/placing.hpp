@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include <plate/length.hpp>
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
 
@@ -74,7 +75,7 @@ inline Support support(View<const float, 2> free, View<const float, 2> border,
 inline double farthest(View<const double, 2> points, const double* place) {
     double most = 0;
     for (int k = 0; k < points.size(0); k++)
-        most = std::max(most, std::hypot(points(k, 0) - place[0], points(k, 1) - place[1]));
+        most = std::max(most, length_of(points(k, 0) - place[0], points(k, 1) - place[1]));
     return most;
 }
 
@@ -124,8 +125,8 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
                                       View<const double, 2> inner, const double* pole, double depth,
                                       View<const double, 1> turns, int stride) {
     const int height = free.size(0), width = free.size(1);
-    const double scale = std::max(std::hypot(to_px(0, 0), to_px(0, 1)),
-                                  std::hypot(to_px(1, 0), to_px(1, 1)));
+    const double scale = std::max(length_of(to_px(0, 0), to_px(0, 1)),
+                                  length_of(to_px(1, 0), to_px(1, 1)));
     const double reach = scale * std::max(farthest(rim, pole), farthest(inner, pole));
     if (!(reach < MOST_MARGIN)) throw std::invalid_argument("the part is too large");
     const int margin = 2 + static_cast<int>(reach);  // no part leaves it

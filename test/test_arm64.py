@@ -1,0 +1,88 @@
+"""Kernels on arm64: all compile without a warning, and return what they return here.
+
+The programs in test/arm64 call kernels with random inputs. Their results depend on the C library's
+sin, log and so on too, whose code for arm64 is that for x86-64 with FMA. What was compiled is kept
+where kernels are: it takes a minute of one core.
+"""
+
+import os
+import subprocess
+import sys
+import sysconfig
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from needs import program
+
+from plate_native import OPTIONS, WARNINGS, _nanobind, cache
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT / "src/plate_native/plate_native/include"
+NANOBIND = _nanobind()
+CROSS = "aarch64-linux-gnu-g++"
+DRAWS = 6
+"""Random inputs of each program. QEMU computes 4 in a second, at the least."""
+
+
+def made(compiler, source, package, place, *options, system=()):
+    """Return the file that a compiler makes of a source; fails if it says anything."""
+    folders = (package, SHARED, source.parent)
+    own = {path for folder in folders for path in folder.rglob("*.[hc]pp")}
+    own |= {*ROOT.glob("firmware/*.[hc]"), NANOBIND / "include/nanobind/nanobind.h"}
+    words = [*compiler, *OPTIONS, *WARNINGS, "-Wno-psabi", *options]
+    contents = [path.read_bytes() for path in (source, *sorted(own))]
+    key = cache.key_of(cache.compiler(words), sys.version, *options, *contents)
+    target = place / f"{Path(compiler[0]).name}-{package.name}-{source.parent.name}-{source.stem}"
+    kept = cache.take(cache.of_user(), key)
+    if kept is None:
+        words += [f"-I{package}", f"-I{SHARED}", *(f"-isystem{folder}" for folder in system)]
+        words += [str(source), "-o", str(target)]
+        done = subprocess.run(words, capture_output=True, text=True)
+        assert (done.stderr, done.returncode) == ("", 0)
+        cache.keep(cache.of_user(), key, target.read_bytes())
+    else:
+        target.write_bytes(kept)
+        target.chmod(0o755)
+    return target
+
+
+@pytest.mark.needs(CROSS)
+def test_all_kernels_compile_for_arm64(tmp_path):
+    # Debian's Python looks for its settings by the processor.
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    settings = tmp_path / "aarch64-linux-gnu" / version / "pyconfig.h"
+    settings.parent.mkdir(parents=True)
+    settings.write_text(f'#include "{sysconfig.get_config_h_filename()}"\n')
+    system = [sysconfig.get_path("include"), tmp_path, NANOBIND / "include"]
+    system.append(NANOBIND / "ext/robin_map/include")
+    packages = [path.parent for path in ROOT.glob("src/*/*/kernels.cpp")]
+    sources = [(path, package) for package in packages for path in package.rglob("*.cpp")]
+    assert len(sources) >= 22
+
+    def compiled(source, package):
+        return made([CROSS], source, package, tmp_path, "-O0", "-c", system=system).stat().st_size
+
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        assert all(pool.map(compiled, *zip(*sources, strict=True)))
+
+
+@pytest.mark.needs(CROSS, "qemu-aarch64")
+def test_kernels_return_the_same_on_arm64(tmp_path):
+    """To the last bit."""
+    native, compared = os.environ.get("CXX", "c++").split(), {}
+    for source in sorted(ROOT.glob("test/arm64/*.cpp")):
+        package = ROOT / f"src/plate_{source.stem}/plate_{source.stem}"
+        cross = made([CROSS], source, package, tmp_path, "-static", "-s")
+        programs = ([made(native, source, package, tmp_path)], [program("qemu-aarch64"), cross])
+        commands = [[*words, str(DRAWS)] for words in programs]
+        done = [subprocess.run(words, capture_output=True, check=True) for words in commands]
+        here, there = (np.frombuffer(one.stdout) for one in done)
+        assert np.isfinite(here).all()
+        assert here.size == there.size
+        differ = here.view(np.uint64) != there.view(np.uint64)
+        assert not differ.any(), (source.stem, here[differ], there[differ])
+        compared[source.stem] = here.size
+    assert len(compared) == 4
+    assert min(compared.values()) > 30 * DRAWS, compared
