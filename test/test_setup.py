@@ -2,13 +2,19 @@
 
 import fcntl
 import os
+import re
+import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import needs
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PREFIX = "Programming Language :: Python :: "
+PYTHONS = [name.removeprefix(PREFIX) for name in PROJECT["classifiers"] if PREFIX in name]
 
 
 def test_a_set_up_that_waits_for_another_one_says_so(tmp_path):
@@ -88,3 +94,74 @@ def test_each_module_that_tests_need_is_of_a_pinned_wheel():
     names = {pin.partition("==")[0].replace("-", "_").lower() for pin in wheels}
     by_module = {"skimage": "scikit_image", "can": "python_can"}
     assert {by_module.get(module, module) for module in needs.MODULES} <= names
+
+
+def test_versions_of_python_are_named_once():
+    """In pyproject.toml; set-up reads them there, and all other texts name none."""
+    assert PROJECT["requires-python"] == f">={PYTHONS[0]}"
+    assert sorted(PYTHONS, key=lambda name: int(name[2:])) == PYTHONS
+    folders = (".ci", "bench", "config", "docs", "examples", "firmware", "src", "test", "tools")
+    files = [path for path in ROOT.iterdir() if path.is_file() and path.name != "CHANGELOG.md"]
+    files += [path for folder in folders for path in (ROOT / folder).rglob("*")]
+    kinds = {"", ".cff", ".cfg", ".md", ".py", ".sh", ".toml", ".txt", ".xml", ".yaml", ".yml"}
+    written = re.compile(r"python[ -]?\(?3\.\d+\b(?!\.)|\bpy3\d+\b|\bcp3\d+\b", re.IGNORECASE)
+    found = {
+        (str(path.relative_to(ROOT)), match)
+        for path in files
+        if path.suffix in kinds and path.is_file() and "build" not in path.parts
+        for match in written.findall(path.read_text(encoding="utf-8"))
+    }
+    assert found == set()
+
+
+COMMANDS = (
+    "bash cat chmod cp dirname env flock grep mkdir mktemp rm sed sha256sum sleep touch uname"
+)
+NO_VENV = """#!/bin/sh
+case "$2" in *version_info*) echo VERSION ;; *) exit 1 ;; esac
+"""
+NO_HEADERS = """#!/bin/sh
+case "$2" in
+    *version_info*) echo VERSION ;;
+    *get_path*) echo /nowhere/Python.h ;;
+    venv) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
+    *_base_executable*) echo "$0" ;;
+esac
+"""
+
+
+@pytest.mark.parametrize("version", PYTHONS)
+@pytest.mark.parametrize(
+    ("python", "lacking"),
+    [
+        (NO_VENV, "Python VERSION is here, but without the module that makes virtual environments"),
+        (NO_HEADERS, "this is missing: the compiler g++, /nowhere/Python.h"),
+        (None, f"Python {PYTHONS[0]} to {PYTHONS[-1]} is needed. Tried: "),
+    ],
+)
+def test_on_a_bare_machine_it_names_all_packages_in_one_screen(tmp_path, version, python, lacking):
+    """Each of Debian 12 and 13, Ubuntu 24.04 and 26.04 has one of these Pythons as python3."""
+    clone, programs = tmp_path / "clone", tmp_path / "bin"
+    (clone / "tools").mkdir(parents=True)
+    programs.mkdir()
+    shutil.copy(ROOT / "pyproject.toml", clone)
+    script = (ROOT / "tools" / "setup.sh").read_text().replace("/opt/ros/jazzy", str(tmp_path))
+    script = script.replace("/usr/bin/python3", str(tmp_path / "no-python"))
+    (clone / "tools" / "setup.sh").write_text(script)
+    for name in COMMANDS.split():
+        (programs / name).symlink_to(shutil.which(name))
+    own = {"id": "#!/bin/sh\necho 1000\n", "python3": python}  # not root, who installs them
+    for name, text in own.items():
+        if text:
+            (programs / name).write_text(text.replace("VERSION", version))
+            (programs / name).chmod(0o755)
+    done = subprocess.run(
+        ["bash", "tools/setup.sh", "--quiet"], cwd=clone, text=True, capture_output=True,
+        env={"PATH": str(programs), "HOME": str(tmp_path)},
+    )  # fmt: skip
+    wanted = version if python else "3"
+    line = f"sudo apt install g++ python{wanted}-dev python{wanted}-venv"
+    assert lacking.replace("VERSION", version) in done.stderr
+    assert line in done.stderr
+    assert done.returncode == 1
+    assert len((done.stdout + done.stderr).splitlines()) < 8

