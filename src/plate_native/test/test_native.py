@@ -184,7 +184,7 @@ def test_no_product_is_fused_with_a_sum(package):
 
 
 def test_no_kernel_calls_hypot():
-    """Its last bit differs between C libraries; test/test_arm64.py compares results."""
+    """Its last bit differs between C libraries; test_arm64.py compares results."""
     files = [path for kind in ("*.hpp", "*.cpp") for path in MESSAGES.parent.rglob(kind)]
     assert len(files) > 60
     called = [path.name for path in files if re.search(r"\bhypotf?\(", path.read_text("utf-8"))]
