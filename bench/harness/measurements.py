@@ -24,7 +24,7 @@ CHAPTERS = {
     "maps": ("stability",),
     "tasks": (
         "tasks", "tracking", "bound", "rigs", "sizing", "sameness", "free_running", "drives",
-        "control", "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
+        "control", "horizon", "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
     ),
 }  # fmt: skip
 """Chapter of this folder -> its modules with `measure(quick)`; the first line of each says what it

@@ -242,6 +242,35 @@ def bound(rows: list[Row]) -> Drawn:
     )
 
 
+def horizon(rows: list[Row]) -> Drawn:
+    """Return what trials beyond the greedy step change in time and computing."""
+    panels, trials = Panels(), [r for r in rows if r["trial"] != "present"]
+    trials = [r | {"name": f"{r['trial']}, {r['scenario']}"} for r in trials]
+    y = Axis("", names=tuple(by(trials, "name"))[::-1])
+    time = panels.add("Time of the task", Axis("change of the mean [%]"), y)
+    work = panels.add("Computing", Axis("for an answer, over present"), y)
+    note = "{runs} runs, ended well {good}, {dropped} parts dropped"
+    time.rule("present", x=0.0)
+    work.rule("present", x=1.0)
+    for colour, (trial, these) in zip(COUNT_COLOURS, by(trials, "trial").items(), strict=False):
+        time.points(these, "change", "name", Look(trial, colour, "o"), hollow=failed, note=note)
+        work.points(these, "answer", "name", Look(trial, colour, "o"), hollow=failed)
+        for one in these:
+            ends = [one | {"change": one["change"] + sign * one["error"]} for sign in (-1, 1)]
+            time.points(ends, "change", "name", Look(trial, colour, "", "-"))
+    told = "; ".join(
+        f"{trial}: " + ", ".join(changed(r) for r in these)
+        for trial, these in by(trials, "trial").items()
+    )
+    return Drawn(panels, f"Change of the time of a task [%]: {told}.")
+
+
+def changed(row: Row) -> str:
+    """Return how a trial has changed a task, and for how much computing."""
+    change = f"{row['change']:+.0f} ± {row['error']:.0f}"
+    return f"{row['scenario']} {change} for {row['answer']:.2f} of the computing"
+
+
 def listed(rows: Iterable[Row], key: str) -> str:
     """Return a column's values by numbers of parts in a line."""
     return ", ".join(f"{r[key]:.0f} by {parts(r['parts'])}" for r in rows)

@@ -1,0 +1,222 @@
+"""What trials beyond the greedy step learn and choose by: motions that one answer has found.
+
+The cost-to-go of a motion is v phi(x1): x1 is the state of plate and parts after it, phi are
+`features` of the whole plate, v the ridge regression of the ways that are left `LATER` cycles
+later, when the solver goes on from x1. It is fitted within answers: only differences between their
+motions count.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from harness import ROOT
+from plate_core import load_rig
+from plate_solver import Goal
+from plate_solver.maps import end_state
+from plate_solver.sinusoids import (
+    ROUGH,
+    Problem,
+    SinusoidSteering,
+    descend,
+    limited_sinusoids,
+    sinusoid_basis,
+    steer,
+)  # fmt: skip
+from plate_solver.sinusoids.limits import LimitedSinusoids
+
+BEST, LATER, STARTS, STEPS, TWICE, EVERY = 5, 6, 4, 12, 2, 5
+"""Motions of an answer that are compared; cycles after which they are judged; descents for each of
+these, and their iterations; how often a motion is followed; in one answer of so many."""
+
+RIDGE = 100.0
+"""Of the regression, in units of the features' spread."""
+
+NEAR = 3
+"""Starts near what comes of the network's."""
+
+LANE_M, CLEAR_M, ARM_M = 0.03, 0.04, 0.2
+"""What stands so near a way is in it, centres nearer than the second lack room, and a turn of the
+plate counts by the third [m]."""
+
+
+class Comparing(SinusoidSteering):
+    """Keeps what a search has found, and the goal: for who chooses in another way."""
+
+    def steer(self, goal: Goal, number: int, period: float, *args: Any) -> Any:
+        """Find a motion."""
+        self.goal, self.key = goal, (number, period, ROUGH, goal.free_end)
+        return super().steer(goal, number, period, *args)
+
+    def _search(self, improved: Any, *args: Any) -> Any:
+        self.found: list[Any] = []
+
+        def noted(start: np.ndarray) -> Any:
+            self.found.append(improved(start))
+            return self.found[-1]
+
+        best, iterations = super()._search(noted, *args)
+        return self.chosen(best) if self.goal.free_end else best, iterations
+
+    def chosen(self, best: Any) -> Any:
+        """Return the motion that is taken, where the best by its cost is known."""
+        return best
+
+    def family(self, goal: Goal) -> LimitedSinusoids:
+        """Return the motions that keep the limits, from the state of the plate."""
+        number, period, grid, free = self.key
+        return limited_sinusoids(number, period, self._limits, 1.0, grid, free, goal.plate)
+
+    def finished(self) -> list[np.ndarray]:
+        """Return the `BEST` motions, corrected within the limits."""
+        motions, best = self._motions[self.key], sorted(self.found, key=lambda one: one.cost)
+        return [self._within(self.goal, motions, f.parameters, 0.0).parameters for f in best[:BEST]]
+
+
+class Judging(Comparing):
+    """Takes of the best motions the one with the least cost-to-go."""
+
+    value: list[float]
+
+    def chosen(self, best: Any) -> Any:
+        """See `Comparing`."""
+        family, order = self.family(self.goal), sorted(self.found, key=lambda one: one.cost)
+        phi = [features(moved(self.goal, family, own)) for own in self.finished()]
+        return order[int(np.argmin(phi @ np.array(self.value)))]
+
+
+class Following(Comparing):
+    """Follows now and then what becomes of the best motions: what a cost-to-go is learned from."""
+
+    answers = 0
+    groups: list[list[list[float]]]
+
+    def chosen(self, best: Any) -> Any:
+        """See `Comparing`."""
+        self.answers += 1
+        if self.answers % EVERY == 2:
+            family, group = self.family(self.goal), []
+            for own in self.finished():
+                end, twist = moved(self.goal, family, own), family.samples(own)[1]
+                left = [self.followed(end, twist, [self.answers, k]) for k in range(TWICE)]
+                group.append([float(np.mean(left)), *features(end).tolist()])
+            self.groups.append(group)
+        return best
+
+    def followed(self, goal: Goal, twist: np.ndarray, seed: list[int]) -> float:
+        """Return the ways that are left after `LATER` cycles more [m]."""
+        rng = np.random.default_rng(seed)
+        for _ in range(LATER):
+            family = self.family(goal)
+            search = partial(descend, Problem.of(goal, self._motions[self.key], 1.0))
+            best = search(family.nearest(twist), 0.0, STEPS)
+            for _ in range(STARTS - 1):
+                size = steer.SPREAD * np.sqrt(np.mean(best.parameters**2))
+                start = best.parameters + size * rng.normal(size=len(best.parameters))
+                best = min(best, search(start, 0.0, STEPS), key=lambda one: one.cost)
+            twist, goal = family.samples(best.parameters)[1], moved(goal, family, best.parameters)
+        return float(np.sum(np.hypot(*goal.left(goal.position.T.ravel()).T)))
+
+
+class Proposing(Comparing):
+    """Starts once from the network's motion, and `NEAR` times near what comes of it."""
+
+    seen: Any
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        sys.path.append(str(ROOT / "examples/agents"))
+        self.agent, gym = (import_module(name) for name in ("learned", "plate_gym.motions"))
+        self.network = self.agent.Network.of(self.agent.WEIGHTS)
+        self.before: Any = (None, None)
+        self.motions, self.half = gym.Motions(load_rig()), load_rig().plate.half
+
+    def _search(self, improved: Any, start: Any, *more: Any) -> Any:
+        offer = self.offered() if self.goal.free_end else None
+
+        def own(index: int, near: Any) -> np.ndarray:
+            if offer is not None and index == 0:
+                return offer
+            here = offer is not None and steer.AT_ONCE <= index < steer.AT_ONCE + NEAR
+            return start(index, self.found[1] if here else near)
+
+        return super()._search(improved, own, *more)
+
+    def offered(self) -> np.ndarray:
+        """Return the motion that the network answers with, in the parameters of ours."""
+        (parts, running), family, motions = self.seen, self.family(self.goal), self.motions
+        known, place = self.before[0] == parts.ids and running is not None, parts.position
+        drift = (place - self.before[1]) / running.period if known else np.zeros_like(place)
+        self.before = parts.ids, place
+        order = np.argsort(self.goal.position[:, 0] + self.goal.displacement[:, 0], kind="stable")
+        basis = sinusoid_basis(
+            len(motions.basis.span) // 2, motions.basis.period, True, family.basis.steps
+        )
+        last = np.zeros((1, motions.size))
+        if running is not None:
+            times = (np.arange(basis.steps) + 0.5) / basis.steps * running.period
+            own = basis.inverse @ running.twist(times) / motions.scale
+            last = np.clip(own, -1, 1).reshape(1, -1)
+        seen = self.agent.features(place[order][None], drift[order][None], last, self.half)
+        cycle, _ = motions.cycle(self.network(seen)[0])
+        times = (np.arange(basis.steps) + 0.5) * basis.dt
+        return family.nearest(cycle.twist(times))
+
+
+def moved(goal: Goal, family: LimitedSinusoids, parameters: np.ndarray) -> Goal:
+    """Return what is left to do after a motion, and the state in which it ends."""
+    motion = *family.samples(parameters), goal.friction_accel
+    place, velocity = end_state(goal.position, goal.velocity, *motion)
+    own = family.coefficients(parameters)
+    return replace(
+        goal, position=place, velocity=velocity,
+        displacement=goal.position + goal.displacement - place,
+        plate=np.stack([knots[-1] @ own for knots in family.basis.knots]),
+    )  # fmt: skip
+
+
+def features(goal: Goal) -> np.ndarray:
+    """Return phi (10,) of the state in which a goal begins.
+
+    Of the ways: their sum, and that after a coast, the longest, the sum of squares; the solver's
+    own cost; the speed along the ways; parts that stand in others' ways; what is lacking between
+    neighbours; what of the ways no shift and swirl of the whole plate would do; the plate's speed,
+    squared.
+    """
+    place, coasted = goal.position, goal.position + goal.coast * goal.velocity
+    way, later = (goal.left(at.T.ravel()) for at in (place, coasted))
+    far = np.hypot(*way.T)
+    unit = way / (far[:, None] + 1e-3)
+    dx, dy = (place[:, axis] - place[:, axis, None] for axis in (0, 1))
+    along, across = dx * unit[:, :1] + dy * unit[:, 1:], dx * unit[:, 1:] - dy * unit[:, :1]
+    blocked = np.sum((along > 0) & (along < far[:, None]) & (np.abs(across) < LANE_M))
+    near = np.hypot(dx, dy)[np.triu_indices(len(place), 1)]
+    one, none, (x, y) = np.ones(len(place)), np.zeros(len(place)), place.T
+    rigid = np.block([[one[:, None], none[:, None], -y[:, None]],
+                      [none[:, None], one[:, None], x[:, None]]])  # fmt: skip
+    fitted = rigid @ np.linalg.lstsq(rigid, way.T.ravel(), rcond=None)[0]
+    error, _ = goal.error(coasted.T.ravel())
+    plate = np.zeros((3, 3)) if goal.plate is None else goal.plate
+    return np.array([
+        np.sum(far), np.sum(np.hypot(*later.T)), np.max(far), far @ far, error @ error,
+        np.sum(goal.velocity * unit), blocked, np.sum(np.maximum(CLEAR_M - near, 0)),
+        np.sum((way.T.ravel() - fitted) ** 2), np.sum((plate[1] * [1, 1, ARM_M]) ** 2),
+    ])  # fmt: skip
+
+
+def learned(groups: Sequence[Sequence[Sequence[float]]]) -> list[float]:
+    """Return v (10,) by what is known of the motions of answers: ways that were left in the end,
+    and phi."""
+    within = [np.array(group) - np.mean(group, axis=0) for group in groups]
+    rows = np.vstack(within)
+    left, phi, spread = rows[:, 0], rows[:, 1:], np.std(rows[:, 1:], axis=0) + 1e-12
+    phi = phi / spread
+    value = np.linalg.solve(phi.T @ phi + RIDGE * np.eye(len(spread)), phi.T @ left)
+    return (value / spread).tolist()
