@@ -166,9 +166,11 @@ class Repeating(SinusoidSteering):
         one = limited_sinusoids
 
         def family(*key: Any) -> LimitedSinusoids:
-            if key[:2] not in self.bases:
-                self.bases[key[:2]] = repeated(one(*key).basis, self.plays)
-            return LimitedSinusoids(self.bases[key[:2]], key[2], key[3], key[6])
+            number, period, limits, most, grid, _, plate = key
+            kind = number, period, grid
+            if kind not in self.bases:
+                self.bases[kind] = repeated(one(*key).basis, self.plays)
+            return LimitedSinusoids(self.bases[kind], limits, most, plate)
 
         with patch.object(steer, "limited_sinusoids", family):
             cycle, *told = super().steer(goal, number, period, *args)
