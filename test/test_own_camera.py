@@ -25,6 +25,9 @@ from plate_sim.camera import Camera, Lighting, part_greys
 ROOT = Path(__file__).resolve().parents[1]
 HEIGHT_M = 0.004
 SECONDS, RATE = 12, 30
+PICTURES = 20
+"""That differ: the film shows them again and again."""
+
 LONGEST_S = 300
 
 
@@ -43,10 +46,12 @@ def film(folder):
     size = (rig.camera.width_px, rig.camera.height_px)
     code = cv2.VideoWriter_fourcc(*"mp4v")
     writer = cv2.VideoWriter(str(folder / "film.mp4"), code, RATE, size)
-    for _ in range(SECONDS * RATE):
-        height = np.full(len(place), HEIGHT_M)
-        image = camera.render(place, greys, rng, height=height, lighting=light)
-        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    height = np.full(len(place), HEIGHT_M)
+    images = [
+        camera.render(place, greys, rng, height=height, lighting=light) for _ in range(PICTURES)
+    ]
+    for k in range(SECONDS * RATE):
+        writer.write(cv2.cvtColor(images[k % PICTURES], cv2.COLOR_GRAY2BGR))
     writer.release()
 
 
