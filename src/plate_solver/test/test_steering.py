@@ -24,6 +24,7 @@ from plate_solver.requests import Turns
 from plate_solver.sinusoids import limited_sinusoids
 from plate_solver.sinusoids.basis import TAIL_S
 from plate_solver.sinusoids.descent import Motions, Problem, descend
+from plate_solver.sinusoids.steer import ROUGH, SPREAD
 
 BOTH = pytest.mark.parametrize("method", [SinusoidSolver, RotationSolver])
 DRIFT = 0.01  # m/s, the most that is asked
@@ -226,6 +227,27 @@ def test_a_descents_slopes_agree_with_differences(rig, scene, plate):
         size = np.max(np.abs(found.jacobian))
         # Bins of four steps stand for their mean: measured 6 % of the greatest at most.
         np.testing.assert_allclose(-slope, found.jacobian[:, k], atol=0.1 * size)
+
+
+def test_four_steps_from_near_a_solution_gain_most_of_what_it_gains(rig, scene):
+    """Steps that are damped too little at first are refused, each at the price of an evaluation."""
+    limits, fractions = Limits.of(rig), []
+    for seed in range(10):
+        rng, position = scene(seed, 10)
+        way = np.where(position[:, :1] > 0, -0.1, 0.1) * [1.0, 0.0]
+        goal = Goal(
+            position, 0 * position, way, np.full((10, 2), 0.01), rig.friction.accel, lasting=True,
+            weight=0.03, edge=rig.plate.half - 0.008, coast=0.03, free_end=True,
+        )  # fmt: skip
+        family = limited_sinusoids(8, 0.1, limits, 1.3, ROUGH, True)
+        problem = Problem.of(goal, Motions.of(family.basis, limits), 1.3)
+        known = descend(problem, 0.5 * family.random(rng), 0.0, 60)
+        size = SPREAD * np.sqrt(np.mean(known.parameters**2))
+        start = known.parameters + size * rng.normal(size=known.parameters.size)
+        rest = descend(problem, 0 * start, 0.0, 0).cost
+        gain = rest - descend(problem, start, 0.0, 4).cost
+        fractions.append(gain / (rest - known.cost))
+    assert min(fractions) > 0.8  # 0.92; with `first` at 1e-2: -3 to 2.5
 
 
 def test_a_cycle_goes_on_from_where_the_plate_is_and_parts_go_where_predicted(rig, scene):
