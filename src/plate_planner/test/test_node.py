@@ -396,6 +396,24 @@ def test_a_node_of_the_loop_that_misses_its_input_ends_the_task(silenced):
     assert silenced.states[-1].endswith(": simulator: no motor table for 1.5 s")
 
 
+@pytest.mark.parametrize("lasts", [True, False])
+def test_an_error_of_the_detector_ends_the_task_if_it_lasts(silenced, lasts):
+    """Parts come as before, but their places are wrong."""
+    wrong, right = stale("detector", "the camera was moved"), stale("detector", "all images used")
+    wrong.status[0].level, right.status[0].level = DiagnosticStatus.ERROR, DiagnosticStatus.OK
+    images = itertools.count()
+
+    def told():
+        silenced.others.publish(wrong if lasts or next(images) % 8 == 0 else right)
+
+    if lasts:
+        silenced.feed(lambda: silenced.states[-1] != "running", told)
+        assert silenced.states[-1].endswith(": detector: the camera was moved")
+    else:
+        silenced.feed(lambda: next(images) > 60, told)
+        assert silenced.states[-1] == "running"
+
+
 def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(graph):
     graph, images = graph(), itertools.count(3)
     orders = graph.probe.create_publisher(FeedOrder, "feed_orders", DATA)

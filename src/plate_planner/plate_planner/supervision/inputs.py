@@ -22,7 +22,8 @@ SECOND_HAND_S = 0.2
 better reason."""
 
 ERROR_TIMEOUT_S = 1.0
-"""A task whose driver tells an error for longer is ended [s]; a line may fail for a moment."""
+"""A task whose driver or detector tells an error for longer is ended [s]; a line may fail for a
+moment, and one image may be misread."""
 
 REPORT_TIMEOUT_S = 1.3
 """A node that has published no diagnostics for longer, where one a second is due, is silent [s]."""
@@ -41,11 +42,13 @@ each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
 
 @dataclass(frozen=True)
 class Report:
-    """The newest diagnostics of a node: when they came, their level and message."""
+    """The newest diagnostics of a node: when they came, their level and message, and since when the
+    level has been the same."""
 
     at: float
     level: Level
     message: str
+    since: float
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,9 @@ class Inputs:
         """Take in diagnostics of a node; those of nodes outside the loop do not count."""
         if name not in LOOP:
             return self
-        return replace(self, reports={**self.reports, name: Report(now, level, message)})
+        before = self.reports.get(name)
+        since = now if before is None or before.level is not level else before.since
+        return replace(self, reports={**self.reports, name: Report(now, level, message, since)})
 
     # What follows
 
@@ -244,6 +249,10 @@ class Inputs:
                 return Failure(Reason.NO_CYCLE, f"no plate_cycle for {silence:.1f} s: {why}")
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
+        seen = self.reports.get("detector")
+        wrong = seen is not None and seen.level is Level.ERROR  # places of parts are wrong
+        if seen is not None and wrong and seen.at - max(seen.since, began) > ERROR_TIMEOUT_S:
+            return Failure(Reason.CUT_OFF, f"detector: {seen.message}")
         name = self._cut_off(now, began, period)
         if name:
             return Failure(Reason.CUT_OFF, f"{name}: {self.reports[name].message}")
