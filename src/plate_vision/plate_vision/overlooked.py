@@ -16,10 +16,13 @@ REASONS = (
     "at the edge",
     "beyond the plate",
     "group",
+    "blurred",
+    "unsettled",
 )
 """Why a thing is not a part: its size is below or above that of the rig's parts; its contrast to
 the plate is too low; its shape is not a part's; the plate's edge cuts it; its centre is not on the
-plate; it seems to be several parts that could not be told apart."""
+plate; it seems to be several parts that could not be told apart; the image is too blurred to name
+its type; it is seen as a part now, but images before did not show it as one."""
 
 OVERLOOKED = np.dtype(
     [
@@ -72,6 +75,8 @@ REMEDIES = {
     "at the edge": "move them inwards; or it is the edge of a plate that is not at home",
     "beyond the plate": "check camera: corners_px, or clear the surround",
     "group": "move them apart",
+    "blurred": "focus the camera, or expose for a shorter time: types are not told apart",
+    "unsettled": "wait for some images: light or shadow has changed",
 }
 """What to do about things of a reason, where it is the same for all rigs."""
 
@@ -133,6 +138,7 @@ def unnamed_things(
     reason = np.full(len(seen), "misfit", OVERLOOKED["reason"])
     reason[radius > largest] = "too large"
     reason[seen["label"] == NAMELESS[1]] = "group"
+    reason[seen["blurred"]] = "blurred"
     reason[radius < smallest] = "too small"
     reason[~seen["whole"]] = "at the edge"
     rows = np.isin(seen["label"], NAMELESS) & on_plate

@@ -15,8 +15,9 @@ from .detection import DETECTION, METHODS
 from .plate import Region
 from .shapes import Background, model_background
 from .shapes.background import colours
+from .shapes.blur import is_blurred
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import FEWEST_NAMED, Conditions, is_named, recognise, recognise_under
+from .shapes.classes import FEWEST_NAMED, UNKNOWN, Conditions, is_named, recognise, recognise_under
 from .shapes.groups import explain_groups
 from .shapes.heights import seen_shift
 from .shapes.patch import Patch
@@ -136,6 +137,9 @@ def find_types_under(
         again = recognise(image, more, catalogue, calibration, seen.conditions)
         patches, found = _joined(patches, found, more, again)
     found = explain_groups(image, patches, found, catalogue, calibration, seen.conditions)
+    if is_blurred(image, seen.segments.patches):
+        named = is_named(found)
+        found["label"][named], found["blurred"][named] = UNKNOWN, True
     return found, seen.lamp
 
 

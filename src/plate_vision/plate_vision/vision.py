@@ -14,7 +14,7 @@ from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, PartView, find_discs
 from .discs import SeenDiscs, outlines
 from .errors import check_size
-from .overlooked import PLAUSIBLE_AREA, may_be_parts, unnamed_things
+from .overlooked import NAMELESS, OVERLOOKED, PLAUSIBLE_AREA, may_be_parts, unnamed_things
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
 from .recognition import find_types_under, model_plate
@@ -215,7 +215,8 @@ def observe(
     if after is tracker:  # the same image again
         return tracker
     doubtful = tracker.doubtful + 1 if discs.doubtful and discs.shadow is None else 0
-    return replace(after, shadow=discs.shadow, doubtful=doubtful)
+    after = replace(after, shadow=discs.shadow, doubtful=doubtful)
+    return _with_unsettled(vision, after)
 
 
 def _observe_types(
@@ -251,7 +252,23 @@ def _observe_types(
     after = update(
         tracker, stamp, centre, seen["label"], seen["angle"], quality, symmetry, expected, things
     )
-    return after if after is tracker else replace(after, lamp=lamp)
+    return after if after is tracker else _with_unsettled(vision, replace(after, lamp=lamp))
+
+
+def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
+    """Return a tracker that also counts parts as things whose tracks have no class yet: earlier
+    images did not show them as parts."""
+    tracks = [track for track in tracker.found if track.label in NAMELESS]
+    tracks = [track for track in tracks if track.votes[-1] not in NAMELESS]
+    if not tracks:
+        return tracker
+    things = np.zeros(len(tracks), OVERLOOKED)
+    place = np.array([track.position for track in tracks])
+    things["x"], things["y"] = place.T
+    place_px = vision.calibration.to_image(place)
+    things["x_px"], things["y_px"] = place_px.T
+    things["radius_px"], things["reason"] = vision.radius_px(place_px), "unsettled"
+    return replace(tracker, overlooked=np.concatenate([tracker.overlooked, things]))
 
 
 def follow_plate(

@@ -6,8 +6,10 @@ import pytest
 
 from plate_core import config_path
 from plate_core.rig import load_part_types
+from plate_vision.overlooked import unnamed_things
 from plate_vision.recognition import calibrate_by_scale, find_types, find_types_under
 from plate_vision.shapes import learn_plate, make_catalogue
+from plate_vision.shapes.classes import is_named
 from plate_vision.shapes.segmentation import segment
 
 TYPES = load_part_types(config_path("parts.yaml"))
@@ -168,3 +170,23 @@ def test_a_disc_of_a_washers_colour_is_no_sure_washer(bare, catalogue):
     assert np.all(real["label"] == "washer")
     sure = found["confidence"][found["label"] == "washer"]
     assert np.all(sure < 0.7 * real["confidence"].min())
+
+
+def test_types_are_not_named_in_a_blurred_image(bare, catalogue):
+    sharp = picture(poses(), seed=7)
+    for blur_px, blurred in ((1.8, False), (3.0, True), (4.0, True)):
+        image = cv2.GaussianBlur(sharp, (0, 0), blur_px)
+        found = find_types(image, catalogue, bare, calibrate_by_scale(SCALE))
+        named = found[is_named(found)]
+        assert np.any(found["blurred"]) == blurred
+        assert len(named) == (0 if blurred else len(poses()))
+        for name, x, y, _ in poses():
+            near = np.hypot(named["x"] - x, named["y"] - y) < 3e-3
+            assert set(named["label"][near].tolist()) <= {name}
+    again = picture([("coin_large", 0.2, -0.15, 0.0)], seed=8)
+    (one,) = find_types(
+        cv2.GaussianBlur(again, (0, 0), 3), catalogue, bare, calibrate_by_scale(SCALE)
+    )
+    assert one["blurred"]
+    things = unnamed_things(np.array([one]), np.ones(1, bool), np.array([9e-3]), 4e-3, 14e-3)
+    assert things["reason"].tolist() == ["blurred"]

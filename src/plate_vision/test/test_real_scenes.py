@@ -140,6 +140,24 @@ def test_what_is_no_part_is_listed_with_its_reason(reason, rng):
     assert gap.min(axis=1).max() < 1e-3
 
 
+def test_a_part_that_was_no_part_before_is_listed_until_it_has_a_class(rng):
+    position = GRID[::3]
+    large = cast(Look(), position, np.full(8, 40.0), rng, radius=0.013)
+    plain = cast(Look(), position, np.full(8, 40.0), rng)
+    vision, tracker = make_vision(Look().rig(), DetectorOptions()), Tracker()
+    for k in range(2):
+        tracker = observe(vision, tracker, large, 1 + 0.1 * k)
+    assert {name.split("_")[0] for name in tracker.parts.ids} == {"unknown"}
+    waited = 0
+    while any(name.startswith("unknown") for name in tracker.parts.ids):
+        tracker = observe(vision, tracker, plain, 2 + 0.1 * waited)
+        unknown = [name for name in tracker.parts.ids if name.startswith("unknown")]
+        assert tracker.overlooked["reason"].tolist() == ["unsettled"] * len(unknown)
+        waited += 1
+    assert 2 <= waited <= 5
+    assert len(tracker.parts.ids) == 8
+
+
 def test_parts_as_dark_as_their_shadows_are_not_taken_for_them(rng):
     """Which end of the dark thing is the part cannot be seen: nothing is reported as sure."""
     position = scattered(rng)

@@ -121,12 +121,14 @@ SIGHTING = np.dtype(
         ("swell_px", "f8"),
         ("colour", "f8"),
         ("place_sd", "f8"),
+        ("blurred", "?"),
     ]
 )
 """One part: its centre and the radius of the disc of the same area [px]; type, `UNKNOWN` or
 `GROUP`; confidence, 0 to 1; centre [m] and angle [rad] in plate_home, and the standard deviation of
 the angle [rad]; whether all of it is in the image; how far its outline is from the type's, RMS once
-that is swollen as much as it is, and by how much that is [px]; distance of the colours."""
+that is swollen as much as it is, and by how much that is [px]; distance of the colours; standard
+deviation of the place along each axis [m]; whether its type is unknown as the image is blurred."""
 
 
 def is_named(seen: np.ndarray) -> np.ndarray:

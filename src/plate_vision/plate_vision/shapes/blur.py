@@ -1,0 +1,73 @@
+"""The blur of an image by the rims of its patches: too much makes types look alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from ..camera.encodings import grey_levels
+from .patch import Patch
+
+MAX_PX, MAX_RADIUS = 0.5, 0.144
+"""Maximum blur of an image in which types are named, standard deviation: the first [px] and this
+fraction of the parts' median radius, added. In drawn images nuts were taken for washers from 2.0 px
+with parts of 10 px radius, and from 3.4 px with 19 px, but not with 1.8 and 3.1 px."""
+
+POINTS, PERCENT = 24, 25
+"""Number of points on the rim of a patch, and percentile of the blur at these points. Shadow and
+motion blur only a part of a rim."""
+
+FIRST, SHARP = 8, 0.6
+"""Number of patches that are measured first, and the fraction of the maximum blur below which the
+image is sharp by these alone. In images with too much blur they have shown at least 0.8 of it."""
+
+BESIDE_PX, BESIDE_RADIUS, STEPS = 9.0, 0.6, 13
+"""Length of a profile on each side of the rim, the smaller of the two [px, radii]; number of
+samples."""
+
+SECANT = 3
+"""Distance to the two neighbours on the rim that give its direction [points of the contour]."""
+
+
+def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
+    """Whether an image (H, W) or (H, W, 3) uint8, by its patches, is so blurred that types are
+    taken for others."""
+    usable = [patch for patch in patches if patch.whole and not patch.group]
+    if not usable:
+        return False
+    grey, radius_px = grey_levels(image), np.array([patch.radius_px for patch in usable])
+    limit_px = MAX_PX + MAX_RADIUS * float(np.median(radius_px))
+    step = -(-len(usable) // FIRST)
+    if rim_blur_px(grey, usable[::step], radius_px[::step]) < SHARP * limit_px:
+        return False
+    return rim_blur_px(grey, usable, radius_px) > limit_px
+
+
+def rim_blur_px(grey: np.ndarray, patches: Sequence[Patch], radius_px: np.ndarray) -> float:
+    """Return the blur of the rims of patches of radii (n,) [px] in an image (H, W) uint8, a
+    standard deviation [px]: contrast over slope, the median of the patches."""
+    rims, ways = [], []
+    for patch in patches:
+        contours, _ = cv2.findContours(
+            patch.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+        )
+        contour = max(contours, key=len)[:, 0].astype(np.float32)
+        row = np.arange(POINTS) * len(contour) // POINTS
+        rims.append(contour[row] + np.array(patch.corner, np.float32))
+        ways.append(contour[(row + SECANT) % len(contour)] - contour[row - SECANT])
+    rim, along = np.stack(rims), np.stack(ways)
+    across = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    across /= np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-6)[..., None]
+    reach = np.minimum(BESIDE_PX, BESIDE_RADIUS * radius_px).astype(np.float32)
+    step = reach[:, None, None, None] * np.linspace(-1, 1, STEPS, dtype=np.float32)[:, None]
+    place = rim[:, :, None] + step * across[:, :, None]
+    x, y = cv2.split(place.reshape(-1, STEPS, 2))
+    level = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    level = level.reshape(len(patches), POINTS, STEPS).astype(np.float32)
+    contrast = np.abs(level[..., -1] - level[..., 0])
+    slope = np.abs(np.diff(level, axis=2)).max(axis=2) * ((STEPS - 1) / 2 / reach)[:, None]
+    blur = contrast / (math.sqrt(2 * math.pi) * np.maximum(slope, 1e-3))
+    return float(np.median(np.percentile(blur, PERCENT, axis=1)))
