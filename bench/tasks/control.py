@@ -19,8 +19,8 @@ SEEDS = range(11_000, 11_006)
 
 EFFORTS: dict[str, tuple[dict[str, int], ...]] = {
     "sinusoids": (
-        {"iterations": 1, "restarts": 0}, {"iterations": 6, "restarts": 0}, {},
-        {"restarts": 20}, {"restarts": 60},
+        {"iterations": 1, "restarts": 0}, {"iterations": 6, "restarts": 0}, {"iterations": 8}, {},
+        {"iterations": 24}, {"restarts": 20}, {"restarts": 60},
     ),
     "rotations": ({"iterations": 1, "restarts": 0}, {}, {"iterations": 40, "restarts": 4}),
 }  # fmt: skip
