@@ -52,6 +52,12 @@ PERIOD_S = 0.4
 SILENT_S = 1.0
 """Time without an image after which the view reports it [s]."""
 
+OTHER_NODES = (
+    "after a restart the page uses it for its picture from above, and the planner if camera: "
+    "readout_s is above 0; no other node needs it"
+)
+"""The nodes that map between image and plate themselves, beside the detector."""
+
 LEVELS = {
     Level.OK: AimCheck.OK,
     Level.STALE: AimCheck.WAIT,
@@ -361,7 +367,7 @@ class AimingView:
             return response
         self._home, self._corners = f"written: {self._path}", ()
         response.success = True
-        response.message = f"{self._home}; other nodes use it from their next configure on"
+        response.message = f"{self._home}; {OTHER_NODES}"
         return response
 
     def _on_take(
@@ -428,7 +434,7 @@ class AimingView:
         self._home, self._corners = "", ()
         self._home_is_old = before.fiducials is None  # else markers show it in each image
         response.success = True
-        response.message = f"written: {self._path}; other nodes use it from their next configure on"
+        response.message = f"written: {self._path}; {OTHER_NODES}"
         return response
 
 
