@@ -10,10 +10,12 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
+import yaml
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
+    GroupAction,
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
@@ -156,37 +158,36 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
     if "scenario" in given and not {"rig_file", "params_file"} & given.keys():
         values["rig_file"] = load_scenario(given["scenario"]).rig
-    apart: list[dict[str, Any]] = []
     pushed = context.launch_configurations.get("ros_namespace", "")
-    if space := namespace_of(pushed, given.get("namespace", "")):
-        # Two plates have two simulated devices, and frames of their own.
+    space = namespace_of(pushed, given.get("namespace", ""))
+    if space:  # two plates have two simulated devices
         values["link"] = RunOptions.link + "_" + space.replace("/", "_")
-        apart = [{"frame_prefix": f"{space}/"}]
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )
-    files = [config_path("nodes.yaml"), *([config_path("hardware.yaml")] if hardware else [])]
+    own = []
     if "params_file" in given:
-        files.append(Path(given["params_file"]))
+        own.append(given["params_file"])
         try:
-            check_file(files[-1], YAML_BYTES)
+            check_file(Path(own[0]), YAML_BYTES)
         except PlateError as error:
             raise GraphError(f"params_file {error}") from None
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
-    actions: list[Any] = []
+    defaults = default_files(hardware, space, [node.name for node in options.nodes(load_graph())])
+    actions: list[Any] = [OpaqueFunction(function=partial(_put_first, defaults))]
     if hardware and "params_file" not in given:  # which may name the rig
         facts = unmeasured(load_rig(given.get("rig_file", "")))
         actions += [LogInfo(msg=f"not known of this rig: {text}") for text in facts]
     views = {node.name for node in load_graph() if node.view}
-    for name, program in programs(options, given).items():
+    for name, program in programs(options, given, space).items():
         last_words = [""]
         process = Node(
             namespace=given.get("namespace", ""),
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
             on_exit=None if name in views else partial(_end, name, last_words),
-            **program | {"parameters": [*apart, *map(str, files), program["parameters"], *waiting]},
+            **program | {"parameters": [*own, program["parameters"], *waiting]},
         )
         listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_words))
         actions.append(RegisterEventHandler(listen))
@@ -194,10 +195,40 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     if given.get("record") == "true":
         record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
         actions.append(ExecuteProcess(cmd=record, output="screen"))
-    return actions
+    return [GroupAction(actions)]
 
 
-def programs(options: RunOptions, given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
+    """Return the files of the nodes' default parameters; in a namespace, frames have prefixes."""
+    files = [str(config_path("nodes.yaml"))]
+    if hardware:
+        files.append(str(config_path("hardware.yaml")))
+    if space:
+        own = {f"/**/{name}": {"ros__parameters": {"frame_prefix": f"{space}/"}} for name in names}
+        files.append(_written(yaml.safe_dump(own)))
+    return files
+
+
+def _put_first(defaults: Sequence[str], context: Any) -> None:
+    """Put files of default parameters before all others.
+
+    ROS merges the values of all files by the section's name. Of two sections that fit a node, that
+    wins whose name comes later for the first time. So `/**/solver` must come before `/left/solver`.
+    launch_ros puts parameters of outer actions, such as SetParametersFromFile, before a node's own.
+    """
+    outer = context.launch_configurations.get("global_params", [])
+    context.launch_configurations["global_params"] = [*defaults, *outer]
+
+
+def _written(text: str) -> str:
+    with NamedTemporaryFile("w", suffix=".yaml", delete=False, encoding="utf-8") as file:
+        file.write(text)
+    return file.name
+
+
+def programs(
+    options: RunOptions, given: Mapping[str, str], space: str
+) -> dict[str, dict[str, Any]]:
     """Return what is started, by name: package, executable, parameters over those of the files."""
     nodes = options.nodes(load_graph())
     if given.get("one_process") != "true":
@@ -210,11 +241,10 @@ def programs(options: RunOptions, given: Mapping[str, str]) -> dict[str, dict[st
             }
             for node in nodes
         }
-    with NamedTemporaryFile("w", suffix=".yaml", delete=False, encoding="utf-8") as file:
-        file.write(options.parameter_file(nodes, given))
+    file = _written(options.parameter_file(nodes, given, space))
     program = {"package": "plate_bringup", "executable": "one_process"}
     names = [node.name for node in nodes]
-    return {"one_process": program | {"arguments": names, "parameters": file.name}}
+    return {"one_process": program | {"arguments": names, "parameters": file}}
 
 
 def _remember(last_words: list[str], event: Any) -> None:

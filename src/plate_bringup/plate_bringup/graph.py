@@ -202,11 +202,19 @@ class RunOptions:
         return self.transport == "serial" and not (self.hardware or self.port)
 
     def parameter_file(
-        self, nodes: Iterable[GraphNode], given: Collection[str] | None = None
+        self, nodes: Iterable[GraphNode], given: Collection[str] | None = None, space: str = "**"
     ) -> str:
-        """Return `parameters` of several nodes as a file of ROS parameters, in any namespace."""
+        """Return `parameters` of several nodes as a file of ROS parameters.
+
+        Parameters
+        ----------
+        space : str, optional
+            Namespace of the nodes, without slashes at its ends; empty: none. Any, if left out.
+        """
+        where = f"/{space}".rstrip("/")
         values = {
-            f"/**/{node.name}": {"ros__parameters": self.parameters(node, given)} for node in nodes
+            f"{where}/{node.name}": {"ros__parameters": self.parameters(node, given)}
+            for node in nodes
         }
         return str(yaml.safe_dump({name: v for name, v in values.items() if v["ros__parameters"]}))
 

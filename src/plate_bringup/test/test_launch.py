@@ -12,7 +12,7 @@ from plate_bringup import GraphError, RunOptions, load_graph
 
 LAUNCH = Path(__file__).resolve().parents[1] / "launch"
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
-ACTIONS = ("DeclareLaunchArgument", "ExecuteProcess", "LogInfo", "OpaqueFunction")
+ACTIONS = ("DeclareLaunchArgument", "ExecuteProcess", "GroupAction", "LogInfo", "OpaqueFunction")
 
 
 class Recorded:
@@ -51,14 +51,81 @@ def described(file):
     return scope["generate_launch_description"]()
 
 
-def started(file, **given):
-    """Actions of a launch file by the name of their node; `given` are its arguments."""
+def started(file, outer=(), **given):
+    """Actions of a launch file by the name of their node; `given` are its arguments.
+
+    `outer` are files of parameters of actions around it. Nodes have all files in `parameters`, in
+    the order in which launch_ros passes them.
+    """
     *arguments, start = described(file)
     values = {a.args[0]: a.default_value for a in arguments}
-    actions = start.function(types.SimpleNamespace(launch_configurations=values | given))
+    context = types.SimpleNamespace(launch_configurations=values | given)
+    if outer:
+        context.launch_configurations["global_params"] = [*outer]
+    (group,) = start.function(context)
+    first, *actions = group.args[0]
+    first.function(context)
     nodes = [action for action in actions if action.kind == "Node"]
+    for node in nodes:
+        node.parameters = [*context.launch_configurations["global_params"], *node.parameters]
     others = [action for action in actions if action.kind == "ExecuteProcess"]
     return {getattr(node, "name", node.executable): node for node in nodes}, others
+
+
+def in_ros(node, folder, space=""):
+    """The values that ROS gives to a node of this name from its files, by rcl's own rule."""
+    rclpy = pytest.importorskip("rclpy")
+    words = ["--ros-args"]
+    for number, given in enumerate(node.parameters):
+        path = given
+        if isinstance(given, dict):  # as launch_ros does it
+            path = folder / f"{node.name}_{number}.yaml"
+            own = {f"{space}/{node.name}": {"ros__parameters": given}}
+            path.write_text(yaml.safe_dump(own if given else {}), encoding="utf-8")
+        words += ["--params-file", str(path)]
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    one = rclpy.create_node(
+        node.name, namespace=space, context=context, cli_args=words, use_global_arguments=False,
+        automatically_declare_parameters_from_overrides=True, start_parameter_services=False,
+    )  # fmt: skip
+    values = {name: each.value for name, each in one.get_parameters_by_prefix("").items()}
+    one.destroy_node()
+    context.try_shutdown()
+    return values
+
+
+@pytest.mark.parametrize("space", ["", "left", "cell/left"])
+def test_arguments_come_before_files_and_files_before_defaults(stand_in, tmp_path, space):
+    """Whatever the namespace, and whichever section of a file a value stands in."""
+    own, outer = tmp_path / "own.yaml", tmp_path / "outer.yaml"
+    place = f"/{space}/" if space else "/"
+    sections = {
+        own: {f"{place}simulator": {"noise": 3.0, "rate": 3.0}, "/**/driver": {"transport": "no"},
+              "/**/simulator": {"seed": 3, "scenario": "no"}},
+        outer: {"/**": {"robot_name": "ur5"}, "/**/simulator": {"hold_cycles": 4, "latency": 0.4},
+                f"{place}simulator": {"image_rate": 4.0, "noise": 4.0}},
+    }  # fmt: skip
+    for file, values in sections.items():
+        data = {name: {"ros__parameters": each} for name, each in values.items()}
+        file.write_text(yaml.safe_dump(data), encoding="utf-8")
+    given = {"scenario": "sort_4", "transport": "serial", "rate": "0.5", "namespace": space}
+    nodes, _ = started("closed_loop", [str(outer)], params_file=str(own), **given)
+    values = in_ros(nodes["simulator"], tmp_path, f"/{space}" if space else "")
+    assert values["scenario"] == "sort_4"
+    assert (values["rate"], values["seed"], values["noise"]) == (0.5, 3, 3.0)
+    assert (values["hold_cycles"], values["latency"], values["image_rate"]) == (4, 0.4, 4.0)
+    assert (values["blur"], values["robot_name"]) == (True, "ur5")
+    assert values.get("frame_prefix", "") == (f"{space}/" if space else "")
+    driver = in_ros(nodes["driver"], tmp_path, f"/{space}" if space else "")
+    assert driver["transport"] == "serial"
+
+
+def test_a_file_may_take_the_prefix_of_frames_away(stand_in, tmp_path):
+    own = tmp_path / "own.yaml"
+    own.write_text('/**: {ros__parameters: {frame_prefix: ""}}', encoding="utf-8")
+    nodes, _ = started("closed_loop", params_file=str(own), namespace="left")
+    assert in_ros(nodes["detector"], tmp_path, "/left")["frame_prefix"] == ""
 
 
 @pytest.mark.parametrize(
@@ -172,13 +239,19 @@ def test_frames_and_the_serial_link_follow_a_namespace(stand_in, pushed, own, sp
     given = {"ros_namespace": pushed} if pushed else {}
     given |= {"namespace": own} if own else {}
     nodes, _ = started("closed_loop", transport="serial", **given)
-    assert {node.parameters[0]["frame_prefix"] for node in nodes.values()} == {f"{space}/"}
+    for file in {node.parameters[1] for node in nodes.values()}:
+        read = yaml.safe_load(Path(file).read_text(encoding="utf-8"))
+        assert {name.removeprefix("/**/") for name in read} == nodes.keys()
+        prefix = {"ros__parameters": {"frame_prefix": f"{space}/"}}
+        assert all(own == prefix for own in read.values())
     link = f"{RunOptions().link}_{space.replace('/', '_')}"
     assert nodes["device"].parameters[-1]["link"] == link
     assert nodes["driver"].parameters[-1]["port"] == link
     assert {node.namespace for node in nodes.values()} == {own or ""}  # launch_ros puts it together
-    nodes, _ = started("closed_loop", one_process="true", **given)
-    assert [node.parameters[0] for node in nodes.values()] == [{"frame_prefix": f"{space}/"}]
+    nodes, _ = started("closed_loop", one_process="true", scenario="sort_4", **given)
+    sections = [yaml.safe_load(Path(f).read_text()) for f in nodes["one_process"].parameters]
+    assert sections[1]["/**/solver"]["ros__parameters"] == {"frame_prefix": f"{space}/"}
+    assert sections[-1][f"/{space}/simulator"]["ros__parameters"] == {"scenario": "sort_4"}
 
 
 def test_all_nodes_in_one_process_have_the_same_parameters(stand_in):
@@ -189,7 +262,7 @@ def test_all_nodes_in_one_process_have_the_same_parameters(stand_in):
     assert (process.package, process.executable) == ("plate_bringup", "one_process")
     assert process.arguments == NAMES
     read = yaml.safe_load(Path(process.parameters[-1]).read_text(encoding="utf-8"))
-    assert {name.removeprefix("/**/"): v["ros__parameters"] for name, v in read.items()} == {
+    assert {name.removeprefix("/"): v["ros__parameters"] for name, v in read.items()} == {
         name: node.parameters[-1] for name, node in apart.items() if node.parameters[-1]
     }
 

@@ -54,7 +54,7 @@ def test_it_includes_files_that_are_there_with_arguments_that_they_have(monkeypa
 
 
 RUN = """
-import json, sys, yaml
+import json, sys, rclpy
 from launch import LaunchService
 from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
@@ -63,14 +63,19 @@ from launch_ros.actions import Node
 
 def execute(self, context):
     self._perform_substitutions(context)
-    given = {}
+    words = ["--ros-args"]
     for value, is_file in self._Node__expanded_parameter_arguments or ():
-        if is_file:
-            with open(value, encoding="utf-8") as file:
-                sections = yaml.safe_load(file) or {}
-            for section, values in sections.items():
-                if section.rpartition("/")[2] in ("**", self.node_name.rpartition("/")[2]):
-                    given |= values["ros__parameters"]
+        words += ["--params-file", value] if is_file else []
+    space, _, name = self.node_name.rpartition("/")
+    ros = rclpy.Context()
+    rclpy.init(args=[], context=ros)
+    node = rclpy.create_node(
+        name, namespace=space, context=ros, cli_args=words, use_global_arguments=False,
+        automatically_declare_parameters_from_overrides=True, start_parameter_services=False,
+    )
+    given = {key: one.value for key, one in node.get_parameters_by_prefix("").items()}
+    node.destroy_node()
+    ros.try_shutdown()
     remaps = [":=".join(pair) for pair in self.expanded_remapping_rules or ()]
     remaps += [":=".join(pair) for pair in context.launch_configurations.get("ros_remaps", ())]
     print(json.dumps([self.node_name, given, remaps]), flush=True)
@@ -102,7 +107,8 @@ def test_launch_starts_both_plates_and_the_robot(tmp_path):
         *(f"/cell/left/{name}" for name in NAMES | {"page"}),
         *(f"/cell/right/{name}" for name in NAMES | {"device"}),
     }
-    assert nodes["/cell/arm"][0] == {"port": "/dev/robot"}
+    assert nodes["/cell/arm"][0]["port"] == "/dev/robot"
+    assert "seed" not in nodes["/cell/arm"][0]
     for name, (given, remaps) in nodes.items():
         side = name.split("/")[2]
         if side != "arm":
@@ -111,6 +117,32 @@ def test_launch_starts_both_plates_and_the_robot(tmp_path):
     assert nodes["/cell/left/simulator"][0]["scenario"] == "sort_4"
     assert nodes["/cell/right/driver"][0]["port"] == "/tmp/plate_device_cell_right"
     assert "port" not in nodes["/cell/left/driver"][0]
+
+
+@pytest.mark.needs("launch_ros")
+def test_its_parameters_reach_the_nodes_by_an_outer_file_too(tmp_path):
+    """Arguments win over it, and it wins over the defaults."""
+    (tmp_path / "own.yaml").write_text(PARAMETERS)
+    outer = f"            SetParametersFromFile({str(tmp_path / 'own.yaml')!r}),\n"
+    file = tmp_path / "cell.launch.py"
+    include = "            IncludeLaunchDescription("
+    text = FILE.replace(include, outer + include)
+    text = text.replace("import Node, ", "import Node, SetParametersFromFile, ")
+    file.write_text(text.replace('view="true"', 'seed="7"'))
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, str(file)],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith('["')]
+    nodes = {name: given for name, given, _ in lines}
+    for side in ("left", "right"):
+        assert nodes[f"/cell/{side}/solver"]["method"] == "rotations"
+        assert nodes[f"/cell/{side}/planner"]["robot_name"] == "ur5"
+    assert nodes["/cell/left/detector"]["gate_m"] == 0.02
+    assert nodes["/cell/right/detector"].get("gate_m") != 0.02
+    assert (nodes["/cell/left/solver"]["seed"], nodes["/cell/left/simulator"]["seed"]) == (7, 7)
+    assert nodes["/cell/right/simulator"]["scenario"] == "assemble_8"
 
 
 def test_its_parameters_are_those_of_the_nodes():
