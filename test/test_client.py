@@ -27,7 +27,7 @@ def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch
         graph.free()
         graph.observer.await_ready()
         check_the_command(graph)  # first: later the parts may be sorted already
-        result = storm(graph.observer, 40, np.random.default_rng(1))
+        result = storm(graph.observer, 20, np.random.default_rng(1))
         assert result["unanswered"] == 0, result
         assert result["wrong ones that began"] == 0, result
         assert result["plate rests"], result
