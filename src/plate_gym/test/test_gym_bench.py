@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -377,7 +378,8 @@ def hang():
         "--seeds", "0:3", "--workers", "1",
     ]  # fmt: skip
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, cwd=tmp_path, **pipes) as process:
+    hears = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # the tests may run under `&`
+    with subprocess.Popen(command, cwd=tmp_path, preexec_fn=hears, **pipes) as process:
         while not (tmp_path / "hangs").exists():
             assert process.poll() is None, process.communicate()
             time.sleep(0.1)
