@@ -83,10 +83,13 @@ def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
     assert at_1000 == pytest.approx(first, rel=0.05)
 
 
-def test_the_loop_swings_up_from_the_predicted_latency_on(rig):
-    linear = latency.LinearLoop(rig)
+def test_the_loop_swings_up_from_the_predicted_latency_on(rig, monkeypatch):
+    linear = []
+    for seed in range(5):  # one draw of motions may give a tenth less
+        monkeypatch.setattr(latency, "SEED", seed)
+        linear.append(latency.LinearLoop(rig))
     for friction in (1.0, 1.4):
-        margin = linear.delay_margin(friction)
+        margin = np.median([one.delay_margin(friction) for one in linear])
         ages = margin * np.array([0.6, 1.0, 1.4])
         error = [1e3 * latency.Loop(rig, 1).run(friction, age) for age in ages]
         observed = crossing(ages.tolist(), error, latency.LEVEL_MM)
