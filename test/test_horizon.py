@@ -6,8 +6,7 @@ import numpy as np
 
 from plate_core import load_rig
 from plate_solver import Limits
-from plate_solver.sinusoids import ROUGH, limited_sinusoids
-from plate_solver.sinusoids.limits import LimitedSinusoids
+from plate_solver.sinusoids import ROUGH, LimitedSinusoids, limited_sinusoids
 from tasks.horizon import repeated
 
 

@@ -22,15 +22,16 @@ from plate_core import load_rig
 from plate_solver import Goal
 from plate_solver.maps import end_state
 from plate_solver.sinusoids import (
+    AT_ONCE,
     ROUGH,
+    SPREAD,
+    LimitedSinusoids,
     Problem,
     SinusoidSteering,
     descend,
     limited_sinusoids,
     sinusoid_basis,
-    steer,
-)  # fmt: skip
-from plate_solver.sinusoids.limits import LimitedSinusoids
+)
 
 BEST, LATER, STARTS, STEPS, TWICE, EVERY = 5, 6, 4, 12, 2, 5
 """Motions of an answer that are compared; cycles after which they are judged; descents for each of
@@ -118,7 +119,7 @@ class Following(Comparing):
             search = partial(descend, Problem.of(goal, self._motions[self.key], 1.0))
             best = search(family.nearest(twist), 0.0, STEPS)
             for _ in range(STARTS - 1):
-                size = steer.SPREAD * np.sqrt(np.mean(best.parameters**2))
+                size = SPREAD * np.sqrt(np.mean(best.parameters**2))
                 start = best.parameters + size * rng.normal(size=len(best.parameters))
                 best = min(best, search(start, 0.0, STEPS), key=lambda one: one.cost)
             twist, goal = family.samples(best.parameters)[1], moved(goal, family, best.parameters)
@@ -144,7 +145,7 @@ class Proposing(Comparing):
         def own(index: int, near: Any) -> np.ndarray:
             if offer is not None and index == 0:
                 return offer
-            here = offer is not None and steer.AT_ONCE <= index < steer.AT_ONCE + NEAR
+            here = offer is not None and AT_ONCE <= index < AT_ONCE + NEAR
             return start(index, self.found[1] if here else near)
 
         return super()._search(improved, own, *more)

@@ -30,13 +30,15 @@ from plate_core import PlateCycle, load_rig
 from plate_core.motion import quintic_pieces
 from plate_solver import Controller, Goal
 from plate_solver.sinusoids import (
+    TAIL_LOOKS,
+    TAIL_PERIOD_S,
+    TAIL_S,
+    LimitedSinusoids,
     SinusoidBasis,
     SinusoidSteering,
     limited_sinusoids,
     steer,
-)  # fmt: skip
-from plate_solver.sinusoids.basis import TAIL_LOOKS, TAIL_PERIOD_S, TAIL_S
-from plate_solver.sinusoids.limits import LimitedSinusoids
+)
 from tasks.choosing import Following, Judging, Proposing, learned
 from tasks.runs import UNEVEN, summed
 

@@ -4,15 +4,30 @@ Public: the basis, its families, the inversion of averages, a descent and the se
 cycle map; `plate_solver.SinusoidSolver` is the door.
 """
 
+from . import steer
 from .average import invert
-from .basis import SinusoidBasis, SinusoidFamily, sinusoid_basis
+from .basis import (
+    TAIL_LOOKS,
+    TAIL_PERIOD_S,
+    TAIL_S,
+    SinusoidBasis,
+    SinusoidFamily,
+    sinusoid_basis,
+)
 from .descent import BIN, Motions, Problem, descend
-from .steer import BEYOND, ROUGH, SinusoidSteering, limited_sinusoids
+from .limits import LimitedSinusoids
+from .steer import AT_ONCE, BEYOND, ROUGH, SPREAD, SinusoidSteering, limited_sinusoids
 
 __all__ = [
+    "AT_ONCE",
     "BEYOND",
     "BIN",
     "ROUGH",
+    "SPREAD",
+    "TAIL_LOOKS",
+    "TAIL_PERIOD_S",
+    "TAIL_S",
+    "LimitedSinusoids",
     "Motions",
     "Problem",
     "SinusoidBasis",
@@ -22,4 +37,5 @@ __all__ = [
     "invert",
     "limited_sinusoids",
     "sinusoid_basis",
+    "steer",
 ]
