@@ -16,23 +16,32 @@ import numpy as np
 
 from plate_core import PlateError, load_rig, piped
 
-from .socketcan import HostPort, HostTransport, program_of
+from .socketcan import ENDED, HostPort, HostTransport, program_of
 
 __all__ = ["main"]
 
 POLL_S = 0.002
 
+FIRST_S = 10.0
+"""Maximum time until the first report of the process [s]: on a busy computer it starts late."""
+
 
 def measured(transport: HostTransport, seconds: float) -> np.ndarray:
-    """Return the greatest lateness in each 10 ms of so many seconds, or until Ctrl-C [ms]; infinite
-    if the process has said nothing."""
+    """Return the maximum lateness in each 10 ms [ms], from the first report of the process on.
+
+    It ends after `seconds`, or with Ctrl-C. Without a report the value is infinite.
+    """
     late: list[float] = []
-    end = time.monotonic() + seconds
+    end = time.monotonic() + FIRST_S
     with contextlib.suppress(KeyboardInterrupt):
         while time.monotonic() < end:
             if transport.poll():
+                if not late:
+                    end = time.monotonic() + seconds
                 late.append(transport.load)
-                transport.values()  # which begins anew
+                transport.values()  # this resets the maximum
+            elif ENDED in transport.report().text:
+                break
             time.sleep(POLL_S)
     return np.array(late or [np.inf])
 
