@@ -1,8 +1,8 @@
-"""Which worker runs which tests, so that real nodes get the processor when they want it.
+"""Assign tests to workers, so that real nodes get the processor when they need it.
 
-Tests in test/ start real nodes and mostly wait for them; those of the packages, in src/, mostly
-compute. The first half of the workers takes test/, and then what is left; the others take src/, at
-a lower priority: they have the time in which nodes and tests in front of them wait.
+Tests in test/ start real nodes and mostly wait for them. Tests of the packages, in src/, mostly
+compute. The first half of the workers runs test/, then the remaining files of src/. The other half
+runs src/ at a lower priority: it uses the time in which the first half waits.
 """
 
 import os

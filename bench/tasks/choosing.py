@@ -34,18 +34,19 @@ from plate_solver.sinusoids import (
 )
 
 BEST, LATER, STARTS, STEPS, TWICE, EVERY = 5, 6, 4, 12, 2, 5
-"""Motions of an answer that are compared; cycles after which they are judged; descents for each of
-these, and their iterations; how often a motion is followed; in one answer of so many."""
+"""Number of best motions compared in an answer; cycles until they are judged; descents in each of
+these cycles, and iterations of a descent; repetitions for each motion; and one answer in EVERY is
+used."""
 
 RIDGE = 100.0
 """Of the regression, in units of the features' spread."""
 
 NEAR = 3
-"""Starts near what comes of the network's."""
+"""Number of starts near the motion that the network proposes."""
 
 LANE_M, CLEAR_M, ARM_M = 0.03, 0.04, 0.2
-"""What stands so near a way is in it, centres nearer than the second lack room, and a turn of the
-plate counts by the third [m]."""
+"""Distance from a part's path within which another part is an obstacle; distance of two centres
+below which room is short; lever by which a rotation of the plate is compared with a shift [m]."""
 
 
 class Comparing(SinusoidSteering):
@@ -172,7 +173,7 @@ class Proposing(Comparing):
 
 
 def moved(goal: Goal, family: LimitedSinusoids, parameters: np.ndarray) -> Goal:
-    """Return what is left to do after a motion, and the state in which it ends."""
+    """Return the goal that remains after a motion, with the state in which the motion ends."""
     motion = *family.samples(parameters), goal.friction_accel
     place, velocity = end_state(goal.position, goal.velocity, *motion)
     own = family.coefficients(parameters)

@@ -175,16 +175,16 @@ class Repeating(SinusoidSteering):
             return LimitedSinusoids(self.bases[kind], limits, most, plate)
 
         with patch.object(steer, "limited_sinusoids", family):
-            cycle, *told = super().steer(goal, number, period, *args)
+            cycle, *statistics = super().steer(goal, number, period, *args)
         end = len(cycle.times) // self.plays
         times, pose, twist, accel = (knots[: end + 1].copy() for knots in cycle.knots)
         tail = PlateCycle.stopping(cycle.state(end), TAIL_S, TAIL_PERIOD_S)
         spline = cycle.coefficients[:end].copy()
-        return PlateCycle(times, pose, twist, accel, spline, tail), *told
+        return PlateCycle(times, pose, twist, accel, spline, tail), *statistics
 
 
 def repeated(basis: SinusoidBasis, plays: int) -> SinusoidBasis:
-    """Return the basis of motions with a free end that are played so many times.
+    """Return the basis of motions with a free end that are played `plays` times.
 
     The plate settles from the state E a in which the play before has ended, so pose, twist and
     acceleration stay linear in the coefficients a: (B + S E) a, S the way to rest from a state.

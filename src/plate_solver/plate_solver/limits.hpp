@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include <plate/four.hpp>
+#include <plate/simd.hpp>
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
 

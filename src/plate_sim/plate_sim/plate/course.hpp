@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <vector>
 
-#include <plate/four.hpp>
+#include <plate/simd.hpp>
 #include <plate/wide.hpp>
 
 namespace plate {

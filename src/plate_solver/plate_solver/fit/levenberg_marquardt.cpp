@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <limits>
 
-#include <plate/four.hpp>
+#include <plate/simd.hpp>
 #include <plate/products.hpp>
 #include <plate/wide.hpp>
 

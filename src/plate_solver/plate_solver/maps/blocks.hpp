@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include <plate/eight.hpp>
+#include <plate/simd.hpp>
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
 

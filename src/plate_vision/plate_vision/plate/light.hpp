@@ -5,10 +5,9 @@
 #include <utility>
 #include <vector>
 
+#include <plate/simd.hpp>
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
-
-#include "plate/eight.hpp"
 
 namespace plate {
 
