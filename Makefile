@@ -39,7 +39,7 @@ play: workspace ## Play on a live page: [SCENARIO=play] [RIG=...] [METHOD=...] [
 	@$(ENTER) exec python tools/play.py $(RUN) $(ARGS)
 
 # One for each core, 2 to 8: half of them mostly wait for real nodes, to which the others give way (test/lanes.py).
-# With two for each core the board's driver is silent for so long now and then that the board stops the plate.
+# With two for each core the driver sometimes sends nothing for too long, and the board stops the plate.
 WORKERS ?= $(shell cores=$$(env -u OMP_NUM_THREADS nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
 test-tools: checks ## Install Chromium, ARM compilers and launch, for some tests: [SOURCES=https://github.com]

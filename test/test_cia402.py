@@ -373,10 +373,10 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
     assert off - since <= DELAYS_MS.get(trouble, FOLLOWED_MS)
     assert 15 not in words[words[:, 0] > off, 2]
     assert all(d.state != "enabled" for d in bench.drives)
-    told = said_by(bench, DriveTrouble)
+    reports = said_by(bench, DriveTrouble)
     motor = 0 if kind in (Trouble.OTHER_MASTER, Trouble.BUS_OFF) else 2
-    assert {(t.motor, t.kind) for t in told} == {(motor, kind)}
-    assert {t.code for t in told} <= set(code if trouble is troubles.jam else [code])
+    assert {(t.motor, t.kind) for t in reports} == {(motor, kind)}
+    assert {t.code for t in reports} <= set(code if trouble is troubles.jam else [code])
     check_bus(bench)
 
 

@@ -82,7 +82,7 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
 
 
 class Person:
-    """At a terminal, in place of the observer: types what is given when the program waits."""
+    """Replaces the observer: when the program waits, types the next text at its terminal."""
 
     def __init__(self, typed):
         self.master, slave = pty.openpty()

@@ -151,7 +151,7 @@ class Bench:
         self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.told: list[str] = []
+        self.texts: list[str] = []
         self.status = DriverStatus()
         self.states: list[JointState] = []
         self.setpoints: list[JointTrajectory] = []
@@ -176,12 +176,12 @@ class Bench:
 
     def on_status(self, msg: DriverStatus) -> None:
         self.status = msg
-        if self.told[-1:] != [msg.text]:
-            self.told.append(msg.text)
+        if self.texts[-1:] != [msg.text]:
+            self.texts.append(msg.text)
 
     def off(self) -> bool:
-        """Whether the motors are, and were heard to be since `told` was cleared."""
-        return bool(self.told) and self.status.state in (
+        """Whether the motors are off, and a status was received since `texts` was cleared."""
+        return bool(self.texts) and self.status.state in (
             DriverStatus.DISABLED, DriverStatus.STOPPED,
         )  # fmt: skip
 
@@ -199,7 +199,7 @@ class Bench:
         return False
 
     def tells(self, text: str, seconds: float = 30.0) -> None:
-        assert self.until(lambda: self.told and self.told[-1] == text, seconds), self.told
+        assert self.until(lambda: self.texts and self.texts[-1] == text, seconds), self.texts
 
     def call(self, client, request):
         assert client.wait_for_service(timeout_sec=20.0)
@@ -240,9 +240,10 @@ class Bench:
         self.send_until(lambda: self.board.state is State.PLAYING)
 
     def send_until(self, condition) -> None:
-        """Send cycles until a condition holds, with the motors enabled. On a busy computer the
-        device may not have reported the last stop yet, or have stopped because it did not hear the
-        driver, or no report may show a short motion: it is enabled and sent to again."""
+        """Send cycles until a condition holds, and enable the motors whenever they are off.
+
+        On a busy computer the last stop may be reported late, the device may stop because it
+        receives nothing from the driver, and a short motion may be missing in the reports."""
         assert self.until(lambda: self.cycles.get_subscription_count() > 0)
 
         def holds() -> bool:
@@ -252,11 +253,11 @@ class Bench:
             self.wait(PERIOD)
             return bool(condition())
 
-        assert self.until(holds), self.told
+        assert self.until(holds), self.texts
 
     def rests(self) -> bool:
-        """Whether the driver says that the plate rests. On a busy computer the device may have
-        stopped because it did not hear the driver: it is enabled again."""
+        """Whether the driver reports that the plate rests. On a busy computer the device may have
+        stopped because it received nothing from the driver. The motors are then enabled again."""
         if self.status.state in (DriverStatus.DISABLED, DriverStatus.STOPPED):
             self.enable()
         return bool(self.reports[-1].message == AT_REST)
@@ -324,16 +325,16 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     assert nanoseconds(bench.setpoints[-1].header.stamp) <= bench.stamp
     # Without cycles the plate rests by itself, with current. Without a task that is normal.
     assert bench.until(lambda: board.state is State.READY)
-    assert bench.until(bench.rests), (bench.reports[-1].message, bench.told)
+    assert bench.until(bench.rests), (bench.reports[-1].message, bench.texts)
     assert bench.reports[-1].level == DiagnosticStatus.OK
     values = {v.key: v.value for v in bench.reports[-1].values}
     assert {"device_state", "faults", "stop", "following_error_mm", "device_load",
             "round_trip_ms", "device_thermal_load"} <= set(values)  # fmt: skip
-    assert bench.told[-1] == "ready"
+    assert bench.texts[-1] == "ready"
     # And goes on with the next one, which needs no enable, unless the motors were off meanwhile.
-    enables, told = board.count(Enable), len(bench.told)
+    enables, before = board.count(Enable), len(bench.texts)
     bench.moving()
-    assert board.count(Enable) == enables or set(bench.told[told:]) - {"ready"}
+    assert board.count(Enable) == enables or set(bench.texts[before:]) - {"ready"}
     assert "Traceback" not in bench.end()
     assert board.count(Stop) >= 1
     assert bench.until(lambda: board.state is State.OFF)
@@ -366,7 +367,7 @@ def anew(bench: Bench) -> None:
 def ended(number: int):
     def end(bench: Bench) -> None:
         bench.end(number)
-        bench.told.clear()
+        bench.texts.clear()
         bench.start()
         assert bench.until(bench.off)
 
@@ -396,7 +397,7 @@ def test_no_way_undoes_a_stop(bench):
         bench.send_in_vain()
         assert board.count(Enable) == enables, way
         assert (board.current, board.setpoints) == (False, setpoints), way
-        assert bench.off(), (way, bench.told)
+        assert bench.off(), (way, bench.texts)
         bench.moving()  # a person enables: once on the line, whatever repetitions
         assert board.current
 
@@ -408,13 +409,13 @@ def test_an_end_in_mid_motion_stops_the_plate_for_good(bench):
     for way in (lifecycle, ended(signal.SIGTERM), ended(signal.SIGKILL)):
         bench.moving()
         enables, stops = board.count(Enable), board.count(Stop)
-        bench.told.clear()
+        bench.texts.clear()
         way(bench)
         assert bench.until(lambda: not board.current)
         assert bench.until(bench.off)
         bench.send_in_vain()
         assert (board.count(Enable), board.current) == (enables, False), way
-        assert bench.off(), (way, bench.told)
+        assert bench.off(), (way, bench.texts)
         if way.__name__ != "SIGKILL":
             assert board.count(Stop) > stops  # it said so, and did not leave it to the device
 
@@ -428,12 +429,12 @@ def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
     assert not board.current
     assert Stop(1) in board.heard
     bench.tells(CUT)
-    heard = len(bench.told)
+    before = len(bench.texts)
     bench.moving()
-    assert not [text for text in bench.told[heard:] if "power cut" in text]  # it is not done again
+    assert not [text for text in bench.texts[before:] if "power cut" in text]  # only once
     assert bench.enable(False).success
     # Where a busy computer lets the line fall silent meanwhile, the device has stopped as well.
-    assert bench.until(lambda: bench.told[-1] == OFF or "host silent" in bench.told[-1])
+    assert bench.until(lambda: bench.texts[-1] == OFF or "host silent" in bench.texts[-1])
     assert bench.until(lambda: not board.current)
     bench.moving()
     # Its cable is cut: nobody acknowledges, and the answer says so.
@@ -473,7 +474,7 @@ def test_a_driver_waits_for_its_port(bench, tmp_path):
     # It is the same for one that vanishes in mid-run.
     link.unlink()
     board.dead = True  # as a port that is pulled out
-    assert bench.until(lambda: bench.told[-1] == waits), bench.told
+    assert bench.until(lambda: bench.texts[-1] == waits), bench.texts
     board.dead = False
     link.symlink_to(terminal)
     bench.tells("stopped: host silent; look at the rig, then call enable")

@@ -28,8 +28,8 @@ DEFOCUS_PX = 2.5
 """Blur of the camera when its lens was turned the wrong way [px]."""
 
 STEADY_S, MEASURED_S = 6.0, 300.0
-"""How long the page watches before a picture; maximum time of a measurement of friction, and until
-a busy machine's nodes are heard [s]."""
+"""Time for which the page receives messages before a picture, and maximum time until friction is
+measured or, on a busy machine, until the page shows no alarm [s]."""
 
 
 def shoot(page: Any, graph: Session, out: Path) -> None:

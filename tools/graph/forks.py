@@ -189,7 +189,7 @@ def serve(modules: Iterable[str]) -> None:
     sys.stdout.flush()  # or each node would say it again
     gc.collect()
     gc.freeze()  # or a node's first collection copies all pages
-    # Of rclpy's own threads, which nodes start anew. Python warns of any thread.
+    # Python warns of any thread. These are rclpy's own, and each node starts them again.
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
     while order := sys.stdin.readline():
         if not (child := os.fork()):

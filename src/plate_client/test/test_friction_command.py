@@ -19,12 +19,12 @@ MOST_ROUNDS = 100
 
 
 class Scripted(Graph):
-    """A graph of which each round of waiting hears what the script says."""
+    """A graph that receives the messages of a script, one call of it for each round of waiting."""
 
     def __init__(self, script, answer):
-        self.heard, self.calls, self.rounds = {}, [], 0
+        self.callbacks, self.calls, self.rounds = {}, [], 0
         self.script, self.answer = script, answer
-        subscribe = lambda kind, topic, take, qos: self.heard.update({topic: take})  # noqa: E731
+        subscribe = lambda kind, topic, take, qos: self.callbacks.update({topic: take})  # noqa: E731
         self.node = SimpleNamespace(create_subscription=subscribe)
 
     def _call(self, kind, service, request, urgent=False, once=False):
@@ -39,8 +39,8 @@ class Scripted(Graph):
         self.rounds += 1
         return true()
 
-    def hear(self, topic, msg):
-        self.heard[topic](msg)
+    def receive(self, topic, msg):
+        self.callbacks[topic](msg)
 
 
 def ran(script, success=True, answer=None):
@@ -56,17 +56,17 @@ def ran(script, success=True, answer=None):
 def progress(graph):
     msg = Friction(state=Friction.RUNNING, text="push 1")
     msg.header.stamp = OURS
-    graph.hear("friction", msg)
+    graph.receive("friction", msg)
 
 
-@pytest.mark.parametrize("later", [lambda graph: None, lambda g: g.hear("driver_status", READY)])
-def test_a_driver_that_measures_no_longer_is_told_within_seconds(later, capsys):
+@pytest.mark.parametrize("later", [lambda graph: None, lambda g: g.receive("driver_status", READY)])
+def test_a_driver_that_measures_no_longer_is_reported_within_seconds(later, capsys):
     """One that is gone, and one that was started again."""
     begun = 30
 
     def script(graph):
         if graph.rounds < begun:
-            graph.hear("driver_status", MEASURES)
+            graph.receive("driver_status", MEASURES)
         else:
             later(graph)
 

@@ -378,8 +378,9 @@ def hang():
         "--seeds", "0:3", "--workers", "1",
     ]  # fmt: skip
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    hears = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # the tests may run under `&`
-    with subprocess.Popen(command, cwd=tmp_path, preexec_fn=hears, **pipes) as process:
+    # The tests may run under `&`, where SIGINT is ignored.
+    interruptible = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(command, cwd=tmp_path, preexec_fn=interruptible, **pipes) as process:
         while not (tmp_path / "hangs").exists():
             assert process.poll() is None, process.communicate()
             time.sleep(0.1)

@@ -28,7 +28,7 @@ DRAWS = 6
 
 
 def made(compiler, source, package, place, *options, system=()):
-    """Return the file that a compiler makes of a source; fails if it says anything."""
+    """Return the file that a compiler makes of a source; fail if it prints warnings or errors."""
     folders = (package, SHARED, source.parent)
     own = {path for folder in folders for path in folder.rglob("*.[hc]pp")}
     own |= {*ROOT.glob("firmware/*.[hc]"), NANOBIND / "include/nanobind/nanobind.h"}

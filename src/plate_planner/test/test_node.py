@@ -403,14 +403,14 @@ def test_an_error_of_the_detector_ends_the_task_if_it_lasts(silenced, lasts):
     wrong.status[0].level, right.status[0].level = DiagnosticStatus.ERROR, DiagnosticStatus.OK
     images = itertools.count()
 
-    def told():
+    def report():
         silenced.others.publish(wrong if lasts or next(images) % 8 == 0 else right)
 
     if lasts:
-        silenced.feed(lambda: silenced.states[-1] != "running", told)
+        silenced.feed(lambda: silenced.states[-1] != "running", report)
         assert silenced.states[-1].endswith(": detector: the camera was moved")
     else:
-        silenced.feed(lambda: next(images) > 60, told)
+        silenced.feed(lambda: next(images) > 60, report)
         assert silenced.states[-1] == "running"
 
 

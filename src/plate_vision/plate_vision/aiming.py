@@ -40,7 +40,8 @@ BINS = 64
 """Bins of the histogram, four grey levels each."""
 
 CLIPPED = 0.01
-"""Maximum fraction of the plate's pixels at 0, or at 255 [-]. Reflections of a part are smaller."""
+"""Maximum fraction of the plate's pixels at grey level 0, and of those with a channel at 255 [-].
+Reflections of a part are smaller."""
 
 BLURRED = 0.85
 """Sharpness relative to the best of the last minute below which the image counts as out of focus
@@ -76,7 +77,7 @@ EDGE_POINTS = 9
 
 @dataclass(frozen=True, eq=False)
 class AimField:
-    """The measured region of a picture, made once for a vision.
+    """The region of a picture that is measured. It is computed again if the vision's region changes.
 
     Attributes
     ----------

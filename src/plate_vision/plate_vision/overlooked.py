@@ -21,7 +21,7 @@ REASONS = (
 )
 """Why a thing is not a part: its size is below or above that of the rig's parts; its contrast to
 the plate is too low; its shape is not a part's; the plate's edge cuts it; its centre is not on the
-plate; it seems to be several parts that could not be told apart; the image is too blurred to name
+plate; it seems to be several parts that could not be separated; the image is too blurred to name
 its type; it is seen as a part now, but images before did not show it as one."""
 
 OVERLOOKED = np.dtype(

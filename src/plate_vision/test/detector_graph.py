@@ -30,7 +30,7 @@ class Graph:
         rclpy.init(args=args)
         self.warnings, self.notes = warnings, notes = [], []
 
-        class Heard(DetectorNode):
+        class Recorded(DetectorNode):
             def get_logger(self):
                 logger = super().get_logger()
                 logger.warning = lambda text, **_: warnings.append(text)
@@ -38,7 +38,7 @@ class Graph:
                 return logger
 
         try:
-            self.detector = Heard()
+            self.detector = Recorded()
             start_nodes(self.detector)
         except BaseException:
             rclpy.try_shutdown()

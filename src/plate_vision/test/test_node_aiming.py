@@ -1,4 +1,4 @@
-"""The view to aim by: the detector's topic and services for home and lens."""
+"""The aiming view: the detector's topic, and its services for home and lens."""
 
 import cv2
 import numpy as np
@@ -185,7 +185,7 @@ class Kept:
         return self.fitted
 
 
-def test_a_lens_that_opencv_cannot_fit_is_told_and_pictures_go_on(graph):
+def test_a_lens_that_opencv_cannot_fit_is_reported_and_pictures_go_on(graph):
     aiming = graph.detector._aiming
     aiming._lens = LensJob(Kept(), Board(9, 7, 0.03, 0.022), "plumb_bob")
     assert called(graph, "fit_lens").success

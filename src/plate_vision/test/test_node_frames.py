@@ -44,20 +44,20 @@ def test_plate_with_markers(make_plate, marked_rig, draw, rng):
         graph.until(done.done)
         graph.images.publish(image(plate.take([0.008, 0, 0], rng), 3.2))
         graph.until(lambda: len(poses) > 3)
-        assert abs(poses[-1].pose.position.x) < 1e-4  # home is found anew
+        assert abs(poses[-1].pose.position.x) < 1e-4  # home is found again
     finally:
         graph.close()
 
 
-def heard_transforms(graph, qos, topic, count):
+def received_transforms(graph, qos, topic, count):
     """The newest of `count` transforms, to be called before they are published."""
-    heard = []
-    graph.probe.create_subscription(TFMessage, topic, heard.append, qos)
+    received = []
+    graph.probe.create_subscription(TFMessage, topic, received.append, qos)
     graph.until(lambda: graph.detector.count_subscribers(topic))
 
     def newest():
-        graph.until(lambda: len(heard) >= count)
-        (transform,) = heard[-1].transforms
+        graph.until(lambda: len(received) >= count)
+        (transform,) = received[-1].transforms
         return transform
 
     return newest
@@ -68,7 +68,7 @@ def test_frames_without_markers(draw, rng):
     the plate is nobody knows. All names with the prefix."""
     graph = Graph(frame_prefix="left/")
     try:
-        camera = heard_transforms(graph, LATCHED, "/tf_static", 1)()
+        camera = received_transforms(graph, LATCHED, "/tf_static", 1)()
         answer = graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 7.0))
         assert graph.detector.count_publishers("/tf") == 0
         assert answer.header.frame_id == camera.header.frame_id == "left/plate_home"
@@ -97,8 +97,8 @@ def test_frames_with_markers(make_plate, marked_rig, rng):
     plate = make_plate(lean=(0.02, -0.03, 0.01))
     graph = Graph(rig_file=marked_rig, frame_prefix="left/")
     try:
-        camera = heard_transforms(graph, LATCHED, "/tf_static", 1)
-        moving = heard_transforms(graph, TRANSFORMS, "/tf", 2)
+        camera = received_transforms(graph, LATCHED, "/tf_static", 1)
+        moving = received_transforms(graph, TRANSFORMS, "/tf", 2)
         for k, pose in enumerate([(0.0, 0.0, 0.0), (0.001, -0.0015, 0.01)]):
             answer = graph.answer(image(plate.take(pose, rng), 2.0 + 0.2 * k))
         assert (moving().header.frame_id, moving().child_frame_id) == (

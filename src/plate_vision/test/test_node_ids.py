@@ -48,7 +48,7 @@ def test_part_forces_tell_which_part_is_which(graph, draw, rng):
     assert graph.detector._expected is None
 
 
-def test_ids_that_end_are_told(draw, rng):
+def test_ids_that_end_are_reported(draw, rng):
     graph = Graph(max_missed=1)
     try:
         both = draw(CENTRE_PX, ["grey", "grey"], rng, radius=7.9)

@@ -33,7 +33,7 @@ def test_every_image_is_answered_with_its_stamp(graph, draw, rng):
 
 
 def packed(frame, encoding):
-    """Grey levels in another encoding, packed by hand: a grey mosaic is the grey image itself."""
+    """Return a grey frame in another encoding. Its Bayer mosaic is the frame itself."""
     if encoding in ("bgr8", "rgb8"):
         return np.dstack([frame] * 3)
     if encoding in ("mono16", "bayer_rggb16"):
@@ -87,7 +87,7 @@ def test_compressed_images(draw, rng):
 @pytest.mark.parametrize("kind", ["raw", "compressed"])
 @pytest.mark.parametrize("bits", [10, 12])
 def test_images_of_fewer_bits_than_are_said_name_the_parameter(draw, rng, kind, bits):
-    """A camera with 12 bits in numbers of 16: not only more light is asked for."""
+    """If a camera sends 12 bits in 16-bit numbers, the warning names `bits`, not only the light."""
     frame = draw(CENTRE_PX, LABEL, rng, radius=7.9).astype("<u2") << (bits - 8)
     graph = Graph(image_transport=kind)
     try:
@@ -159,7 +159,7 @@ def test_one_image_that_comes_late_ends_no_ids_but_time_may_begin_anew(graph, dr
     assert names(graph.answer(image(second, 0.1))) == ["grey_1"]
 
 
-def test_two_cameras_on_one_topic_are_told(graph):
+def test_two_cameras_on_one_topic_are_reported(graph):
     assert "image_raw (" not in graph.detector._find(0.0).message
     second = rclpy.create_node("camera_2", namespace="/detector_test")
     try:

@@ -77,7 +77,7 @@ def test_a_refused_camera_info_stays_in_diagnostics(graph, draw, rng, values, mo
     graph.probe.create_subscription(DiagnosticArray, "diagnostics", reports.append, DATA)
     frame = image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)
 
-    def told(level):
+    def reported(level):
         reports.clear()
         for _ in range(400):
             graph.images.publish(frame)
@@ -87,15 +87,15 @@ def test_a_refused_camera_info_stays_in_diagnostics(graph, draw, rng, values, mo
         assert [report.status[0].level for report in reports[1:]] == 3 * [level]
         return reports[-1].status[0].message
 
-    assert told(DiagnosticStatus.OK) == "all images used"
+    assert reported(DiagnosticStatus.OK) == "all images used"
     graph.infos.publish(camera_info(values, model))
     graph.until(lambda: graph.warnings)
-    text = told(DiagnosticStatus.ERROR)
+    text = reported(DiagnosticStatus.ERROR)
     assert text.startswith("camera_info ignored: lens: distortion")
     assert words in text
     graph.infos.publish(camera_info([1e-3, 0.0, 0.0, 0.0], "plumb_bob"))  # edges stay straight
     graph.until(lambda: graph.detector._lens is not None)
-    assert told(DiagnosticStatus.OK) == "all images used"
+    assert reported(DiagnosticStatus.OK) == "all images used"
 
 
 @pytest.mark.parametrize("wrong", ["no scale", "far"])

@@ -27,14 +27,14 @@ def test_without_light_or_with_too_much_nothing_is_found(graph, grey, words):
     assert "allowed: " in graph.warnings[-1]
 
 
-def test_diagnostics_tell_silence_refusals_and_bad_light(draw, rng):
+def test_diagnostics_report_silence_refusals_and_bad_light(draw, rng):
     graph = Graph(input_timeout_s=0.5)
     try:
         reports = []
         graph.probe.create_subscription(DiagnosticArray, "diagnostics", reports.append, DATA)
 
-        def told(level, *words, play=None):
-            """Play an image again and again until diagnostics say what they should."""
+        def reported(level, *words, play=None):
+            """Publish an image until diagnostics report a level with words; return their values."""
 
             for _ in range(200):
                 if play is not None:
@@ -43,22 +43,22 @@ def test_diagnostics_tell_silence_refusals_and_bad_light(draw, rng):
                 status = reports[-1].status[0] if reports else DiagnosticStatus()
                 if status.level == level and all(w in status.message for w in words):
                     return {item.key: item.value for item in status.values}
-            raise AssertionError(f"not told: {level} {words}, but {reports[-1:]}")
+            raise AssertionError(f"not reported: {level} {words}, but {reports[-1:]}")
 
-        told(DiagnosticStatus.STALE, "no image yet on", "image_raw: does the camera run?")
+        reported(DiagnosticStatus.STALE, "no image yet on", "image_raw: does the camera run?")
         good = image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)
-        values = told(DiagnosticStatus.OK, "all images used", play=good)
+        values = reported(DiagnosticStatus.OK, "all images used", play=good)
         assert (values["refused"], values["parts_seen"]) == ("0", "2")
         assert int(values["images"]) > 0
         assert float(values["rate_hz"]) > 0
         assert 0 < float(values["detection_ms_median"]) <= float(values["detection_ms_max"])
         wrong = image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)
         wrong.encoding = "32FC1"
-        values = told(DiagnosticStatus.ERROR, "images refused: ", "'32FC1'", play=wrong)
+        values = reported(DiagnosticStatus.ERROR, "images refused: ", "'32FC1'", play=wrong)
         assert int(values["refused"]) > 0
         dark = image(np.zeros((480, 640), np.uint8), 2.0)
-        told(DiagnosticStatus.WARN, "is the light on", play=dark)
-        told(DiagnosticStatus.STALE, "no image for ", "does the camera run?")
+        reported(DiagnosticStatus.WARN, "is the light on", play=dark)
+        reported(DiagnosticStatus.STALE, "no image for ", "does the camera run?")
     finally:
         graph.close()
 

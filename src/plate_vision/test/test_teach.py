@@ -325,5 +325,5 @@ def test_a_height_that_is_not_given_is_asked_for(height, given, warns, rng):
     assert lesson.count == 3
     assert len(lesson.doubts) == warns
     for doubt in lesson.doubts:
-        told = re.search(r"agree best as parts of about (\d+) mm height: .* --height", doubt)
-        assert int(told[1]) == pytest.approx(height, abs=2)
+        stated = re.search(r"agree best as parts of about (\d+) mm height: .* --height", doubt)
+        assert int(stated[1]) == pytest.approx(height, abs=2)

@@ -144,7 +144,7 @@ class Trial:
     error : float
         Standard error of a lag [m].
     curve : (2, n)
-        Values of mu, rising, and the lags [m] at these.
+        Values of mu in ascending order, and the lag at each of them [m].
     """
 
     push: Push
@@ -159,7 +159,7 @@ class Trial:
         return float(np.interp(mu, *self.curve))
 
     def local(self, name: str) -> tuple[float, float]:
-        """Return mu of a part from only this push, and its standard error."""
+        """Return mu of a part, computed from this push only, and its standard error."""
         grid, lags = self.curve
         mu = np.interp(self.lag[name], lags[::-1], grid[::-1])
         slope = np.interp(mu, grid, np.gradient(lags, grid))
@@ -463,7 +463,7 @@ class FrictionMeasurement:
         )
 
     def _room(self, axis: int, sign: int) -> float:
-        """Return the displacement along an axis that all parts have clearance for [m]."""
+        """Return the longest push along an axis for which all parts have clearance [m]."""
         return min(
             float(
                 self.rig.plate.half[axis]

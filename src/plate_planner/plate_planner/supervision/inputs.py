@@ -22,8 +22,8 @@ SECOND_HAND_S = 0.2
 better reason."""
 
 ERROR_TIMEOUT_S = 1.0
-"""A task whose driver or detector tells an error for longer is ended [s]; a line may fail for a
-moment, and one image may be misread."""
+"""If the driver or the detector reports an error for longer [s], the task is ended. A line may fail
+for a moment, and one image may be misread."""
 
 REPORT_TIMEOUT_S = 1.3
 """A node that has published no diagnostics for longer, where one a second is due, is silent [s]."""

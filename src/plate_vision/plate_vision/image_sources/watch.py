@@ -27,7 +27,7 @@ MAX_LOST = 0.02
 """Fraction of lost or late images above which diagnostics warn. The planner tolerates more."""
 
 BLACK = 12
-"""Maximum grey level of a black image: noise of a covered sensor."""
+"""Maximum grey level of a black image (8 bits). The noise of a covered sensor stays below it."""
 
 ALIKE = 15
 """Number of consecutive black or equal images from which diagnostics report them: half a second at

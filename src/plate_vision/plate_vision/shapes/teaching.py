@@ -397,8 +397,10 @@ def _doubts(
 def _height_doubt(
     name: str, outlines: Sequence[Outline], calibration: Calibration, scale: float, unlike: float
 ) -> tuple[str, ...]:
-    """Return a doubt if outlines of a type, `unlike` each other by so much [m], agree much better
-    as those of a part with a height: side faces are as long as they are away from the camera."""
+    """Return a warning if the outlines of a type agree much better with a height than without.
+
+    `unlike` is their RMS difference as flat parts of one size [m]. With a height, side faces are
+    visible, and they are longer at places farther from the camera."""
     if calibration.place is None or unlike * scale < BETTER_PX:
         return ()
     reach = float(np.median([outline.reach for outline in outlines]))
