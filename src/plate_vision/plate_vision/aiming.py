@@ -77,7 +77,7 @@ EDGE_POINTS = 9
 
 @dataclass(frozen=True, eq=False)
 class AimField:
-    """The region of a picture that is measured. It is computed again if the vision's region changes.
+    """The measured region of a picture. It is computed again if the vision's region changes.
 
     Attributes
     ----------
