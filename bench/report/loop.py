@@ -266,9 +266,9 @@ def horizon(rows: list[Row]) -> Drawn:
 
 
 def changed(row: Row) -> str:
-    """Return how a trial has changed a task, and for how much computing."""
+    """Return the change of a task's time by a trial, and the ratio of the computing."""
     change = f"{row['change']:+.0f} ± {row['error']:.0f}"
-    return f"{row['scenario']} {change} for {row['answer']:.2f} of the computing"
+    return f"{row['scenario']} {change} at {row['answer']:.2f} times the computing"
 
 
 def listed(rows: Iterable[Row], key: str) -> str:
