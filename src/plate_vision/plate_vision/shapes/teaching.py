@@ -91,8 +91,10 @@ HIGHEST = 0.5
 """Greatest of these heights, relative to that of the camera [-]."""
 
 BETTER, BETTER_PX = 2.0, 0.05
-"""A part may have a height if that divides the difference of its examples, at one size, by more
-than the first, from more than the second [px]. HEIGHTS_TEXT"""
+"""A part may not be flat if a height reduces the difference of its examples, at one size, by more
+than the first factor, and the difference of flat parts is above the second [px]. In drawn images
+at 0.43 m none of 48 sets of flat parts was doubted, but 6, 9 and 11 of 12 sets of four examples
+of parts 4, 6 and 8 mm high; at 0.91 m half of those of 8 mm."""
 
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
 """How far to both sides of its rim a part's blur is looked for, in pixels and in its radii."""
@@ -404,10 +406,13 @@ def _height_doubt(
     if calibration.place is None or unlike * scale < BETTER_PX:
         return ()
     reach = float(np.median([outline.reach for outline in outlines]))
+    heights = reach * np.array(HEIGHTS)
     rest, height = min(
-        (_mean_outline(footprints(outlines, calibration, height), scale)[3], height)
-        for height in reach * np.array(HEIGHTS)
-        if height < HIGHEST * calibration.place[2]
+        (
+            (_mean_outline(footprints(outlines, calibration, height), scale)[3], height)
+            for height in heights[heights < HIGHEST * calibration.place[2]]
+        ),
+        default=(math.inf, 0.0),
     )
     if unlike < BETTER * rest:
         return ()
