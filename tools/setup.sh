@@ -56,12 +56,12 @@ choose_ros() {
         "On Ubuntu 24.04, once ROS's package source is added: sudo apt install ros-jazzy-ros-base"
 }
 
-# A name on the PATH proves nothing (version managers leave stubs there), so each one is tried.
-# The Pythons allowed: those that pyproject.toml names
+# The allowed versions of Python are those that pyproject.toml names.
 read_versions() {
     mapfile -t versions < <(sed -nE 's/.*"Programming Language :: Python :: (3\.[0-9]+)".*/\1/p' pyproject.toml)
     allowed="Python ${versions[0]} to ${versions[-1]}"
 }
+# A name on the PATH proves nothing (version managers leave stubs there), so each one is tried.
 version_of() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || true; }
 packages() { echo "g++ python${1:-3}-dev python${1:-3}-venv"; } # all that set-up needs, of a version
 by_apt() { echo "On Debian or Ubuntu: sudo apt install $(packages "$@")"; }
