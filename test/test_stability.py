@@ -8,7 +8,7 @@ from maps import gamma, harmonics, latency, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
 from maps.stability import MAPS, grids, nearness
 from plate_core import PlateCycle, load_rig
-from plate_solver.rotations import Library
+from plate_solver.library import Library
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from plate_planner import FollowOptions
 from plate_planner.tasks import pd_drift
 from plate_sim import simulate
 from plate_solver import DRIFT_TOLERANCE, EXACT_MISS, Goal, SinusoidSolver
-from plate_solver.maps import PREDICTION_STEP, after, end_state
+from plate_solver.cycle_map import PREDICTION_STEP, after, end_state
 
 FRICTIONS = np.geomspace(0.5, 2.0, 9)
 """True friction over the one believed."""

@@ -7,7 +7,7 @@ import numpy as np
 from maps.grid import Grid, StabilityMap, grid
 from plate_core import Rig, load_rig
 from plate_solver import manipulability
-from plate_solver.rotations import REACH, Library
+from plate_solver.library import REACH, Library
 
 LEVEL = 0.1
 """Guaranteed force that counts as enough [mu m g]: what sorting asks of ten parts."""

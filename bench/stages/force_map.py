@@ -18,7 +18,7 @@ from scipy.integrate import quad
 from harness import Result, Table, race
 from plate_core import load_rig
 from plate_solver import Limits, average_force
-from plate_solver.maps import (
+from plate_solver.averages import (
     force_rules,
     intervals,
     sinusoid_forces,

@@ -16,15 +16,8 @@ from scipy.optimize import linprog
 from harness import Result, Table, race
 from plate_core import Rig, load_rig
 from plate_solver import RotationSolver, average_force
-from plate_solver.rotations import (
-    Library,
-    grid,
-    least_time,
-    plan_rotations,
-    ring,
-    solve_weights,
-    with_return_strokes,
-)
+from plate_solver.library import Library, grid, least_time, ring, solve_weights
+from plate_solver.rotations import plan_rotations, with_return_strokes
 
 PARTS = 10
 APART = 0.1

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from harness import Result, timed
 from plate_core import Rig, load_rig
 from plate_solver import Limits, RotationSolver, SinusoidSolver
-from plate_solver.maps import step_force_gradient, step_forces
+from plate_solver.averages import step_force_gradient, step_forces
 from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 from stages.scenes import targets
 

@@ -18,8 +18,7 @@ from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
 from plate_core.tasks import start_positions
 from plate_solver import Goal, Limits, SinusoidSolver
-from plate_solver.analysis import speed_bounds
-from plate_solver.maps import end_state
+from plate_solver.cycle_map import end_state, speed_bounds
 from plate_solver.sinusoids import BIN, Motions, Problem, SinusoidFamily, descend, sinusoid_basis
 from tasks.runs import UNEVEN, sorting
 

@@ -20,7 +20,7 @@ import numpy as np
 from harness import ROOT
 from plate_core import load_rig
 from plate_solver import Goal
-from plate_solver.maps import end_state
+from plate_solver.cycle_map import end_state
 from plate_solver.sinusoids import (
     AT_ONCE,
     ROUGH,

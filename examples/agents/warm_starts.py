@@ -18,7 +18,7 @@ from plate_core.intervals import of_median
 from plate_gym.agents import AGENTS, Ours
 from plate_gym.bench import episode, seed_range
 from plate_solver import Controller
-from plate_solver.requests import Goal
+from plate_solver.goal import Goal
 from plate_solver.sinusoids import BEYOND, ROUGH, SinusoidSteering, limited_sinusoids
 
 Solved = list[tuple[Goal, np.ndarray]]

@@ -1,15 +1,14 @@
 """Plate motions that put wanted forces, or displacements, under many parts at once.
 
-Public: the names below and those of the chapters: `maps`, `fit`, `sinusoids`, `rotations`,
-`requests`, `analysis`.
+Public: the names below and those of the chapters: `averages`, `cycle_map`, `fit`, `goal`,
+`library`, `rotations`, `sinusoids`.
 """
 
-from .analysis import Manipulability, library_force, manipulability
+from .averages import Manipulability, average_force, library_force, manipulability
 from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
+from .goal import Goal, Solution, Status
 from .limits import EQUAL_WEIGHT, Limits, limit_use
-from .maps import average_force
 from .rehearsal import Rehearsal, Verdict, judge_task, rehearse
-from .requests import Goal, Solution, Status
 from .rotations.solver import RotationSolver
 from .sinusoids.solver import SinusoidSolver
 

@@ -12,9 +12,9 @@ from plate_core import PlateCycle, PlateError, Rig, Wanted, part_class
 from plate_core.motion import is_rest
 from plate_core.rig import PartType
 
-from .maps import after, end_turning, finely_sampled, room_spread
+from .cycle_map import after, end_turning, finely_sampled, room_spread
+from .goal import Goal, Solution, Status, Turns
 from .motion_solver import MotionSolver
-from .requests import Goal, Solution, Status, Turns
 from .rotations.solver import RotationSolver
 from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
 from .sinusoids.solver import SinusoidSolver

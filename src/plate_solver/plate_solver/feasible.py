@@ -25,7 +25,7 @@ from plate_core.tasks import (
     load_scenario,
 )
 
-from .analysis import rest_to_rest_s, speed_bounds
+from .cycle_map import rest_to_rest_s, speed_bounds
 from .rehearsal import STILL, Verdict, judge_task
 
 NOT_REHEARSED = {

@@ -12,22 +12,19 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 
-from .limits import Limits
-from .requests import (
+from .averages.partial import easiest_force, largest_fraction
+from .averages.refinement import (
     MOST_ON_CYCLE,
     REFINED_TOLERANCE,
     REFINEMENTS,
-    Goal,
-    Request,
-    Solution,
-    Status,
-    easiest_force,
     judged,
-    largest_fraction,
     on_cycle,
     on_mean_velocity,
 )
-from .rotations.library import Library
+from .averages.request import Request
+from .goal import Goal, Solution, Status
+from .library import Library
+from .limits import Limits
 
 
 def make_options(kind: type[Any], options: dict[str, Any]) -> Any:

@@ -33,9 +33,8 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 from plate_interfaces.msg import PartForces
 
-from .analysis import condition_number
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
-from .rotations import Library
+from .library import Library, condition_number
 
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""

@@ -27,7 +27,7 @@ from plate_core.tasks import (
 )
 
 from .controller import IDLE_PERIOD, Controller
-from .maps import after
+from .cycle_map import after
 
 REHEARSALS = 3
 """Starts from which a task is rehearsed."""

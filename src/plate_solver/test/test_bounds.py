@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import load_rig
-from plate_solver.analysis import rest_to_rest_s, speed_bounds
+from plate_solver.cycle_map import rest_to_rest_s, speed_bounds
 
 RIG = load_rig()
 A = RIG.friction.accel

@@ -10,8 +10,8 @@ from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Controller
 from plate_solver.controller import METHODS
+from plate_solver.goal import Goal
 from plate_solver.limits import Limits
-from plate_solver.requests import Goal
 from plate_solver.sinusoids import steer
 from plate_solver.sinusoids.steer import SinusoidSteering
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from plate_solver.rotations import grid, ring, rotation_matrix, solve_weights
-from plate_solver.rotations.library import Library, curl_matrix, unit_twists
+from plate_solver.library import grid, ring, rotation_matrix, solve_weights
+from plate_solver.library.library import Library, curl_matrix, unit_twists
 
 CORNERS = np.array([[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]])
 PARTS = np.array([[0.5, 0.0], [-0.75, 0.25]])

@@ -6,8 +6,7 @@ from scipy.optimize import linprog
 
 from plate_core import PlateError
 from plate_solver import RotationSolver, library_force, manipulability
-from plate_solver.analysis import condition_number
-from plate_solver.rotations import Library
+from plate_solver.library import Library, condition_number
 
 WAYS = np.array([[np.cos(a), np.sin(a)] for a in np.arange(7)])
 

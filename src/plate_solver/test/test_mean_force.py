@@ -8,7 +8,7 @@ from plate_core import PlateCycle, PlateError
 from plate_sim import simulate_bodies
 from plate_sim.friction import disc
 from plate_solver import average_force
-from plate_solver.maps import step_force_gradient, step_forces
+from plate_solver.averages import step_force_gradient, step_forces
 
 
 def mean_force(position, velocity, twist):

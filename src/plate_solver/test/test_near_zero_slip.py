@@ -4,9 +4,9 @@ dips are close to each other or lie between samples."""
 import numpy as np
 import pytest
 
-from plate_solver.maps import force_rules
-from plate_solver.maps.near_zero_slip import branch_point, find_dips
-from plate_solver.maps.sinusoid_force import ADAPTIVE, PANELS, USUAL, force_of
+from plate_solver.averages import force_rules
+from plate_solver.averages.near_zero_slip import branch_point, find_dips
+from plate_solver.averages.sinusoid_force import ADAPTIVE, PANELS, USUAL, force_of
 
 NONE = np.empty((0, 0))
 

@@ -9,8 +9,8 @@ from plate_core import PlateError, load_rig
 from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import RotationSolver, SinusoidSolver, Status
-from plate_solver.maps import step_forces
-from plate_solver.requests.request import request_flags
+from plate_solver.averages import step_forces
+from plate_solver.averages.request import request_flags
 
 METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)

@@ -6,10 +6,10 @@ import pytest
 from plate_core import PlateError
 from plate_core.motion import usage
 from plate_solver import Goal, Limits, RotationSolver, average_force
-from plate_solver.maps import step_forces
-from plate_solver.rotations.average import force_slopes
+from plate_solver.averages import step_forces
+from plate_solver.averages.rotations import force_slopes
+from plate_solver.library.library import unit_twists
 from plate_solver.rotations.family import RotationFamily, line_of
-from plate_solver.rotations.library import unit_twists
 from plate_solver.rotations.sequence import motion, ramps, timeline
 
 HALF = np.array([0.3, 0.15])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from plate_solver.rotations import Library, least_time, plan_rotations, with_return_strokes
+from plate_solver.library import Library, least_time
+from plate_solver.rotations import plan_rotations, with_return_strokes
 from plate_solver.rotations.plan import nearest_order
 
 HALF = np.array([0.3, 0.15])

@@ -8,7 +8,7 @@ from plate_core.motion import usage
 from plate_sim import simulate_bodies
 from plate_sim.friction import disc
 from plate_solver import RotationSolver, SinusoidSolver, average_force
-from plate_solver.maps import step_forces
+from plate_solver.averages import step_forces
 
 BOTH = pytest.mark.parametrize("method", [SinusoidSolver, RotationSolver])
 

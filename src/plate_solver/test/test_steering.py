@@ -9,8 +9,7 @@ from plate_core import PlateCycle, PlateError
 from plate_core.motion import is_rest, usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, SinusoidSolver
-from plate_solver.limits import Limits
-from plate_solver.maps import (
+from plate_solver.cycle_map import (
     LANES,
     TRACE,
     adjoint,
@@ -20,7 +19,8 @@ from plate_solver.maps import (
     finely_sampled,
     trace,
 )
-from plate_solver.requests import Turns
+from plate_solver.goal import Turns
+from plate_solver.limits import Limits
 from plate_solver.sinusoids import limited_sinusoids
 from plate_solver.sinusoids.basis import TAIL_S
 from plate_solver.sinusoids.descent import Motions, Problem, descend

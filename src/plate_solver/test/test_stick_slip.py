@@ -6,7 +6,8 @@ import pytest
 from plate_core import PlateCycle
 from plate_sim import simulate
 from plate_solver import average_force
-from plate_solver.maps import end_state, end_state_gradient, step_forces
+from plate_solver.averages import step_forces
+from plate_solver.cycle_map import end_state, end_state_gradient
 
 MU, GRAVITY = 0.25, 9.81
 ACCEL = MU * GRAVITY

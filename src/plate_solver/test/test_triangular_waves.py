@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from plate_solver.maps.triangular_waves import intervals, triangle_sine, triangular_forces
+from plate_solver.averages.triangular_waves import intervals, triangle_sine, triangular_forces
 
 
 @pytest.mark.parametrize(("number", "count"), [(1, 4), (2, 8), (3, 16)])

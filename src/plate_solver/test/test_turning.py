@@ -13,7 +13,7 @@ from plate_core.motion import usage
 from plate_sim.friction import bar
 from plate_sim.world import WorldState, run_cycle, simulate_bodies
 from plate_solver import Controller, Limits
-from plate_solver.maps import (
+from plate_solver.cycle_map import (
     LANES,
     TURNING_TRACE,
     adjoint_turning,

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from plate_solver.analysis import is_out_of_reach
-from plate_solver.analysis.unreachable import _best, _cells, _circles, _proves, _vectors
-from plate_solver.maps import force_rules, sinusoid_forces
+from plate_solver.averages import force_rules, is_out_of_reach, sinusoid_forces
+from plate_solver.averages.unreachable import _best, _cells, _circles, _proves, _vectors
 
 ARM = 0.2
 

@@ -5,9 +5,9 @@ import pytest
 
 from plate_core import load_rig
 from plate_solver import _kernels
+from plate_solver.cycle_map import LANES, TRACE, TURNING_TRACE, blocks_of, turning_blocks_of
+from plate_solver.goal import Ends
 from plate_solver.limits import Limits
-from plate_solver.maps import LANES, TRACE, TURNING_TRACE, blocks_of, turning_blocks_of
-from plate_solver.requests import Ends
 from plate_solver.sinusoids import sinusoid_basis
 from plate_solver.sinusoids.descent import Motions
 

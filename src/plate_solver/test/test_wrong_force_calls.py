@@ -5,13 +5,13 @@ import pytest
 
 from plate_core import load_rig
 from plate_solver import _kernels
-from plate_solver.analysis.unreachable import _cells, _circles
+from plate_solver.averages import force_rules, intervals
+from plate_solver.averages.rotations import SequenceForces
+from plate_solver.averages.sinusoids import motions_of
+from plate_solver.averages.unreachable import _cells, _circles
 from plate_solver.limits import Limits
-from plate_solver.maps import force_rules, intervals
-from plate_solver.rotations.average import SequenceForces
 from plate_solver.rotations.family import RotationFamily, line_of
 from plate_solver.sinusoids import sinusoid_basis
-from plate_solver.sinusoids.average import motions_of
 
 PARTS, STEPS, NUMBER, ROWS = 3, 8, 2, 4
 LIMITS = Limits.of(load_rig())

@@ -2,14 +2,14 @@
 #include <cmath>
 #include <numbers>
 
-#include "analysis/unreachable.hpp"
+#include "averages/unreachable.hpp"
 #include "limits.hpp"
-#include "maps/mean_force.hpp"
-#include "maps/sinusoid_force.hpp"
-#include "maps/stick_slip.hpp"
-#include "maps/triangular_waves.hpp"
-#include "maps/turning.hpp"
-#include "requests/request.hpp"
+#include "averages/mean_force.hpp"
+#include "averages/sinusoid_force.hpp"
+#include "cycle_map/stick_slip.hpp"
+#include "averages/triangular_waves.hpp"
+#include "cycle_map/turning.hpp"
+#include "averages/request.hpp"
 
 #include "draws.hpp"
 

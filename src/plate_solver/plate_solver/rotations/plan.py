@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import _kernels
-from ..requests.request import CURL_LENGTH_M
-from .library import Library
-from .simplex import TimeFractions, least_time
+from ..library import CURL_LENGTH_M, Library, TimeFractions, least_time
 
 SPEEDS = (1.0, 0.5)
 """Speeds at which the linear programme may run a rotation, in units of the usual one: friction

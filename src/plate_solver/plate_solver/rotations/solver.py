@@ -16,12 +16,14 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 
+from ..averages.mean_force import average_force
+from ..averages.refinement import force_solution
+from ..averages.request import Request
+from ..averages.rotations import fit_mean_force, mean_force_error
 from ..fit import Fit, basin_hopping
+from ..goal import Goal, Solution, fit_goal, goal_solution
 from ..limits import within_limits
-from ..maps import average_force
 from ..motion_solver import MotionSolver, check_options, make_options
-from ..requests import Goal, Request, Solution, fit_goal, force_solution, goal_solution
-from .average import fit_mean_force, mean_force_error
 from .family import RotationFamily
 from .plan import RotationPlan, nearest_order, plan_rotations, with_return_strokes
 

@@ -1,11 +1,10 @@
-"""Method B (section 3.2): sinusoidal motions, fitted on the averaged map and on the cycle map.
+"""Method B (section 3.2): sinusoidal motions, fitted on the cycle map.
 
-Public: the basis, its families, the inversion of averages, a descent and the search on the
-cycle map; `plate_solver.SinusoidSolver` is the door.
+Public: the basis, its families, a descent and the search; `plate_solver.SinusoidSolver` is the
+door.
 """
 
 from . import steer
-from .average import invert
 from .basis import (
     TAIL_LOOKS,
     TAIL_PERIOD_S,
@@ -34,7 +33,6 @@ __all__ = [
     "SinusoidFamily",
     "SinusoidSteering",
     "descend",
-    "invert",
     "limited_sinusoids",
     "sinusoid_basis",
     "steer",

@@ -6,11 +6,11 @@
 #include <plate/products.hpp>
 #include <plate/view.hpp>
 
+#include "cycle_map/blocks.hpp"
+#include "cycle_map/turning.hpp"
 #include "fit/levenberg_marquardt.hpp"
+#include "goal/ends.hpp"
 #include "limits.hpp"
-#include "maps/blocks.hpp"
-#include "maps/turning.hpp"
-#include "requests/ends.hpp"
 #include "sinusoids/limits.hpp"
 
 namespace plate::descent {

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _kernels
+from ..cycle_map import blocks_of, turning_blocks_of
 from ..fit import Fit
+from ..goal import Ends, Goal
 from ..limits import Limits
-from ..maps import blocks_of, turning_blocks_of
-from ..requests import Ends, Goal
 from .basis import TAIL_LOOKS, SinusoidBasis
 
 BIN = 4

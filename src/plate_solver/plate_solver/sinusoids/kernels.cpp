@@ -1,7 +1,7 @@
 // What Python sees of the kernels of limits.hpp and descent.hpp.
 #include "fit/fit_record.hpp"
+#include "goal/ends_record.hpp"
 #include "records.hpp"
-#include "requests/ends_record.hpp"
 #include "sinusoids/descent.hpp"
 
 namespace plate {

@@ -10,13 +10,15 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 
-from ..analysis.unreachable import is_out_of_reach
+from ..averages.mean_force import step_force_gradient, step_forces
+from ..averages.refinement import force_solution
+from ..averages.request import Request
+from ..averages.sinusoids import FEW_CANDIDATES, Motions, invert, motions_of
+from ..averages.unreachable import is_out_of_reach
 from ..fit import Fit, basin_hopping, fit
+from ..goal import Goal, Solution, goal_solution
 from ..limits import within_limits
-from ..maps import step_force_gradient, step_forces
 from ..motion_solver import MotionSolver, check_options, make_options
-from ..requests import Goal, Request, Solution, force_solution, goal_solution
-from .average import FEW_CANDIDATES, Motions, invert, motions_of
 from .basis import SinusoidFamily, sinusoid_basis
 from .steer import SinusoidSteering
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from plate_core import PlateCycle
 
+from ..cycle_map import PREDICTION_STEP
 from ..fit import Fit
+from ..goal import Goal
 from ..limits import Limits, within_limits
-from ..maps import PREDICTION_STEP
-from ..requests import Goal
 from .basis import sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids

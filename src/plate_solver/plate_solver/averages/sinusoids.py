@@ -18,8 +18,8 @@ import numpy as np
 
 from .. import _kernels
 from ..limits import Limits
-from ..maps import force_rules
-from .basis import SinusoidBasis
+from ..sinusoids.basis import SinusoidBasis
+from .sinusoid_force import force_rules
 
 FEW_CANDIDATES = 12
 """Random motions that are tried at the parts' places for each fresh guess."""

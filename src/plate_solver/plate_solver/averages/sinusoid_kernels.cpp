@@ -1,7 +1,7 @@
-// What Python sees of the kernels of average.hpp.
-#include "maps/rules_record.hpp"
+// What Python sees of the kernels of sinusoids.hpp.
+#include "averages/rules_record.hpp"
+#include "averages/sinusoids.hpp"
 #include "records.hpp"
-#include "sinusoids/average.hpp"
 
 namespace plate {
 
@@ -102,7 +102,7 @@ static nb::tuple invert(Table warm, Table pool, Table position, Table velocity, 
     return fields_of(std::move(found));
 }
 
-void bind_averages(nb::module_& m) {
+void bind_average_sinusoids(nb::module_& m) {
     nb::class_<Motions>(m, "AveragedMotions");
     m.def("averaged_motions", motions_of);
     m.def("invert", invert);

@@ -1,10 +1,10 @@
-// Sequences of rotations on the averaged map: kernels of average.py.
+// Sequences of rotations on the averaged map: kernels of rotations.py.
 //
 // The derivatives are those of sequence.hpp and of the mean over steps, taken together: what a step
 // of the motion does to all forces goes straight to the knots of its segment.
 #pragma once
+#include "averages/mean_force.hpp"
 #include "fit/levenberg_marquardt.hpp"
-#include "maps/mean_force.hpp"
 #include "rotations/family.hpp"
 
 namespace plate::rotations {
@@ -16,7 +16,7 @@ constexpr Damping PATIENT = [] {
     return damping;
 }();
 
-// What is asked of sequences on the averaged map: `SequenceForces` of average.py.
+// What is asked of sequences on the averaged map: `SequenceForces` of rotations.py.
 struct SequenceForces {
     Sequences family;
     View<const double, 2> position, velocity;  // (M, 2)

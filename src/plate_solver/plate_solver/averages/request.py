@@ -11,9 +11,7 @@ import numpy as np
 from plate_core import PlateError
 
 from .. import _kernels
-
-CURL_LENGTH_M = 0.05
-"""Turns a curl error [mu m g / m] into a force error: as it would act over this distance."""
+from ..library import CURL_LENGTH_M
 
 FARTHEST_M: float = _kernels.FARTHEST_M
 """Places of parts [m] beyond this are mistakes."""

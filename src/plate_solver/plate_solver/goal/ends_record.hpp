@@ -1,7 +1,7 @@
 // `Ends` of Python, as kernels take it: for bindings.
 #pragma once
+#include "goal/ends.hpp"
 #include "records.hpp"
-#include "requests/ends.hpp"
 
 namespace plate {
 

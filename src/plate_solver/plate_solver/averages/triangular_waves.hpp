@@ -4,7 +4,7 @@
 
 #include <plate/length.hpp>
 
-#include "maps/mean_force.hpp"
+#include "averages/mean_force.hpp"
 
 namespace plate {
 

@@ -28,6 +28,9 @@ here and there, rotations differ little from each other and from translations.""
 TRANSLATIONS = 8
 """Directions of translation."""
 
+CURL_LENGTH_M = 0.05
+"""Turns a curl error [mu m g / m] into a force error: as it would act over this distance."""
+
 OUT_OF_REACH = 1e4
 """Price of a unit of force that is missed [cycles / (mu m g)]: none is to be."""
 

@@ -1,7 +1,8 @@
-// What Python sees of the averaged force maps.
-#include "maps/mean_force.hpp"
-#include "maps/rules_record.hpp"
-#include "maps/triangular_waves.hpp"
+// What Python sees of requests and of the averaged force maps.
+#include "averages/mean_force.hpp"
+#include "averages/request.hpp"
+#include "averages/rules_record.hpp"
+#include "averages/triangular_waves.hpp"
 #include "records.hpp"
 
 namespace plate {
@@ -24,6 +25,19 @@ static size_t waves_of(const Table& slip) {
 }
 
 void bind_force_maps(nb::module_& m) {
+    m.attr("FARTHEST_M") = FARTHEST_M, m.attr("FASTEST_MPS") = FASTEST_MPS;
+    m.def("request_flags", [](Table position, Table force, Table velocity, Numbers curl,
+                              Table tolerance) {
+        const size_t count = curl.size();
+        check("position", position, {count, 2});
+        check("force", force, {count, 2});
+        check("velocity", velocity, {count, 2});
+        check("tolerance", tolerance, {count, 2});
+        const RequestFlags flags = request_flags(view(position), view(force), view(velocity),
+                                                 view(curl), view(tolerance));
+        return nb::make_tuple(flags.sound, flags.moving, flags.curled, flags.slack, flags.within,
+                              flags.loaded);
+    });
     m.def("spline_force", [](Numbers times, Box coefficients, Table position, Table velocity) {
         check("coefficients", coefficients, {coefficients.shape(0), 6, 3});
         check("times", times, {coefficients.shape(0) + 1}), check_parts(position, velocity);

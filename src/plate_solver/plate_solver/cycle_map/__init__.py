@@ -1,13 +1,11 @@
-"""What a plate motion does to parts: mean friction over a cycle, and their stick-slip motion.
+"""The cycle map: where a plate motion takes parts, which stick and slip, with its derivatives.
 
-Public: the average force of a cycle and of sinusoids, and where parts end after a motion.
+Parts are points or turn; one by one, or in blocks for searches. And how fast a part can be at most.
 """
 
 from .blocks import LANES, TRACE, adjoint, blocks_of, trace
-from .mean_force import average_force, step_force_gradient, step_forces
-from .sinusoid_force import force_rules, sinusoid_forces
+from .bounds import SpeedBounds, rest_to_rest_s, shift_accel, speed_bounds
 from .stick_slip import PREDICTION_STEP, after, end_state, end_state_gradient, finely_sampled
-from .triangular_waves import intervals, triangular_forces
 from .turning import (
     TURNING_TRACE,
     adjoint_turning,
@@ -23,24 +21,21 @@ __all__ = [
     "PREDICTION_STEP",
     "TRACE",
     "TURNING_TRACE",
+    "SpeedBounds",
     "adjoint",
     "adjoint_turning",
     "after",
-    "average_force",
     "blocks_of",
     "end_state",
     "end_state_gradient",
     "end_turning",
     "end_turning_gradient",
     "finely_sampled",
-    "force_rules",
-    "intervals",
+    "rest_to_rest_s",
     "room_spread",
-    "sinusoid_forces",
-    "step_force_gradient",
-    "step_forces",
+    "shift_accel",
+    "speed_bounds",
     "trace",
     "trace_turning",
-    "triangular_forces",
     "turning_blocks_of",
 ]

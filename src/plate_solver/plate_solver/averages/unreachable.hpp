@@ -1,4 +1,4 @@
-// What no motion of N harmonics can do: kernels of analysis/unreachable.py.
+// What no motion of N harmonics can do: kernels of unreachable.py.
 #pragma once
 #include <algorithm>
 #include <array>

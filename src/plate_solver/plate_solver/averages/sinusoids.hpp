@@ -1,5 +1,5 @@
 // Method B's inversion of the averaged map, from first guess to finished spline: kernels of
-// average.py.
+// sinusoids.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,10 +9,10 @@
 #include <plate/products.hpp>
 #include <plate/view.hpp>
 
+#include "averages/sinusoid_force.hpp"
 #include "fit/basin_hopping.hpp"
 #include "fit/levenberg_marquardt.hpp"
 #include "limits.hpp"
-#include "maps/sinusoid_force.hpp"
 #include "sinusoids/limits.hpp"
 
 namespace plate::averages {

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import linprog
 
-from ..rotations.library import Library
+from ..goal import Solution, Status
+from ..library import Library
 from .request import Request
-from .solution import Solution, Status
 
 LEFT_OUT = 1.15
 """The library leaves out at most some per cent of what motions can do: no search beyond this times

@@ -1,7 +1,7 @@
 // What Python sees of the cycle map's kernels.
-#include "maps/blocks.hpp"
-#include "maps/stick_slip.hpp"
-#include "maps/turning.hpp"
+#include "cycle_map/blocks.hpp"
+#include "cycle_map/stick_slip.hpp"
+#include "cycle_map/turning.hpp"
 #include "records.hpp"
 
 namespace plate {
@@ -148,7 +148,7 @@ static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjo
     }, "steps"_a, "twist"_a, "dt"_a, "coast"_a, "by_twist"_a.noconvert());
 }
 
-void bind_maps(nb::module_& m) {
+void bind_cycle_map(nb::module_& m) {
     m.attr("LANES") = LANES;
     m.attr("STATE") = STATE, m.attr("TRACE") = TRACE;
     m.attr("TURNING_STATE") = TURNING_STATE, m.attr("TURNING_TRACE") = TURNING_TRACE;

@@ -1,6 +1,6 @@
 // `Rules` of Python, as kernels take it: for bindings.
 #pragma once
-#include "maps/sinusoid_force.hpp"
+#include "averages/sinusoid_force.hpp"
 #include "records.hpp"
 
 namespace plate {

@@ -1,10 +1,10 @@
-// What Python sees of the kernels of this chapter.
-#include "analysis/unreachable.hpp"
+// What Python sees of the kernels of unreachable.hpp.
+#include "averages/unreachable.hpp"
 #include "records.hpp"
 
 namespace plate {
 
-void bind_analysis(nb::module_& m) {
+void bind_unreachable(nb::module_& m) {
     m.def("circles", [](Table cells) {
         check("cells", cells, {cells.shape(0), 4});
         const size_t count = cells.shape(0), points = unreachable::POINTS;

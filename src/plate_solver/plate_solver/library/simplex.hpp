@@ -9,7 +9,7 @@
 #include <plate/products.hpp>
 #include <plate/view.hpp>
 
-namespace plate::rotations {
+namespace plate::library {
 
 // Gain per unit below which a column counts as of no use, in units of cost.
 constexpr double OPTIMAL = 1e-9;
@@ -202,4 +202,4 @@ inline int Programme::simplex(int pivots) {
     return pivots;
 }
 
-}  // namespace plate::rotations
+}  // namespace plate::library

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..maps import after, average_force
-from .goal import Goal
+from plate_core import PlateCycle
+
+from ..cycle_map import after
+from ..goal import Goal, Solution, Status
+from .mean_force import average_force
 from .request import Request
-from .solution import Solution, Status
 
 REFINEMENTS = ("none", "velocity", "cycle")
 """Names of the maps, see `MotionSolver.solve`."""
@@ -36,6 +38,30 @@ STALE = 4
 MOST_ON_CYCLE = 0.5
 """Full friction all along moves a part by half of mu g T^2: no force on the cycle map is greater
 [mu m g]."""
+
+
+def force_solution(
+    request: Request,
+    error: np.ndarray,
+    cycle: PlateCycle,
+    tolerance: float,
+    iterations: int,
+    condition: float,
+) -> Solution:
+    """Put a motion within the limits, and its errors in the rows asked for, into a solution."""
+    worst = float(np.max(np.abs(error)))
+    every = np.zeros(len(request.rows))
+    every[request.rows] = error
+    success = worst <= tolerance
+    message = f"force error {worst:.2g} mu m g after {iterations} iterations"
+    return Solution(
+        success=success,
+        message=message if success else f"{message}, allowed: {tolerance:g}",
+        cycle=cycle,
+        residual=every.reshape(-1, 3)[:, :2],
+        iterations=iterations,
+        condition=condition,
+    )
 
 
 def judged(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:

@@ -23,8 +23,8 @@ import numpy as np
 
 from plate_core import PlateError, Rig
 
-from ..rotations.library import Library
-from ..rotations.simplex import least_time
+from ..library import Library, least_time
+from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
 """Price of a unit of force that is missed [cycles / (mu m g)]: what costs that is out of reach."""
@@ -34,9 +34,6 @@ DESCENTS = 12
 
 STARTS = 8
 """Random directions from which the nearest face is looked for, besides the hardest one."""
-
-SAME = 1e-9
-"""Eigenvalues below this share of the greatest are zero."""
 
 
 @dataclass(frozen=True)
@@ -82,19 +79,14 @@ def manipulability(
     seed : int
         Of the directions from which the weakest is looked for.
     """
-    columns = _columns(rig, position, library)
-    condition, worst = _second_moment(columns)
+    columns = columns_of(rig, position, library)
+    condition, worst = second_moment(columns)
     rng = np.random.default_rng(seed)
-    starts = [worst, *(_unit(row) for row in rng.normal(size=(STARTS, len(columns))))]
+    starts = [worst, *(unit(row) for row in rng.normal(size=(STARTS, len(columns))))]
     weakest_force, weakest = min(
         (_nearest_face(columns, start) for start in starts), key=lambda pair: pair[0]
     )
     return Manipulability(condition, worst, weakest_force, weakest)
-
-
-def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
-    """Return the condition number of `manipulability`, at a fraction of the cost."""
-    return _second_moment(_columns(rig, position, library))[0]
 
 
 def library_force(
@@ -106,38 +98,13 @@ def library_force(
 
     Directions of any length, not zero, are meant as a unit of force; see `Manipulability`.
     """
-    columns = _columns(rig, position, library)
+    columns = columns_of(rig, position, library)
     direction = np.atleast_2d(np.asarray(direction, dtype=float))
     if direction.shape[1] != len(columns) or not np.all(np.any(direction, axis=1)):
         raise PlateError(
             f"direction has shape {direction.shape}, allowed: (D, {len(columns)}), not zero"
         )
-    return np.array([_force_along(columns, _unit(row))[0] for row in direction])
-
-
-def _columns(rig: Rig, position: np.ndarray, library: Library | None) -> np.ndarray:
-    """Return the library's unit forces (2 M, K), part by part."""
-    position = np.asarray(position, dtype=float)
-    if position.ndim != 2 or position.shape[1] != 2 or not len(position):
-        raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
-    if not np.all(np.isfinite(position)):
-        raise PlateError("position has values that are not finite")
-    forces = (library or Library.around(rig.plate.half)).forces(position)
-    return np.ascontiguousarray(
-        forces.reshape(2, len(position), -1).transpose(1, 0, 2).reshape(2 * len(position), -1)
-    )
-
-
-def _second_moment(columns: np.ndarray) -> tuple[float, np.ndarray]:
-    values, vectors = np.linalg.eigh(columns @ columns.T)
-    lost = values[0] <= SAME * values[-1]
-    condition = float("inf") if lost else float(np.sqrt(values[-1] / values[0]))
-    return condition, _unit(vectors[:, 0])
-
-
-def _unit(force: np.ndarray) -> np.ndarray:
-    """Return a force (2 M,) whose mean square over the parts is one."""
-    return np.asarray(force / np.linalg.norm(force) * np.sqrt(len(force) / 2))
+    return np.array([_force_along(columns, unit(row))[0] for row in direction])
 
 
 def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
@@ -156,7 +123,7 @@ def _nearest_face(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np
     for _ in range(DESCENTS):
         if force == 0 or not np.any(normal):
             break
-        further = _unit(normal)
+        further = unit(normal)
         less, normal = _force_along(columns, further)
         if less >= force * (1 - 1e-9):
             break

@@ -9,8 +9,6 @@ import numpy as np
 
 from plate_core import PlateCycle
 
-from .request import Request
-
 
 class Status(Enum):
     """How a request fared."""
@@ -67,27 +65,3 @@ class Solution:
         if self.success:
             object.__setattr__(self, "status", Status.SOLVED)
             object.__setattr__(self, "fraction", 1.0)
-
-
-def force_solution(
-    request: Request,
-    error: np.ndarray,
-    cycle: PlateCycle,
-    tolerance: float,
-    iterations: int,
-    condition: float,
-) -> Solution:
-    """Put a motion within the limits, and its errors in the rows asked for, into a solution."""
-    worst = float(np.max(np.abs(error)))
-    every = np.zeros(len(request.rows))
-    every[request.rows] = error
-    success = worst <= tolerance
-    message = f"force error {worst:.2g} mu m g after {iterations} iterations"
-    return Solution(
-        success=success,
-        message=message if success else f"{message}, allowed: {tolerance:g}",
-        cycle=cycle,
-        residual=every.reshape(-1, 3)[:, :2],
-        iterations=iterations,
-        condition=condition,
-    )

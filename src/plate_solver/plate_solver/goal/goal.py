@@ -15,14 +15,14 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError
 
-from ..fit import Fit, fit
-from ..maps import (
+from ..cycle_map import (
     end_state,
     end_state_gradient,
     end_turning,
     end_turning_gradient,
     finely_sampled,
 )
+from ..fit import Fit, fit
 from .ends import Ends, end_errors
 from .solution import Solution
 

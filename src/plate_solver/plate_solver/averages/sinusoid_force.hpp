@@ -7,8 +7,8 @@
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
 
-#include "maps/mean_force.hpp"
-#include "maps/near_zero_slip.hpp"
+#include "averages/mean_force.hpp"
+#include "averages/near_zero_slip.hpp"
 
 namespace plate {
 

@@ -1,4 +1,4 @@
-"""Sequences of rotations on the averaged map: searches in C++ from end to end (average.hpp)."""
+"""Sequences of rotations on the averaged map: searches in C++ from end to end (rotations.hpp)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from .. import _kernels
 from ..fit import Fit
-from ..requests.request import Request
-from .family import Line, RotationFamily, Sequences
+from ..rotations.family import Line, RotationFamily, Sequences
+from .request import Request
 
 
 class SequenceForces(NamedTuple):

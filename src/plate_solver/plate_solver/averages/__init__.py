@@ -1,0 +1,24 @@
+"""The paper's averages: mean friction over a cycle, and motions of Methods A and B that give it.
+
+Maps of forces, their inversion for requests, proofs of what is out of reach; nothing here steers.
+"""
+
+from .manipulability import Manipulability, library_force, manipulability
+from .mean_force import average_force, step_force_gradient, step_forces
+from .sinusoid_force import force_rules, sinusoid_forces
+from .triangular_waves import intervals, triangular_forces
+from .unreachable import is_out_of_reach
+
+__all__ = [
+    "Manipulability",
+    "average_force",
+    "force_rules",
+    "intervals",
+    "is_out_of_reach",
+    "library_force",
+    "manipulability",
+    "sinusoid_forces",
+    "step_force_gradient",
+    "step_forces",
+    "triangular_forces",
+]

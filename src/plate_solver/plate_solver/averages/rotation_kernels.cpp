@@ -1,0 +1,90 @@
+// What Python sees of the kernels of rotations.hpp.
+#include "averages/rotations.hpp"
+#include "fit/fit_record.hpp"
+#include "rotations/sequences_record.hpp"
+
+namespace plate {
+
+using namespace rotations;
+
+// Rows of results that are asked for, of a mask (3 M,).
+static std::vector<int> rows_of(const Array<const bool, 1>& asked, size_t parts) {
+    check("asked", asked, {3 * parts});
+    std::vector<int> rows;
+    for (size_t row = 0; row < 3 * parts; row++)
+        if (asked.data()[row]) rows.push_back(static_cast<int>(row));
+    return rows;
+}
+
+static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers times, Table knots,
+                                   Table position, Table velocity, Array<const bool, 1> asked) {
+    const SequencesRecord family(record);
+    const size_t parts = position.shape(0);
+    check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
+    const Line line = line_from(times, knots);
+    if (line.segments() != 2 * (*family).count() + 2)
+        throw nb::value_error("these are not the knots of so many rotations");
+    const Parameters own = family.parameters(theta);
+    const std::vector<int> rows = rows_of(asked, parts);
+    Matrix jacobian;
+    {
+        nb::gil_scoped_release others_may_run;
+        force_slopes(own, *family, line, view(position), view(velocity), rows, jacobian);
+    }
+    return to_numpy(std::move(jacobian));
+}
+
+// `SequenceForces` of Python, whose arrays it keeps.
+class ForcesRecord {
+public:
+    explicit ForcesRecord(const nb::tuple& record)
+        : family(nb::cast<nb::tuple>(field(record, 0))), position(nb::cast<Table>(field(record, 1))),
+          velocity(nb::cast<Table>(field(record, 2))), wanted(nb::cast<Numbers>(field(record, 4))),
+          scale(nb::cast<Numbers>(field(record, 5))) {
+        const size_t parts = position.shape(0);
+        check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
+        std::vector<int> rows = rows_of(nb::cast<Array<const bool, 1>>(field(record, 3)), parts);
+        check("wanted", wanted, {rows.size()}), check("scale", scale, {rows.size()});
+        problem = {*family,      view(position), view(velocity), std::move(rows),
+                   view(wanted), view(scale)};
+    }
+
+    const SequenceForces& operator*() const { return problem; }
+
+    SequencesRecord family;
+
+private:
+    Table position, velocity;
+    Numbers wanted, scale;
+    SequenceForces problem;
+};
+
+static nb::tuple correct(nb::tuple record, Numbers theta, double tolerance, int iterations) {
+    const ForcesRecord problem(record);
+    Parameters start = problem.family.parameters(theta);
+    Fit found;
+    {
+        nb::gil_scoped_release others_may_run;
+        found = descend(*problem, std::move(start), tolerance, iterations);
+    }
+    return fields_of(std::move(found));
+}
+
+static nb::object miss(nb::tuple record, Table twist, Numbers dt) {
+    const ForcesRecord problem(record);
+    check("twist", twist, {dt.size(), 3});
+    std::vector<double> error;
+    {
+        nb::gil_scoped_release others_may_run;
+        missed(*problem, view(twist), dt.data(), error);
+    }
+    return to_numpy(std::move(error));
+}
+
+void bind_average_rotations(nb::module_& m) {
+    m.def("force_slopes", slopes_of_forces);
+    m.def("fit_mean_force", correct);
+    m.def("mean_force_error", miss);
+}
+
+}  // namespace plate

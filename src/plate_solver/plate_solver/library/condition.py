@@ -1,0 +1,63 @@
+"""How well parts can be pushed one by one, by the second moment of the library's unit forces.
+
+It is how far random motions reach: the root of its greatest over its least eigenvalue is the
+condition number, the least eigenvector the direction that is hardest to push (section 3.3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plate_core import PlateError, Rig
+
+from .library import Library
+
+SAME = 1e-9
+"""Eigenvalues below this share of the greatest are zero."""
+
+
+def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
+    """Return how much easier the easiest direction is than the hardest, at best 1.
+
+    It is infinite where some direction is out of reach.
+
+    Parameters
+    ----------
+    rig : Rig
+    position : (M, 2)
+        Parts at rest [m], plate_home.
+    library : Library, optional
+        Rotations that the plate may do; a grid of centres over the plate if left out.
+
+    Raises
+    ------
+    PlateError
+        If the shape is not (M, 2), or a value is not finite.
+    """
+    return second_moment(columns_of(rig, position, library))[0]
+
+
+def columns_of(rig: Rig, position: np.ndarray, library: Library | None) -> np.ndarray:
+    """Return the library's unit forces (2 M, K), part by part."""
+    position = np.asarray(position, dtype=float)
+    if position.ndim != 2 or position.shape[1] != 2 or not len(position):
+        raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
+    if not np.all(np.isfinite(position)):
+        raise PlateError("position has values that are not finite")
+    forces = (library or Library.around(rig.plate.half)).forces(position)
+    return np.ascontiguousarray(
+        forces.reshape(2, len(position), -1).transpose(1, 0, 2).reshape(2 * len(position), -1)
+    )
+
+
+def second_moment(columns: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the condition number of columns (2 M, K), and the hardest direction (2 M,)."""
+    values, vectors = np.linalg.eigh(columns @ columns.T)
+    lost = values[0] <= SAME * values[-1]
+    condition = float("inf") if lost else float(np.sqrt(values[-1] / values[0]))
+    return condition, unit(vectors[:, 0])
+
+
+def unit(force: np.ndarray) -> np.ndarray:
+    """Return a force (2 M,) whose mean square over the parts is one."""
+    return np.asarray(force / np.linalg.norm(force) * np.sqrt(len(force) / 2))
