@@ -1,4 +1,9 @@
-"""What the detector knows of the bare plate, and how it comes to know it: for rigs with types."""
+"""State of the bare plate in the detector, for rigs with part types.
+
+The bare plate is learned from images on request, otherwise modelled from an image with parts. Each
+later image updates its light and focus. Input: images and the plate's region; output: the
+background that recognition subtracts.
+"""
 
 from __future__ import annotations
 
@@ -17,28 +22,28 @@ from .vision import Vision
 __all__ = ["BARE_IMAGES", "MODELLED", "BarePlate", "know_plate", "learn_next"]
 
 BARE_IMAGES = 5
-"""From which the bare plate is learned: their noise averages out."""
+"""Number of images from which the bare plate is learned; averaging reduces their noise."""
 
 MODELLED = "the bare plate is modelled from an image with parts: call ~/learn_plate when it is bare"
-"""What to know when nobody has shown the bare plate."""
+"""Warning as long as the bare plate was not learned."""
 
 
 @dataclass(frozen=True, eq=False)
 class BarePlate:
-    """What is known of the bare plate.
+    """State of the bare plate.
 
     Attributes
     ----------
     learned : bool
-        From images of it: else it is modelled.
+        Whether it was learned from images. If False, it is modelled.
     first : Background, optional
-        As it was learned or modelled.
+        The background as it was learned or modelled.
     light : Light, optional
-        That of the last image, relative to `first`.
+        Light of the last image, relative to `first`.
     wanted : int
-        Images of the bare plate that are waited for; 0: none.
+        Number of images of the bare plate that are requested; 0: none.
     images : tuple of (H, W) or (H, W, 3) uint8
-        Those that came.
+        Images received for the request.
     """
 
     learned: bool = False
@@ -49,8 +54,8 @@ class BarePlate:
 
 
 def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tuple[BarePlate, str]:
-    """Begin to learn: the next images show the bare plate. Returns also what a user should know, by
-    the last image (H, W) or (H, W, 3)."""
+    """Start learning: the next images must show the bare plate. Also return a message for the user;
+    it names things on the plate in the last image (H, W) or (H, W, 3)."""
     text = f"the next {BARE_IMAGES} images are taken for the bare plate"
     things = "" if image is None else lying(image, region)
     if things:
@@ -70,10 +75,10 @@ def know_plate(
     Raises
     ------
     ImageError
-        If too little of the plate is seen: it is too dark, or the camera was moved.
+        If too little of the plate is visible: it is too dark, or the camera was moved.
     """
     if plate.wanted:
-        alike = [one for one in plate.images if one.shape == image.shape]  # grey, or in colours
+        alike = [one for one in plate.images if one.shape == image.shape]  # all grey or all colour
         images = (*alike, image)
         if len(images) < plate.wanted:
             return replace(plate, images=images), vision, None
@@ -94,6 +99,6 @@ def know_plate(
 
 
 def lying(image: np.ndarray, region: Region) -> str:
-    """Say what seems to lie on a plate that should be bare; nothing if it seems to be bare."""
+    """Describe the things on a plate that should be bare; empty if it seems to be bare."""
     count = len(find_patches(image, model_plate(image, region), region))
     return f"{count} thing{'s lie' if count > 1 else ' lies'} on it" if count else ""

@@ -1,7 +1,9 @@
-"""Find parts in an image of the plate, or in a photograph.
+"""Detection of parts in an image of the plate, or in a photograph.
 
-The way of an image: the plate's region is known, its light is fitted, seeds are found, marks are
-painted over, parts are measured, and judged.
+`detect` and `find_discs` fit the plate's brightness (`fit_light`), find seeds (first guesses of the
+parts' places), erase the parts' marks, measure each part by moments or by a fit of its contour, and
+accept or reject it. Input: an image (H, W) or (H, W, 3) uint8 and the plate's region. Output:
+`DETECTION` records in pixels. Parts without options are found by their outlines (`shapes`).
 """
 
 from __future__ import annotations
@@ -61,12 +63,12 @@ BRIGHT = "white"
 """The label of parts brighter than what is behind them."""
 
 METHODS = ("moments", "fit", "outline", "group")
-"""Ways in which a part was measured, cheapest first: by moments, if it stands alone and is evenly
-dark; by a fit of its contour; by its outline, if nothing was known of it; as a group, if it seems
-to be several parts."""
+"""Methods that measure a part, cheapest first: moments, if it stands alone and is evenly dark; a
+fit of its contour; its outline, if the parts are not described; a group, if it seems to be several
+parts."""
 
 LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
-"""Labels of parts, and names of the methods: not by moments, by moments."""
+"""Labels of parts. Names of the methods, indexed by: not measured by moments, by moments."""
 
 DETECTION = np.dtype(
     [
@@ -81,63 +83,66 @@ DETECTION = np.dtype(
         ("misfit", "f8"),
     ]
 )
-"""One part: centre and radius [px], of the disc of the same area; angle [rad], counter-clockwise as
-seen: of its longest side with x, 0 to pi; of a disc that of its mark, 0 without one; class;
-confidence, 0 to 1; how it was measured; standard deviation of the centre along each axis [px], as
-far as noise and misfit cause it; deviation from the silhouette of a part, 0 for none."""
+"""One part: centre [px]; radius of the disc of the same area [px]; angle [rad], counter-clockwise
+as seen; class; confidence, 0 to 1; method; standard deviation of the centre along each axis caused
+by noise and misfit [px]; misfit, the deviation from a part's silhouette (0: none).
+
+The angle of an outline is that of its longest side to x, 0 to pi. The angle of a disc is that of
+its mark, 0 without a mark."""
 
 APART = 1.4
-"""Least distance of two parts, in radii of the larger one: touching ones have 2. Of two that are
-nearer the one that looks less like a part is none."""
+"""Minimum distance of two parts, in radii of the larger one; touching parts have 2. Of two that are
+nearer, the one with the larger misfit is not a part."""
 
 BETTER = 2.0
-"""A disc that overlaps one with this multiple of its misfit and more is surely the part."""
+"""If one of two overlapping discs has at least this multiple of the other's misfit, the other is
+surely the part."""
 
 CLEARLY_DARK = 0.8
-"""Fraction of the plate's brightness below which pixels belong to parts for the quick first
+"""Fraction of the plate's brightness below which pixels belong to parts in the first, fast
 search."""
 
 SIGMAS = 2.2
-"""Least contrast of a part, over the standard deviation of a pixel's noise: the mean of four
-pixels, of which the contrast is taken, has half of that."""
+"""Minimum contrast of a part, relative to the standard deviation of a pixel's noise. The contrast
+is the mean of four pixels, whose noise is half as large."""
 
 ROUGH = 0.25
-"""Fraction of things that look like no part, or only roughly, from which on shadows are looked
-for."""
+"""Fraction of detected parts above which things that are not, or only roughly, shaped like a part
+start the search for shadows."""
 
 FAINT = 2.0
 """Minimum contrast of a thing that is not too faint, relative to the minimum contrast of a part."""
 
 MIN_ALIKE = 3
-"""Parts of like size from which on their size is taken as known."""
+"""Minimum number of similar parts for their radius to be used as the known one."""
 
 ALIKE = 0.12
-"""Largest relative deviation from the median radius of parts that are alike."""
+"""Maximum relative deviation from the median radius of similar parts."""
 
 
 @dataclass(frozen=True)
 class DetectorOptions:
-    """What is known of the parts before they are seen.
+    """Description of the parts, given before detection.
 
     Attributes
     ----------
     radius_px : float
         Radius of a part [px], 3 to 200.
     radius_tolerance : float
-        Greatest relative deviation from it, 0.05 to 0.6.
+        Maximum relative deviation from it, 0.05 to 0.6.
     threshold : float
-        Parts are darker than this fraction of the bare plate's brightness, or differ from it as
-        much by being brighter or of another colour, 0.1 to 0.97. In noisy images they must differ
-        by more.
+        Parts are darker than this fraction of the bare plate's brightness, or differ from it by as
+        much because they are brighter or of another colour, 0.1 to 0.97. In noisy images they must
+        differ by more.
     class_threshold : float
         Fraction of the bare plate's brightness below which a part is black, above which grey, 0.05
         to 0.95.
     min_plate_grey : float
-        Darkest plate that is believed [grey levels], 1 to 255: below that the light is off.
+        Minimum brightness of the plate [grey levels], 1 to 255. Below it the light counts as off.
     margin_px : float
-        How far outside the region a part's centre may be [px], 0 to 10: for errors of the
-        calibration. Only pixels inside the region are looked at, so of a part that is 2 px further
-        out too little is seen. A plate that is displaced by more needs another region.
+        Maximum distance of a part's centre outside the region [px], 0 to 10, for errors of the
+        calibration. Only pixels inside the region are evaluated, so a part that is 2 px farther out
+        shows too little. A plate that is displaced by more needs another region.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -161,7 +166,7 @@ class DetectorOptions:
 
 @dataclass(frozen=True, eq=False)
 class PartView:
-    """How a part is seen at each place of the plate.
+    """Appearance of a part at each place of the plate.
 
     Attributes
     ----------
@@ -170,7 +175,7 @@ class PartView:
     least_px : float
         Smallest radius of a part in the image [px].
     calibration : Calibration, optional
-        Without it no shadows are looked for.
+        If None, shadows are not searched.
     """
 
     silhouettes: Silhouettes
@@ -191,21 +196,21 @@ def detect(
 ) -> np.ndarray:
     """Find parts in one image.
 
-    With options, round parts of a known radius, darker than the plate. Without, whatever differs
-    from the background, of any outline, size and colour, as `plate_vision.shapes` finds it: round
-    ones that are alike are then measured again as parts of a known radius.
+    With options: round parts of a known radius, darker than the plate. Without options: everything
+    that differs from the background, of any outline, size and colour (`plate_vision.shapes`). Round
+    things of one size are then measured again as parts of a known radius.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
-        Grey levels; or blue, green, red, of which with options green alone is used.
+        Grey levels; or blue, green, red. With options only green is used to find dark parts.
     options : DetectorOptions, optional
-        What a part looks like; None if that is not known.
+        Description of the parts; None if it is unknown.
     region : Region, or (4, 2) or (4, n, 2), optional
-        Where the plate is: prepared by `make_region`, which takes longer than the detection; or
-        what that takes. The whole image if None.
+        Where the plate is: a Region from `make_region`, which takes longer than the detection, or
+        the argument of `make_region`. None: the whole image.
     view : PartView, optional
-        How a part is seen at each place; everywhere a disc of the options' radius if None.
+        Appearance of a part at each place; None: a disc of the options' radius everywhere.
 
     Returns
     -------
@@ -229,7 +234,7 @@ def detect(
 
 
 class Discs(NamedTuple):
-    """What `find_discs` finds.
+    """Result of `find_discs`.
 
     Attributes
     ----------
@@ -237,11 +242,11 @@ class Discs(NamedTuple):
     parts : (n,) SILHOUETTE
         Their silhouettes.
     overlooked : (m,) OVERLOOKED
-        Things on the plate that are not taken for parts; their places in plate_home are not set.
+        Things on the plate that are not taken for parts. Their x and y are not set.
     shadow : Shadow, optional
-        That all parts cast.
+        The shadow that every part casts; None if unknown.
     doubtful : bool
-        Whether many things look like no part, or only roughly.
+        Whether many things are not, or only roughly, shaped like a part.
     """
 
     found: np.ndarray
@@ -252,7 +257,7 @@ class Discs(NamedTuple):
 
     @property
     def places(self) -> np.ndarray:
-        """Where they are (n, 2) [px]."""
+        """Centres of the parts (n, 2) [px]."""
         return _places(self.found)
 
 
@@ -263,7 +268,7 @@ def _places(found: np.ndarray) -> np.ndarray:
 
 
 NO_DISCS = Discs(np.empty(0, DETECTION), np.empty(0, SILHOUETTE), NONE_OVERLOOKED)
-"""Nothing is seen."""
+"""Result without any detection."""
 
 
 def find_discs(
@@ -276,11 +281,11 @@ def find_discs(
 ) -> Discs:
     """Find parts of a known radius, as `detect` does, in an image (H, W) or (H, W, 3).
 
-    First those that are clearly darker than the plate, in grey levels. If there is anything else on
-    the plate, then also those that differ from it otherwise, by `plate.contrast`: fainter or
-    brighter ones, those of another colour, or with highlights or holes. If many do not look like
-    parts, a shadow is looked for that all of them cast; `shadow` is that of the image before, and
-    with `search` another one is looked for, which takes long.
+    The first step finds, in grey levels, parts that are clearly darker than the plate. If anything
+    else is on the plate, the second step finds parts by `plate.contrast`: fainter or brighter ones,
+    parts of another colour, or with highlights or holes. If many things are not shaped like a part,
+    the third step searches for a shadow that every part casts. `shadow` is the one of the previous
+    image. `search` permits the search for another one, which takes long.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
@@ -312,7 +317,7 @@ def find_discs(
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One image, and what is known of it."""
+    """One image with its fitted plate, region, and description of the parts."""
 
     plate: LitPlate
     channels: Channels
@@ -322,7 +327,7 @@ class Scene:
 
     @property
     def limit(self) -> float:
-        """Least contrast of a part."""
+        """Minimum contrast of a part."""
         return max(1 - self.options.threshold, SIGMAS * self.channels.noise)
 
     @cached_property
@@ -332,7 +337,8 @@ class Scene:
 
 
 def _doubtful(discs: Discs) -> bool:
-    """Whether many things look like no part, or only roughly. Parts with unknown shadows do."""
+    """Whether many things are not, or only roughly, shaped like a part, as parts with unknown
+    shadows are."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
     doubtful = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
@@ -342,7 +348,7 @@ def _doubtful(discs: Discs) -> bool:
 
 
 def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
-    """Return discs with those found among the remains by contrast, and the things overlooked."""
+    """Add the discs found by contrast among the remains, and the overlooked things."""
     contrast, radius_px = scene.contrast, scene.options.radius_px
     if contrast is None:
         return discs
@@ -355,7 +361,7 @@ def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
 
 
 def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
-    """Find all parts by their contrast, where each casts a shadow."""
+    """Find all parts by their contrast if every part casts a shadow."""
     contrast, radius_px, view = scene.contrast, scene.options.radius_px, scene.view
     remains = find_remains(
         scene.channels, scene.region, scene.limit, view.least_px, NO_DISCS.places, NO_DISCS.parts
@@ -371,8 +377,8 @@ def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
 
 
 def _apart(discs: Discs) -> Discs:
-    """Return discs without those that overlap a better one. If that fits hardly better, either may
-    be the part: then the place of the better one is as uncertain as both are apart."""
+    """Remove each disc that overlaps a disc with a smaller misfit. If the misfits are similar,
+    either may be the part: then the kept disc's uncertainty is the distance of both."""
     place, radius = discs.places, discs.parts["radius_px"]
     if not np.any(crowded(place, APART * float(np.max(radius, initial=0)))):
         return discs
@@ -391,7 +397,7 @@ def _apart(discs: Discs) -> Discs:
 
 
 def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view: PartView) -> Discs:
-    """Find parts that are clearly darker than the plate, each measured in the cheapest way."""
+    """Find parts that are clearly darker than the plate, each measured by the cheapest method."""
     threshold = min(options.threshold, CLEARLY_DARK)
     seeds, parts = find_seeds(plate, region, threshold, view.least_px, view.silhouettes)
     if not len(seeds):
@@ -404,8 +410,8 @@ def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view:
 def _other_discs(
     scene: Scene, contrast: LitPlate, remains: Remains, known: Discs, shadow: Shadow | None
 ) -> Discs:
-    """Find parts by their contrast to the plate, beside the `known` ones; all cast a shadow, if one
-    is given."""
+    """Find parts other than the `known` ones by their contrast to the plate. If `shadow` is given,
+    every part casts it."""
     silhouettes = scene.view.silhouettes
 
     def dark_shapes(point_px: np.ndarray) -> np.ndarray:
@@ -422,7 +428,7 @@ def _other_discs(
         parts = silhouettes(seeds)
     discs = _fitted(contrast, seeds, parts, known, shadow)
     there = (discs["darkness"] >= scene.limit) & ~_overlapping(discs, parts)
-    if not np.all(there):  # what is none must not hide its neighbours
+    if not np.all(there):  # rejected discs must not affect the fit of their neighbours
         seeds, parts = seeds[there], parts[there]
         discs = _fitted(contrast, seeds, parts, known, shadow)
         discs["misfit"][discs["darkness"] < scene.limit] = np.inf
@@ -448,7 +454,7 @@ def _overlapping(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
 def _fitted(
     contrast: LitPlate, seeds: np.ndarray, parts: np.ndarray, known: Discs, shadow: Shadow | None
 ) -> np.ndarray:
-    """Fit discs (n,) DISC from first guesses of their places (n, 2) [px], beside known ones."""
+    """Fit discs (n,) DISC to seeds (n, 2) [px], together with the known discs."""
     every = np.concatenate([seeds, known.places])
     return fit_discs(contrast, every, np.concatenate([parts, known.parts]), shadow)[: len(seeds)]
 
@@ -463,8 +469,11 @@ def _accepted(
     region: Region,
     options: DetectorOptions,
 ) -> Discs:
-    """Return the measured discs (n,) DISC that are parts, by their silhouettes (n,), marks (n, 2)
-    [px], and brightness (n,) relative to the plate. `alone` (n,): whether measured by moments."""
+    """Return the measured discs (n,) DISC that are accepted as parts.
+
+    `parts` (n,) SILHOUETTE; `marks` (n, 2) [px]; `light` (n,): brightness relative to the plate;
+    `alone` (n,): whether a disc was measured by moments.
+    """
     kept, labels, numbers = judge(
         discs, parts, marks, light, region, noise, options.radius_tolerance,
         options.class_threshold, options.margin_px,
@@ -480,7 +489,7 @@ def _accepted(
 
 
 def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
-    """Return the parts of an image (H, W) or (H, W, 3) of which nothing is known."""
+    """Return the parts of an image (H, W) or (H, W, 3) without any description of them."""
     found = _outlines(image, region)
     options = _if_alike(found)
     if options is not None:
@@ -504,7 +513,7 @@ def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
 
 
 def _outlines(image: np.ndarray, region: Region) -> np.ndarray:
-    """Return the patches (n,) `OUTLINE` of an image that are wholly in the region."""
+    """Return the patches (n,) `OUTLINE` of an image that are completely inside the region."""
     x0, y0, x1, y1 = region.box
     found = find_outlines(image[y0:y1, x0:x1])
     found["x_px"] += x0
@@ -513,7 +522,7 @@ def _outlines(image: np.ndarray, region: Region) -> np.ndarray:
 
 
 def _if_alike(outlines: np.ndarray) -> DetectorOptions | None:
-    """Return what round parts look like if they all have one size; None if not."""
+    """Return the description of round parts if all outlines have one size, else None."""
     if len(outlines) < MIN_ALIKE or not np.all(outlines["round"] & ~outlines["group"]):
         return None
     if len(np.unique(outlines["contrast"] > 0)) > 1:

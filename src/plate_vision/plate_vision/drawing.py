@@ -1,4 +1,4 @@
-"""Pictures for people: what was detected, and how well a lens fits."""
+"""Pictures for people: the detected parts in an image, and the errors of a lens fit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .camera.boards import LensFit
 from .camera.lens import Calibration
 
 COLOURS = ((0, 200, 255), (255, 120, 0), (80, 220, 80), (220, 80, 220), (80, 80, 255))
-"""Blue, green, red of classes, in the order of their names."""
+"""Colours (blue, green, red) of the classes, in the order of their names."""
 
 PLATE_COLOUR, ARROW_COLOUR = (200, 200, 0), (60, 60, 230)
 
@@ -22,10 +22,10 @@ ARROW_S = 1.0
 """A velocity arrow ends where the part will be after this time [s]."""
 
 SHIFT = 4
-"""Binary digits of the sixteenths of a pixel in which OpenCV takes places."""
+"""Fractional bits of OpenCV's fixed-point coordinates: sixteenths of a pixel."""
 
 ERROR_SCALE = 200.0
-"""Errors of corners are drawn so many times as long as they are."""
+"""Factor by which errors of corners are enlarged."""
 
 
 def draw_detections(
@@ -37,7 +37,7 @@ def draw_detections(
     outline_px: np.ndarray,
     part_px: Sequence[np.ndarray],
 ) -> np.ndarray:
-    """Return a copy in colour (H, W, 3) with parts outlined, named, and arrows of their velocity.
+    """Return a colour copy (H, W, 3) with the parts' outlines, names, and velocity arrows.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ def draw_detections(
     radius_px : (M,)
         Radii [px].
     ahead_px : (M, 2)
-        Where they will be after `ARROW_S` [px].
+        Places after `ARROW_S` [px].
     outline_px : (n, 2)
-        Around the plate [px].
+        Outline of the plate [px].
     part_px : sequence of (k, 2)
-        Outlines of the parts [px]; of those that have none, (0, 2), circles are drawn.
+        Outlines of the parts [px]. A part with an outline (0, 2) is drawn as a circle.
     """
     picture = np.array(image) if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     outline = _fixed(outline_px)
@@ -89,7 +89,7 @@ def outlines_px(
     calibration: Calibration,
 ) -> list[np.ndarray]:
     """Return the outlines (k, 2) [px] of parts at positions (M, 2) [m] and angles (M,) [rad],
-    plate_home; (0, 2) for those that are of no type."""
+    plate_home; (0, 2) for parts without a type."""
     outlines = []
     for name, place, turn in zip(ids, position, angle, strict=True):
         part = types.get(part_class(name))
@@ -101,7 +101,7 @@ def outlines_px(
 
 
 def draw_errors(fit: LensFit) -> np.ndarray:
-    """Return a picture (H, W, 3) of the errors of all corners, much enlarged, by picture."""
+    """Return a picture (H, W, 3) of the enlarged errors of all corners, one colour per picture."""
     width, height = fit.size_px
     picture = np.full((height, width, 3), 255, np.uint8)
     for number, ((_, place), error) in enumerate(zip(fit.corners, fit.errors, strict=True)):
@@ -118,5 +118,5 @@ def draw_errors(fit: LensFit) -> np.ndarray:
 
 
 def _fixed(point_px: np.ndarray) -> np.ndarray:
-    """Return places in sixteenths of a pixel, within what OpenCV's integers hold."""
+    """Return points in sixteenths of a pixel, clipped to the range of OpenCV's integers."""
     return np.rint(np.clip(point_px, -1e5, 1e5) * (1 << SHIFT)).astype(np.int32)

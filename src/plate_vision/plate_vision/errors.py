@@ -8,11 +8,11 @@ from plate_core import PlateError
 
 
 class ImageError(PlateError):
-    """An image, or where the plate is said to be in it, cannot be used."""
+    """An image, or the given place of the plate in it, cannot be used."""
 
 
 class CalibrationError(PlateError):
-    """Image points and plate points do not give a mapping between image and plate."""
+    """Image points and plate points do not determine a mapping between image and plate."""
 
 
 class OptionError(PlateError):
@@ -20,7 +20,7 @@ class OptionError(PlateError):
 
 
 class TrackError(PlateError):
-    """Measurements cannot be followed: wrong shape, or values that are not finite."""
+    """Measurements cannot be tracked: wrong shape, or values that are not finite."""
 
 
 class TeachError(PlateError):
@@ -28,7 +28,7 @@ class TeachError(PlateError):
 
 
 def check_image(image: np.ndarray) -> None:
-    """Refuse what is no image (H, W) or (H, W, 3) uint8."""
+    """Raise ImageError if the array is not an image (H, W) or (H, W, 3) uint8."""
     if image.dtype != np.uint8:
         raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
     if image.size == 0 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
@@ -42,7 +42,7 @@ def check_size(
     error: type[PlateError] = ImageError,
     why: str = "",
 ) -> None:
-    """Refuse an image of another width and height [px]; `what` begins the message,
+    """Raise an error if an image has another width and height [px]. `what` begins the message,
     `why` ends it."""
     if size_px != allowed_px:
         seen, allowed = (" x ".join(map(str, size)) for size in (size_px, allowed_px))
@@ -50,7 +50,7 @@ def check_size(
 
 
 def check_ranges(options: object, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Refuse options of which a value is out of its range."""
+    """Raise OptionError if a value of the options is out of its range."""
     for name, (low, high) in ranges.items():
         value = getattr(options, name)
         if not low <= value <= high:

@@ -1,5 +1,7 @@
-"""Faint patches of a part's size that the detector does not see: an average over a part's area
-shows contrasts far below the noise of a pixel. They are only counted, for the diagnostics.
+"""Faint patches of a part's size that the detector misses, counted for the diagnostics.
+
+The mean over the area of a part is compared with the mean over a ring around it. This average shows
+contrasts far below the noise of a single pixel.
 """
 
 from __future__ import annotations
@@ -14,29 +16,30 @@ from .overlooked import REMEDIES, WARN_COUNT, WARN_FRACTION
 from .plate.region import Region
 
 INNER, RING = 1.6, (2.6, 4.6)
-"""Side of the square that is averaged, and of the squares that bound the ring around it [radii]:
-the first lies in the part, the ring beside it."""
+"""Side of the averaged square, and sides of the squares that bound the ring [part radii]. The inner
+square fits into the part; the ring is outside it."""
 
 NOISE_FACTOR, MIN_CONTRAST = 8.0, 2.0
-"""Least contrast of a patch to the ring around it: in standard deviations of that contrast over the
-plate, so that texture is none, and in grey levels, for stripes and spots of the light."""
+"""Minimum contrast of a patch to the ring around it: in standard deviations of that contrast over
+the plate, to exclude texture, and in grey levels, to exclude stripes and spots of the light."""
 
 CLEAR = 3.4
-"""Distance from parts and from other things within which nothing counts [radii]: their shadows."""
+"""Distance from parts and other things within which patches are ignored [part radii], because of
+shadows."""
 
 SPREAD = 0.6
-"""A patch is as large as a part if its contrast at 1.2 radii from its middle is below this fraction
-of the one in the middle: a shade or a stripe is larger."""
+"""Maximum contrast at 1.2 radii from a patch's centre, as a fraction of the contrast in the centre.
+A shade or a stripe is larger than a part and exceeds it."""
 
 
 COARSE_PX = 4.0
-"""Radius of a part to which a larger image is reduced [px]: that takes a fraction of the time."""
+"""Radius of a part to which larger images are reduced [px], to save computing time."""
 
 
 def faint_patches(
     image: np.ndarray, region: Region, radius_px: float, taken_px: np.ndarray, margin_px: float
 ) -> tuple[np.ndarray, float]:
-    """Return the centres (n, 2) [px] of faint patches as large as a part, and their median contrast
+    """Return the centres (n, 2) [px] of faint patches of a part's size, and their median contrast
     to the plate [grey levels].
 
     Parameters
@@ -45,12 +48,12 @@ def faint_patches(
     region : Region
         Where the plate is.
     radius_px : float
-        Of a part [px].
+        Radius of a part [px].
     taken_px : (m, 2)
-        Centres of parts and other things that are known [px].
+        Centres of detected parts and other things [px].
     margin_px : float
-        Distance from the predicted edge of the plate within which nothing counts [px]: the plate
-        may be away from home.
+        Distance from the predicted edge of the plate within which patches are ignored [px], because
+        the plate may be away from home.
     """
     wide = 2 * round(margin_px) + 1
     free = cv2.erode(region.usable.astype(np.uint8), np.ones((wide, wide), np.uint8))
@@ -65,7 +68,7 @@ def faint_patches(
     radius_px /= step
     inner, low, high = (_box(grey, free, side * radius_px) for side in (INNER, *RING))
     ring = (high[0] - low[0]) / np.maximum(high[1] - low[1], 1e-6)
-    # The whole patch and its ring must be bare.
+    # The patch and its whole ring must be bare plate.
     whole = (high[1] > 0.98 * (round(RING[1] * radius_px) | 1) ** 2) & (free > 0)
     if not np.any(whole):
         return np.zeros((0, 2)), 0.0
@@ -87,8 +90,8 @@ def faint_patches(
 
 
 def faint_finding(count: int, contrast: float, taken: int) -> Finding | None:
-    """Say that faint patches as large as a part are not detected, None if there are none; `taken`
-    is the number of parts."""
+    """Return a finding that faint patches are not detected; None if there are none. `taken` is the
+    number of parts."""
     if not count:
         return None
     is_ = "1 faint patch as large as a part is"
@@ -103,7 +106,7 @@ def faint_finding(count: int, contrast: float, taken: int) -> Finding | None:
 
 
 def _box(grey: np.ndarray, free: np.ndarray, side_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of the free pixels' greys (H, W), and their numbers (H, W), in squares."""
+    """Return the sums of the free pixels' grey levels (H, W) and their counts (H, W) in squares."""
     side = round(side_px) | 1
 
     def summed(values: np.ndarray) -> np.ndarray:
@@ -117,7 +120,7 @@ def _box(grey: np.ndarray, free: np.ndarray, side_px: float) -> tuple[np.ndarray
 
 
 def _is_round(contrast: np.ndarray, x: int, y: int, radius_px: float) -> bool:
-    """Whether the contrast falls off to all sides of a place within 1.2 radii."""
+    """Whether the contrast decreases in all eight directions within 1.2 radii of a point."""
     turn = 2 * np.pi * np.arange(8) / 8
     columns = np.rint(x + 1.2 * radius_px * np.cos(turn)).astype(int)
     rows = np.rint(y + 1.2 * radius_px * np.sin(turn)).astype(int)

@@ -1,4 +1,4 @@
-"""Types of parts that are taught to the running detector, part by part."""
+"""Part types that are taught to the running detector, one picture per call of ~/teach."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from .vision import Vision
 
 @dataclass(frozen=True, eq=False)
 class Teaching:
-    """A type that is being taught: its name, and the pictures so far."""
+    """A type that is being taught: its name and its pictures."""
 
     name: str = ""
     examples: tuple[Example, ...] = ()
 
     def shown(self, name: str, image: np.ndarray) -> Teaching:
-        """Return it with one more picture (H, W) or (H, W, 3); of another type it begins anew.
+        """Return a copy with one more picture (H, W) or (H, W, 3). Another name starts a new
+        type.
 
         Raises
         ------
@@ -42,7 +43,7 @@ class Teaching:
 def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartType, Vision, str]:
     """Learn a type, and write it to a file of types.
 
-    Returns it, a vision that knows it, and what was learned.
+    Return the type, a vision that knows it, and a summary for the user.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The detector node: `image_raw` in, `parts` out."""
+"""The detector node: subscribes `image_raw`, publishes `parts`."""
 
 from __future__ import annotations
 
@@ -69,30 +69,31 @@ from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
 
 WARN_PERIOD_S = 2.0
-"""Least time between two warnings of a kind [s]."""
+"""Minimum time between two warnings of a kind [s]."""
 
 PLANNED_S = 1.0
 """Maximum time between an image and the planner's prediction of parts while a task runs [s]:
 several cycles of the plate. A planner that has ended does not withdraw its last prediction."""
 
 FAINT_PERIOD_S = 2.0
-"""Least time between two searches for faint patches, by the images' stamps [s]: one takes 10 ms."""
+"""Minimum time between two searches for faint patches, by the images' stamps [s]: one takes 10
+ms."""
 
 TRAIL = 100
-"""Images that a part's trail goes back in `markers`."""
+"""Length of a part's trail in `markers` [images]."""
 
 TRANSPORTS = ("raw", "compressed")
-"""Of image_transport those that are understood."""
+"""Supported transports of image_transport."""
 
 
 def _option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text: str) -> Any:
-    """Return the field of a live parameter that is one of the core's options."""
+    """Return the field of a live parameter that is an option of the core."""
     return parameter(getattr(kind, name), text, *kind.RANGES[name], live=True)
 
 
 @dataclass(frozen=True)
 class DetectorParameters(NodeOptions):
-    """Parameters of the node."""
+    """Parameters of the detector."""
 
     MOVED: ClassVar[dict[str, str]] = dict.fromkeys(
         ("source", "path", "rate"),
@@ -166,9 +167,21 @@ class DetectorParameters(NodeOptions):
 
 @dataclass
 class Tally:
-    """Of the images since the last report: how many, how many were refused and why the last was,
-    what was wrong with light or markers, how long detection took [ms], and what was not taken for
-    parts; that also of the images of the report before."""
+    """Counts of the images since the last report.
+
+    Attributes
+    ----------
+    images, refused : int
+        Images received, and images refused.
+    why : str
+        Reason of the last refusal.
+    problem : str
+        Last problem of the light or the markers.
+    detection_ms : list of float
+        Detection times [ms].
+    overlooked, overlooked_before : OverlookedTally
+        Things that were not taken for parts: in these images, and in those of the report before.
+    """
 
     images: int = 0
     refused: int = 0
@@ -180,29 +193,29 @@ class Tally:
 
     @property
     def overlooked_lately(self) -> OverlookedTally:
-        """That of this report's images and of the last one's: a thing in one image, the first of a
-        report, must not be a warning."""
+        """Overlooked things of this report and of the previous one. A single image, the first of a
+        report, must not cause a warning."""
         return self.overlooked_before.joined(self.overlooked)
 
 
 class DetectorNode(SafeLifecycleNode[DetectorParameters]):
-    """Lifecycle node `detector`: finds parts, and the plate if it has markers, in camera images.
+    """Lifecycle node `detector`: finds parts, and a plate with markers, in camera images.
 
-    Subscribes image_raw (or image_raw/compressed), camera_info; and part_forces, which tell where
-    parts will be: so each keeps its id.
-    Publishes parts, detections_image, markers, diagnostics; with markers on the plate plate_pose,
-    and in /tf plate in plate_home; in /tf_static camera_optical_frame, if the lens is known.
-    Service ~/reset: forget all parts, and find the plate again.
-    For rigs with part types: ~/learn_plate takes the next images for those of the bare plate;
-    ~/teach learns the type `teach_name` from the parts in the last image, all of that type; called
-    again with the same name, from all images since (place a part, call; place it otherwise, call).
+    Subscribes image_raw (or image_raw/compressed), camera_info, and part_forces. The predicted
+    positions in part_forces help the tracker to keep the parts' ids.
+    Publishes parts, detections_image, markers, diagnostics; /tf_static with camera_optical_frame if
+    the lens is known; and, for a plate with markers, plate_pose and /tf with plate in plate_home.
+    Service ~/reset: forget all parts, and locate the plate again.
+    For rigs with part types: ~/learn_plate learns the bare plate from the next images. ~/teach
+    learns the type `teach_name` from the parts in the last image, which must all be of that type.
+    If it is called again with the same name, it learns from all images of the calls so far.
 
-    Publishes aim, measurements to aim, focus and light the camera, while it has a subscriber. Its
-    services are ~/find_home, ~/save_home; ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
+    Publishes aim, measurements to aim, focus and light the camera, while aim has a subscriber. The
+    services for this are ~/find_home, ~/save_home, ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
 
-    Every image that can be used is answered, also if no part is seen; the answer carries the
-    image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
-    is in the image say its markers, or the rig file.
+    Each usable image yields one `parts` message with the image's stamp, also if it shows no part.
+    Only the lens of camera_info is used, instead of the rig file's. The place of the plate in the
+    image comes from its markers or from the rig file.
     """
 
     def __init__(self) -> None:
@@ -210,7 +223,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.report(self._find, self._values, "camera", self._begin_report)
 
     def configure(self) -> None:
-        """Read rig and lens."""
+        """Read the rig and the lens."""
         values = self.options
         self._rig = load_rig(values.rig_file)
         self._lens_message: tuple[object, ...] | None = None
@@ -278,7 +291,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._early: float | None = None
         self._outline: OutlineCheck | None = None
         self._faint: Finding | None = None
-        self._faint_count, self._faint_at = 0, -math.inf  # in the image that was last searched
+        self._faint_count, self._faint_at = 0, -math.inf  # of the last search
         if self._location is None:
             self._place_camera()
         self._aiming.begin()
@@ -306,13 +319,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         )
 
     def _suit(self, size_px: tuple[int, int]) -> None:
-        """Treat photographs that do not have the size of the rig's images as views of the whole
-        plate, from the first one on.
+        """Accept photographs of another size than the rig's images: the first one is taken as a
+        view of the whole plate, and the rig is adapted to it.
 
         Raises
         ------
         ImageError
-            If parts are too small or too large in it.
+            If parts are too small or too large in the image.
         """
         rig, text = rig_of_picture(self._rig, size_px)
         if not text:
@@ -326,7 +339,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._warn(text)
 
     def _tell(self, name: str) -> None:
-        """Say what a picture held, and what in it is not taken for parts."""
+        """Log the parts of a photograph, and the things in it that are not taken for parts."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
         overlooked.add(*self._counts())
@@ -337,8 +350,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _answer(
         self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
     ) -> None:
-        """Find the parts in one image, and publish them. If `wide`, the parameter bits gives the
-        used ones of its 16 bits."""
+        """Find the parts in one image, and publish them. If `wide`, the image has 16 bits, of which
+        the parameter `bits` gives the number used."""
         self._input = self._input.heard(time.monotonic())
         self._tally.images += 1
         self._images += 1
@@ -398,8 +411,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._aiming.look(came, stamp)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
-        """Refuse another image with the stamp of the one before, which would be answered with what
-        that showed, and one image that comes late; after two earlier ones time began anew."""
+        """Refuse an image whose stamp equals that of a different previous image, and a single image
+        older than the previous one. A second older image means that the clock was set back."""
         last, early = self._tracker.stamp, self._early
         self._early = None
         if last is None or stamp > last:
@@ -417,11 +430,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             )
 
     def _know_plate(self, image: np.ndarray) -> None:
-        """Learn the bare plate, or model it, or follow its light."""
+        """Learn the bare plate, model it, or follow its light."""
         self._plate, self._vision, found = know_plate(self._plate, self._vision, image)
         if found is None:
             return
-        if found.level == Level.OK:  # a logger takes one severity from each line
+        if found.level == Level.OK:  # rclpy allows one severity for each line of code
             self.get_logger().info(found.message)
         else:
             self.get_logger().warning(found.message)
@@ -440,7 +453,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return response
 
     def _on_teach(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Learn a type of part from what lies there."""
+        """Learn a part type from the parts on the plate."""
         try:
             if self._image is None:
                 raise TeachError("no image came yet, allowed: a part before the camera")
@@ -450,7 +463,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 teaching, self._vision, Path(self.options.teach_file)
             )
             self._teaching = teaching
-            if untyped:  # the parts so far were named as discs
+            if untyped:  # the parts so far have names of discs
                 self._tracker = Tracker(self._tracker.options)
             self._rig = replace(self._rig, types={**self._rig.types, part.name: part})
             response.success = True
@@ -496,8 +509,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _things(
         self, things: np.ndarray, radius: np.ndarray, expected: Expected
     ) -> tuple[Thing, ...]:
-        """Return the parts of the last image, and the things (n,) OVERLOOKED of these radii (n,)
-        [m]."""
+        """Return the parts of the last image, and the overlooked things (n,) OVERLOOKED with their
+        radii (n,) [m]."""
         parts, calibration = self._tracker.parts, self._vision.calibration
         place_px = calibration.to_image(parts.position)
         scale = calibration.scale(parts.position)
@@ -511,7 +524,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             for name, (x, y), pixels in zip(
                 parts.ids, place_px.tolist(), scale.tolist(), strict=True
             )
-            if part_class(name) not in NAMELESS  # those are among the things
+            if part_class(name) not in NAMELESS  # those are among `things`
         ]
         for one, size in zip(things, radius.tolist(), strict=True):
             reason = str(one["reason"])
@@ -528,20 +541,20 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
 
     def _take_corners(self, corners_px: np.ndarray) -> None:
-        """Use the plate's corners (4, 2) [px] until the node ends. Forget the bare plate, because
-        it was learned before the camera was moved."""
+        """Use the plate's corners (4, 2) [px] until the node ends. The bare plate is forgotten,
+        because it was learned before the camera was moved."""
         corners = tuple((float(x), float(y)) for x, y in corners_px)
         self._rig = replace(self._rig, camera=replace(self._rig.camera, corners_px=corners))
         self._plate = BarePlate()
         self._look_anew(self._lens)
 
     def _take_lens(self, lens: Lens) -> None:
-        """Use a lens that was just fitted."""
+        """Use a lens that was fitted."""
         self._look_anew(lens)
         self._lens, self._lens_problem = lens, ""
 
     def _look_anew(self, lens: Lens | None) -> None:
-        """Find plate and parts again with the rig and this lens, as after a start."""
+        """Locate plate and parts again with the rig and this lens, as after a start."""
         vision = make_vision(self._rig, self._vision.options, lens)
         self._vision = replace(vision, background=self._plate.first)
         self._tracker, self._expected = Tracker(self._tracker.options), None
@@ -550,11 +563,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._place_camera()
 
     def _on_forces(self, msg: PartForces) -> None:
-        """Note where the planner expects parts at the end of the running cycle, if it knows."""
+        """Store the planner's prediction of the parts at the start of a cycle, if there is one."""
         try:
             wanted = msg_to_wanted(msg)
         except PlateError:
-            return  # the solver says what is wrong
+            return  # the solver reports the error
         self._expected = None
         if wanted.start is not None:
             place = wanted.start[:, :2]
@@ -562,7 +575,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _check_outline(self, image: np.ndarray, stamp: float) -> None:
         """Compare the plate's outline in the first images with the predicted one."""
-        if self._location is not None:  # its markers say where it is
+        if self._location is not None:  # the markers give the plate's pose
             return
         before = self._outline
         if before is None:
@@ -573,10 +586,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._warn(found.message)
 
     def _look_for_faint(self, image: np.ndarray, stamp: float) -> None:
-        """Count faint patches as large as round parts; those of two searches count, or of a
-        picture."""
+        """Count faint patches as large as round parts. The result is the smaller count of two
+        consecutive searches; a photograph counts alone."""
         if self._vision.catalogue is not None:
-            return  # compared with the bare plate
+            return  # types are found by comparison with the bare plate
         taken, things, _ = self._counts()
         vision, place = self._vision, [track.position for track in self._tracker.found]
         known_px = vision.calibration.to_image(np.array(place).reshape(-1, 2))
@@ -590,7 +603,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._faint_count, self._faint_at = len(found), stamp
 
     def _note_overlooked(self) -> list[OverlookedThing]:
-        """Count the things that are not taken for parts; returns them in metres."""
+        """Count the things that are not taken for parts. Return them in metres."""
         taken, things, radius = self._counts()
         self._tally.overlooked.add(taken, things, radius)
         columns = (things["x"], things["y"], radius, things["reason"])
@@ -598,8 +611,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return [OverlookedThing(*row) for row in rows]
 
     def _counts(self) -> tuple[int, np.ndarray, np.ndarray]:
-        """Return the number of parts in the last image, and the things (n,) OVERLOOKED in it that
-        are not taken for parts, with their radii (n,) [m]; shadows and edges of round parts do not
+        """Return the number of parts in the last image, and the things (n,) OVERLOOKED that are not
+        taken for parts, with their radii (n,) [m]. Shadows and edges of round parts do not
         count."""
         things = self._tracker.overlooked
         scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
@@ -612,7 +625,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return len(taken), things, radius
 
     def _note_ids(self) -> None:
-        """Say which ids are gone since the last image."""
+        """Log the ids that were given up or renamed with the last image."""
         given_up, renamed = self._tracker.given_up, self._tracker.renamed
         if given_up:
             images = self._tracker.options.max_missed + 1
@@ -646,12 +659,12 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return scene_to_msg(self._rig, parts, self._trails, HOME if pose is None else pose, stamp)
 
     def _unknown_location(self) -> PlateLocation | None:
-        """Return that of a plate with markers before the first image; None if it has none."""
+        """Return the unknown location of a plate with markers; None if the plate has none."""
         has_markers = self._rig.fiducials is not None
         return PlateLocation(self._rig, self._lens) if has_markers else None
 
     def _find_plate(self, location: PlateLocation, image: np.ndarray, stamp: Time) -> np.ndarray:
-        """Find the plate by its markers; returns the image without them."""
+        """Locate the plate by its markers. Return the image without them."""
         found = location.home is None
         location, self._vision, image = follow_plate(location, self._vision, image)
         self._location = location
@@ -666,14 +679,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return image
 
     def _place_camera(self) -> None:
-        """Publish where the camera is, if its lens is known."""
+        """Publish the camera's pose, if its lens is known."""
         lens = self._lens or rig_lens(self._rig)
         if lens is not None:
             pose = home_pose(self._vision.calibration.image_from_home, lens.matrix)
             self._cameras.publish(camera_to_msg(*pose, self.get_clock().now().to_msg()))
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Forget all parts, and where home is: numbers begin at 1 again with the next image."""
+        """Forget all parts, and the location of home. Ids restart at 1 with the next image."""
         response.message = f"{len(self._tracker.tracks)} parts forgotten"
         self._tracker, self._expected = Tracker(self._tracker.options), None
         self._location = self._unknown_location()
@@ -683,7 +696,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return response
 
     def _find(self, now: float) -> Finding:
-        """Judge what came; see `plate_core.status`."""
+        """Return the worst finding of the images since the last report; see
+        `plate_core.status`."""
         tally = self._tally
         findings = [used("images", tally.images, tally.refused, tally.why)]
         if rivals := self.rivals(self._topic):
@@ -727,7 +741,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _warn(self, text: str) -> None:
         if self.options.photographs:
-            self.get_logger().warning(text)  # of each of them
+            self.get_logger().warning(text)  # for each photograph
         else:
             self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
@@ -735,7 +749,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))
         if content == self._lens_message:
             return
-        self._lens_message = content  # judged once, not with every image
+        self._lens_message = content  # check each lens once, not with every image
         try:
             lens = lens_of(msg, self._vision.region.size_px)
             known = make_vision(self._rig, self._vision.options, lens)
@@ -751,7 +765,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._warn(self._lens_problem)
 
     def retune(self) -> None:
-        """Take the live options."""
+        """Apply changed live parameters."""
         radius_px = self._vision.options.radius_px
         options = replace(self.options.detector(), radius_px=radius_px)
         self._vision = replace(self._vision, options=options)
@@ -759,7 +773,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
 
 def expected_parts(rig: Rig) -> Expected:
-    """Return the sizes of a rig's parts, of which warnings tell."""
+    """Return the sizes of a rig's parts, for warnings."""
     if not rig.types:
         return Expected(rig.parts.radius_m, rig.parts.radius_m)
     radii = [math.sqrt(part.area_m2 / math.pi) for part in rig.types.values()]
@@ -767,12 +781,12 @@ def expected_parts(rig: Rig) -> Expected:
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
-    """Return the lens of a camera; None if it is not calibrated: K[0] is 0.
+    """Return the lens of a camera_info; None if the camera is not calibrated: K[0] is 0.
 
     Raises
     ------
     PlateError
-        If the camera is not that of the rig, or its lens is not understood.
+        If the image size differs from the rig's, or the lens model is not supported.
     """
     check_size("size is", (msg.width, msg.height), size_px)
     if msg.k[0] == 0:

@@ -1,4 +1,8 @@
-"""Things that the detector sees on the plate and does not take for parts, each with its reason."""
+"""Overlooked things: things on the plate that the detector sees but does not take for parts.
+
+Each has one of `REASONS`. `OverlookedTally` averages them over images and gives a finding with the
+remedies; `may_be_parts` selects those that the planner must treat as obstacles.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +23,9 @@ REASONS = (
     "blurred",
     "unsettled",
 )
-"""Why a thing is not a part: its size is below or above that of the rig's parts; its contrast to
-the plate is too low; its shape is not a part's; the plate's edge cuts it; its centre is not on the
-plate; it seems to be several parts that could not be separated; the image is too blurred to name
-its type; it is seen as a part now, but images before did not show it as one."""
+"""Why a thing is not a part, in this order: smaller or larger than the rig's parts; contrast to the
+plate too low; another shape; cut by the plate's edge; centre not on the plate; several parts that
+could not be separated; image too blurred for its type; a part now, but not in earlier images."""
 
 OVERLOOKED = np.dtype(
     [
@@ -38,37 +41,38 @@ OVERLOOKED = np.dtype(
 centre [m, plate_home]; one of `REASONS`."""
 
 NAMELESS = ("unknown", "group")
-"""Classes of sightings that are of no class of parts: what may be a part, and parts that nothing
-takes apart."""
+"""Classes of sightings without a part class: `unknown` may be a part, `group` is several parts that
+could not be separated."""
 
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
-"""No such thing, (0,) `OVERLOOKED`."""
+"""No overlooked things, (0,) `OVERLOOKED`."""
 NONE_OVERLOOKED.setflags(write=False)
 
 PLAUSIBLE_AREA = 0.3, 3.0
-"""Area of a thing that may be a part, relative to a part's [-]: smaller ones are dust or shine,
-larger ones tools or hands."""
+"""Range of a thing's area that may be a part, relative to a part's area [-]. Smaller things are
+dust or reflections, larger ones tools or hands."""
 
 APART = 0.9
 """A thing nearer to a part than this fraction of the sum of their radii [-] belongs to that part,
 as its shadow or its side face. Two parts that touch are at 1."""
 
 WARN_FRACTION, WARN_COUNT = 0.1, 2
-"""Overlooked things are worth a warning above this fraction of all things seen [-], and from this
-number on. A task of ten parts fails without one of them, and the planner reports that. One thing
-alone may be a tool or a marker that belongs there."""
+"""Overlooked things cause a warning above this fraction of all things [-], and from this number on.
+A single thing may be a tool or a marker that belongs there. If a task misses a part, the planner
+reports it."""
 
 SPECK_RADIUS = 0.3
 """Things smaller than this, relative to the smallest part's radius [-], do not count for the
 warning while parts are seen: a tenth of a part's area is dust or a reflection."""
 
 EDGE_REASONS = ("at the edge", "beyond the plate")
-"""Things of these reasons do not count either: a plate that is away from home shows its own edge
-there, as in images of a camera that runs free."""
+"""Things with these reasons do not count either. A plate that is away from home shows its own edge,
+for example in images of a free-running camera."""
 
 COVER_RADII = 8.0
-"""Minimum size of a thing that covers the plate, relative to the largest part's radius [-]: a hand,
-a cable, a lamp's reflection. The strip beside a plate that is 10 mm away from home is smaller."""
+"""Minimum radius of a thing that covers the plate, relative to the largest part's radius [-], for
+example a hand, a cable, a lamp's reflection. The strip beside a plate 10 mm away from home is
+smaller."""
 
 REMEDIES = {
     "too faint": "more light, or parts that differ more from the plate",
@@ -78,7 +82,7 @@ REMEDIES = {
     "blurred": "focus the camera, or expose for a shorter time: types are not told apart",
     "unsettled": "wait for some images: light or shadow has changed",
 }
-"""What to do about things of a reason, where it is the same for all rigs."""
+"""Remedy for each reason whose remedy is the same for all rigs."""
 
 
 def may_be_parts(
@@ -88,17 +92,17 @@ def may_be_parts(
     inner: np.ndarray,
     centre: np.ndarray,
 ) -> np.ndarray:
-    """Which things (n,) OVERLOOKED may be parts: of a part's size, on the plate, beside the parts.
+    """Which things (n,) OVERLOOKED may be parts: of a part's size, on the plate, apart from parts.
 
     Parameters
     ----------
     things : (n,) OVERLOOKED
     radius : (n,)
-        Their radii [m].
+        Radii of the things [m].
     part_radius : float
-        Of a part [m].
+        Radius of a part [m].
     inner : (2,)
-        Half sides of the plate's area in which they count [m].
+        Half sides of the plate's area in which things count [m].
     centre : (M, 2)
         Centres of the parts in this image [m, plate_home].
     """
@@ -112,7 +116,7 @@ def may_be_parts(
 def beside_parts(
     things: np.ndarray, radius: np.ndarray, part_radius: float, centre: np.ndarray
 ) -> np.ndarray:
-    """Which things (n,) OVERLOOKED lie beside all parts; parameters as of `may_be_parts`."""
+    """Which things (n,) OVERLOOKED are apart from all parts; parameters as of `may_be_parts`."""
     place = np.column_stack([things["x"], things["y"]])
     away = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
     return np.asarray(np.all(away >= APART * (radius + part_radius)[:, None], axis=1))
@@ -121,15 +125,15 @@ def beside_parts(
 def unnamed_things(
     seen: np.ndarray, on_plate: np.ndarray, radius: np.ndarray, smallest: float, largest: float
 ) -> np.ndarray:
-    """Return the things (k,) OVERLOOKED among sightings that are of no type.
+    """Return the things (k,) OVERLOOKED among sightings without a type.
 
     Parameters
     ----------
     seen : (n,) `shapes.classes.SIGHTING`
-        Only those of a class of `NAMELESS` count.
+        Only sightings with a class of `NAMELESS` count.
     on_plate : (n,)
-        Which of them are on the plate wherever the motors are: bool. Others do not count: they may
-        be the edge of a plate that is not at home.
+        Whether a sighting is on the plate at every motor position, bool. Others do not count: they
+        may be the edge of a plate that is not at home.
     radius : (n,)
         Radii of the discs of the same area [m].
     smallest, largest : float
@@ -151,7 +155,7 @@ def unnamed_things(
 
 @dataclass(frozen=True)
 class Expected:
-    """What the rig file says of the parts, as far as a remedy depends on it.
+    """Sizes of the parts in the rig file, for the remedies.
 
     Attributes
     ----------
@@ -167,7 +171,7 @@ class Expected:
 
     @property
     def size(self) -> str:
-        """The sizes, and where they stand in the rig file."""
+        """The sizes as text, with their key in the rig file."""
         low, high = (f"{1e3 * radius:.3g}" for radius in (self.smallest, self.largest))
         span = low if low == high else f"{low} to {high}"
         return f"types have {span} mm" if self.typed else f"parts: radius_m is {span} mm"
@@ -175,16 +179,16 @@ class Expected:
 
 @dataclass
 class OverlookedTally:
-    """Counts of what some images showed.
+    """Counts of parts and overlooked things over several images.
 
     Attributes
     ----------
     images, taken : int
-        Images, and parts in them.
+        Number of images, and number of parts in them.
     things : list of (n,) OVERLOOKED
         Things that are not taken for parts, image by image.
     radii : list of (n,)
-        Their radii [m].
+        Radii of the things [m], image by image.
     """
 
     images: int = 0
@@ -200,7 +204,7 @@ class OverlookedTally:
         self.radii.append(radius)
 
     def joined(self, other: OverlookedTally) -> OverlookedTally:
-        """Return the tally of the images of both."""
+        """Return the tally of both sets of images."""
         return OverlookedTally(
             self.images + other.images,
             self.taken + other.taken,
@@ -209,7 +213,8 @@ class OverlookedTally:
         )
 
     def finding(self, expected: Expected) -> Finding | None:
-        """Say what is seen and not taken for a part, why, and what to do; None if there is nothing.
+        """Describe the things that are not taken for parts, with reasons and remedies; None without
+        such things.
 
         All numbers are averages over the images. The level is WARN if the things are many or if no
         part is detected, else OK.
@@ -247,7 +252,7 @@ class OverlookedTally:
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
 
     def values(self) -> dict[str, str]:
-        """Return the average numbers of things in an image, all and by reason."""
+        """Return the mean number of things per image, in total and by reason."""
         reason = np.concatenate(
             [NONE_OVERLOOKED["reason"], *(one["reason"] for one in self.things)]
         )
@@ -260,7 +265,7 @@ class OverlookedTally:
 
 
 def remedy(reason: str, radius_mm: float, expected: Expected) -> str:
-    """Return what to do about things of one of `REASONS`, of this median radius [mm]."""
+    """Return the remedy for things of one of `REASONS`, with this median radius [mm]."""
     if reason in ("too small", "too large"):
         return f"radius {radius_mm:.3g} mm, {expected.size}"
     if reason == "misfit":

@@ -1,4 +1,10 @@
-"""Parts of taught types in an image: found, named, and measured."""
+"""Recognition of parts of taught types: find them in an image, name them, and measure them.
+
+The image is divided into patches that differ from the bare plate (`segment`). Each patch is
+compared with the catalogue of types (`recognise_under`), and groups of touching parts are separated
+(`explain_groups`). The length of the shadows is estimated from the types and the segmentation is
+repeated if it disagrees. Output: `SIGHTING` records.
+"""
 
 from __future__ import annotations
 
@@ -26,22 +32,22 @@ from .shapes.shadows import Lamp
 from .shapes.teaching import ALIKE, gap_between
 
 BLUR_PX = 0.8
-"""Usual blur of a camera and its pixels, standard deviation [px]."""
+"""Typical blur of a camera and its pixels, standard deviation [px]."""
 
 LEAST_CORNER_PX = 0.25
-"""How far corners must stand out from a round outline in the image for the angle to be told [px]:
-of stars of 5 to 16 corners with so much it is a fifth of the angle between two of them off at
-most."""
+"""Minimum protrusion of corners from a round outline in the image for the angle to be measured
+[px]. With stars of 5 to 16 corners the error is then at most a fifth of the angle between two
+corners."""
 
 SIZE_ALONE = 3.0
-"""Types that differ by less than so many standard deviations, and in size alone, are named."""
+"""Types that differ only in size, and by fewer standard deviations than this, cause a warning."""
 
 SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
-"""Difference of the length of shadows by known types from that by colours, relative to it and [px],
-up to which they are shadows."""
+"""Maximum difference between the shadow length measured with known types and the one measured by
+colours, relative to the latter and [px]. If it is larger, they are not shadows."""
 
 SCALE = 1000.0
-"""Of photographs of which nothing is known: a pixel is a millimetre [px/m]."""
+"""Default scale of a photograph [px/m]: one pixel is a millimetre."""
 
 
 def find_parts(
@@ -51,26 +57,26 @@ def find_parts(
     scale: float = SCALE,
     region: Region | None = None,
 ) -> np.ndarray:
-    """Find parts of taught types in a picture taken from above.
+    """Find parts of taught types in a picture taken vertically from above.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
         Grey levels, or blue, green, red.
     types : mapping of str to PartType, or Catalogue
-        By their names; or these prepared by `make_catalogue`, which takes a while.
+        Types by name, or a catalogue from `make_catalogue`, whose preparation takes time.
     background : Background, optional
         The bare plate; modelled from the image if None.
     scale : float
-        Of the picture [px/m].
+        Scale of the picture [px/m].
     region : Region, optional
         Where the plate is; the whole image if None.
 
     Returns
     -------
     (n,) structured array
-        Fields of `DETECTION`; labels are names of types, `unknown` for what is like none, and
-        `group` for parts that touch and that nothing takes apart.
+        Fields of `DETECTION`. Labels are names of types, `unknown` for a thing that matches no
+        type, and `group` for touching parts that could not be separated.
 
     Raises
     ------
@@ -95,7 +101,7 @@ def find_types(
     calibration: Calibration,
     region: Region | None = None,
 ) -> np.ndarray:
-    """Find parts of taught types on the plate: (n,) `SIGHTING`."""
+    """Find parts of taught types on the plate. Return their sightings (n,) `SIGHTING`."""
     return find_types_under(image, catalogue, background, calibration, region)[0]
 
 
@@ -109,8 +115,8 @@ def find_types_under(
 ) -> tuple[np.ndarray, Lamp | None]:
     """Like `find_types`, but also return the lamp that casts the shadows of all parts.
 
-    A lamp does not move. If an image alone does not show it, for example because parts touch, the
-    lamp `before` of the previous image is used, unless more parts are recognised without it.
+    A lamp is fixed. If an image alone does not show its direction, for example because parts touch,
+    the lamp `before` of the previous image is used, unless more parts are recognised without it.
     """
     rise = _rise_of(catalogue, calibration)
 
@@ -127,12 +133,12 @@ def find_types_under(
             seen = seen if seen.lamp is None else look(False)
             lit = lit if lit.agrees and lit.known >= seen.known else seen
         seen = lit
-    elif not seen.agrees:  # parts that touch
+    elif not seen.agrees:  # touching parts can look like shadows
         seen = look(False)
     patches, found = seen.segments.patches, seen.found
     whole = seen.segments.doubtful(is_named(found))
     if whole is not None:
-        # Its light side may be no shadow: a part that moves has soft edges, too.
+        # Its light side may not be a shadow: a moving part has soft edges too.
         more = segment(image, background, region, whole=whole).patches
         again = recognise(image, more, catalogue, calibration, seen.conditions)
         patches, found = _joined(patches, found, more, again)
@@ -210,17 +216,17 @@ def _rise_of(
 
 
 def model_plate(image: np.ndarray, region: Region) -> Background:
-    """Model the bare plate from one image (H, W) or (H, W, 3) that shows parts, and more than the
-    plate.
+    """Model the bare plate from one image (H, W) or (H, W, 3) that shows parts and the plate's
+    surround.
 
     Raises
     ------
     ImageError
-        If it is not uint8, or has another shape.
+        If the image is not uint8, or has another shape.
     """
     x0, y0, x1, y1 = region.box
     plate = model_background(np.asarray(image)[y0:y1, x0:x1])
-    # What is beside the plate is not looked at.
+    # Pixels beside the plate are not evaluated.
     lab = colours(image).copy()
     lab[y0:y1, x0:x1] = plate.lab
     limit = np.full(lab.shape[:2], 255, np.uint8)
@@ -229,14 +235,14 @@ def model_plate(image: np.ndarray, region: Region) -> Background:
 
 
 def calibrate_by_scale(scale: float) -> Calibration:
-    """Return the calibration of a picture taken from above [px/m]: its first pixel is the origin of
-    plate_home, x to the right, y up."""
+    """Return the calibration of a picture taken vertically from above, of a scale [px/m]. The first
+    pixel is the origin of plate_home, x points right, y up."""
     return calibrate_by_matrix(np.diag([scale, -scale, 1.0]))
 
 
 def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> list[str]:
-    """Say what the camera cannot tell of types, or only just: which look alike, which differ in
-    size alone, which are too small or round to have an angle. One sentence each."""
+    """Return one sentence for each limit of the camera: types that look alike, types that differ
+    only in size, and types whose corners are too small for their angle to be measured."""
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     found = []
     for (name, part), template in zip(types.items(), make_catalogue(types).templates, strict=True):

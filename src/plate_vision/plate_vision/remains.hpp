@@ -1,4 +1,4 @@
-// Things on the plate other than parts: see remains.py.
+// Kernels for remains, the things on the plate other than parts: see remains.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -17,7 +17,8 @@ constexpr double CLEAR_PX = 2.5;
 inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
                         View<const double, 2> places, const Silhouette* parts) {
     for (int k = 0; k < places.size(0); k++) {
-        // All of a part is within this width of the line from its place to the middle of its top.
+        // All points of a part are within this distance of the line from its place to the middle of
+        // its top.
         const double x0 = places(k, 0), y0 = places(k, 1);
         double dx, dy;
         parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], dx, dy);

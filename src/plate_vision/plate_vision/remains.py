@@ -1,7 +1,7 @@
-"""What an image shows on the plate beside the parts that were found, on a coarse grid of pixels.
+"""Remains: pixels that differ from the bare plate and belong to no detected part, on a coarse grid.
 
-It serves twice: to look for parts that are not simply darker than the plate, and to count what is
-seen and not taken for a part.
+The detector searches them for parts that are not simply darker than the plate. The rest are the
+overlooked things with their reasons (`overlooked_things`).
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from .plate import LitPlate, Region
 from .plate.contrast import Channels, find_odd
 
 LOOK = 2
-"""The first look is at every second row and column of the grid: four neighbours that differ there
-are less than the smallest thing that counts."""
+"""The first check uses every second row and column of the grid. Its smallest hit, four neighbours,
+is smaller than the smallest thing that counts."""
 
 LEAST_AREA = 0.1
-"""Smallest thing that is looked at, relative to a part's area: less is dust."""
+"""Minimum area of a thing, relative to a part's area. Smaller things are dust."""
 
 HOLE = 0.5
-"""What a thing encloses, up to this fraction of a part's area, belongs to it: a highlight."""
+"""Maximum area enclosed by a thing that belongs to the thing, relative to a part's area: a
+highlight or a hole."""
 
 SMALL, LARGE = 0.6, 1.6
-"""Area of a thing relative to a part's, below and above which it is too small or too large."""
+"""Range of a thing's area relative to a part's area; outside it is too small or too large."""
 
 
 class Remains(NamedTuple):
@@ -39,11 +40,11 @@ class Remains(NamedTuple):
     Attributes
     ----------
     odd : (h, w) uint8
-        1 where there is something, on the grid.
+        1 where a grid pixel differs from the bare plate, else 0.
     outside : (h, w) bool
-        Where there is no plate.
+        Where the grid is outside the plate.
     grid : (int, int, int)
-        First x, first y, step [px].
+        First x, first y, and step of the grid [px].
     """
 
     odd: np.ndarray
@@ -59,9 +60,9 @@ def find_remains(
     centre: np.ndarray,
     parts: np.ndarray,
 ) -> Remains | None:
-    """Return what is on the plate beside parts at places (n, 2) [px] with silhouettes (n,)
-    SILHOUETTE; None if there is nothing. Pixels count whose contrast is above a limit; `least_px`
-    is the smallest radius of a part."""
+    """Return the remains apart from parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE;
+    None if there are none. `limit` is the minimum contrast of a pixel, `least_px` the smallest
+    radius of a part [px]."""
     x0, y0 = region.box[:2]
     stride = max(1, int(least_px / COARSE_RADIUS_PX))
     shapes = numbers(parts)
@@ -80,15 +81,15 @@ def find_remains(
 
 
 def without(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
-    """Return the remains beside parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE."""
+    """Remove parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE from the remains."""
     odd = remains.odd.copy()
     _kernels.clear_parts(odd, remains.grid, centre, numbers(parts))
     return remains._replace(odd=odd)
 
 
 def solid(remains: Remains, radius_px: float) -> Remains:
-    """Return the remains without specks, and with what they enclose: highlights and holes of parts
-    of about a radius [px]."""
+    """Remove specks from the remains, and fill enclosed areas: highlights and holes of parts of
+    this radius [px]."""
     stride = remains.grid[2]
     odd = remains.odd.copy()
     most = HOLE * np.pi * (radius_px / stride) ** 2
@@ -98,10 +99,10 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
-    hole[0] = False  # the things themselves
+    hole[0] = False  # label 0: the things themselves
     if count > 1 and np.any(hole):
         odd[hole[labels]] = 1
-    # Specks last: else a hole next to the edge would be open.
+    # Remove specks after filling: otherwise a hole next to the edge would open.
     odd = np.asarray(cv2.morphologyEx(odd, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
     return remains._replace(odd=odd)
 
@@ -109,9 +110,9 @@ def solid(remains: Remains, radius_px: float) -> Remains:
 def overlooked_things(
     remains: Remains, region: Region, radius_px: float, faint: float, contrast: LitPlate
 ) -> np.ndarray:
-    """Return the things (n,) OVERLOOKED of the remains; their places on the plate are not set.
+    """Return the things (n,) OVERLOOKED of the remains. Their x and y are not set.
 
-    `radius_px` is that of a part; things whose contrast is below `faint` are too faint; `contrast`
+    `radius_px` is a part's radius. Things with a contrast below `faint` are too faint. `contrast`
     is the `contrast_image`.
     """
     x0, y0, stride = remains.grid
@@ -127,7 +128,7 @@ def overlooked_things(
         left, top, wide, high, area = stats[k].tolist()
         place = np.s_[top : top + high, left : left + wide]
         here = labels[place] == k
-        # Pixels of the blurred edge count by their contrast.
+        # Pixels of the blurred edge count as the fraction of the contrast that they have.
         contrasts = levels[place][here]
         usual = float(np.median(contrasts))
         area = min(area, max(float(np.sum(contrasts)), 0.0) / max(usual, 1e-3))
@@ -150,8 +151,8 @@ def overlooked_things(
 
 @lru_cache(maxsize=4)
 def _deep(region: Region, stride: int, radius_px: float) -> np.ndarray:
-    """Return which pixels (h, w) bool of the grid are further from the plate's edge than a radius
-    [px]: nearer, the edge of a plate that is not at home is seen."""
+    """Return which grid pixels (h, w) bool are at least a radius [px] inside the plate's edge.
+    Nearer pixels may show the edge of a plate that is not at home."""
     x0, y0, x1, y1 = region.box
     columns, rows = np.arange(x0, x1, stride)[None, :], np.arange(y0, y1, stride)[:, None]
     return np.asarray(region.depth(columns, rows) >= radius_px)

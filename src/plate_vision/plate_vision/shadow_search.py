@@ -1,9 +1,9 @@
-"""The shadow that all parts of an image cast, found from their silhouettes: `find_shadow`.
+"""The shadow that all parts of an image cast, estimated from their silhouettes: `find_shadow`.
 
-A part and its shadow are one dark thing: the part's disc, drawn along the way of the shadow. If
-many things are longer than a part, all in one direction, the length and direction are those of the
-shadow, up to its sense. The sense, the darkness and the width of the edge are those with which the
-parts' contours fit best.
+A part and its shadow form one dark thing: the part's disc swept along the shadow's displacement. If
+many things are longer than a part in one common direction, their moments give the shadow's length
+and direction, up to its sign. The sign, the darkness and the width of the edge are those that
+minimise the misfit of the parts' contours (Nelder-Mead).
 """
 
 from __future__ import annotations
@@ -26,60 +26,60 @@ FEWEST = 2
 part of another shape."""
 
 MOST_THINGS = 10
-"""Things by which a shadow is chosen: more make it slower, and hardly better."""
+"""Maximum number of things used for the fit. More make it slower, and hardly better."""
 
 PIXELS = 3000.0
-"""The same in pixels of the things, over pi: large parts need fewer."""
+"""Maximum area of the things used, divided by pi [px^2]: of large parts fewer are used."""
 
 SIZE = 1.05, 4.0
-"""Area of a part with its shadow, relative to the part's."""
+"""Range of the area of a part with its shadow, relative to the part's area."""
 
 ALIGNED = 0.8
-"""Least length of the mean of the things' directions, as unit vectors of twice the angle."""
+"""Minimum length of the mean of the things' directions, as unit vectors at twice the angle."""
 
 LEAST_LENGTH = 0.1
-"""Shortest shadow that is looked for [part radii]."""
+"""Minimum length of a shadow [part radii]."""
 
 SKIRT_PX = 0.7
-"""Width by which things are larger than parts, as their blurred edges belong to them [px]."""
+"""Width added to a part's radius, because the blurred edge belongs to the thing [px]."""
 
 DARKNESS = np.linspace(0.1, 0.8, 6)
 EDGES_PX = (1.0, 2.5, 4.5)
-"""Darkness and half widths of the edge [px] that are tried."""
+"""Values of the darkness and the half width of the edge [px] in the grid search."""
 
 SIMPLEX = 0.5 * np.vstack([-np.ones(4), np.eye(4) * 3 - 1])
 TRIES = 40
 DARKEST, EDGE_RANGE_PX = (0.05, 0.9), (0.5, 8.0)
-"""Where the last search begins, around what was found: changes of the way [mm], of the darkness
-[0.1] and of the edge [px]; how many shadows it tries, and within which darkness and edges [px]."""
+"""Nelder-Mead search: initial simplex (changes of the displacement [mm], of the darkness [0.1] and
+of the edge [px]), maximum number of evaluations, and bounds of the darkness and the edge [px]."""
 
 GOOD_FIT, BETTER, SURE = 0.1, 0.75, 0.7
-"""Largest mean misfit with a shadow; relative to that without one; and relative to that with one to
-the other side: else it is not known to which side the shadows fall. Drawn ones that were taken for
-being on the wrong side had 0.76 and more."""
+"""Maximum mean misfit with a shadow: absolute, relative to the misfit without a shadow, and
+relative to the misfit with a shadow to the opposite side. Above the last one the side is unknown;
+synthetic shadows that were assigned to the wrong side had 0.76 and more."""
 
 UNLIKE, UNLIKE_FRACTION = 0.15, 0.3
-"""Difference in darkness of a part and its shadow by which they are told apart, and the fraction of
-the parts that must have it."""
+"""Minimum difference in darkness by which a part is distinguished from its shadow, and the minimum
+fraction of parts that must have it."""
 
 EQUAL = 1.05
-"""A shadow whose length is measured is taken if its misfit is good, or less than this, relative to
-the one whose length is fitted."""
+"""A shadow whose length is measured replaces the one whose length is fitted if its misfit is good,
+or less than this multiple of the other's."""
 
 WORST = 0.4
-"""A thing that is no part counts for the mean with this misfit."""
+"""Maximum misfit of one thing in the mean, so that things that are not parts do not dominate."""
 
 ROUNDS = 2
-"""Times that darkness and edges are tried, each with a better length."""
+"""Number of grid searches over darkness and edge, each followed by a measurement of the length."""
 
 RATIOS = np.linspace(0, 4, 81)
-"""Lengths of capsules [radii] for which the flatness is known."""
+"""Lengths of capsules for which the flatness is tabulated [radii]."""
 
 INNER_PX = 2.0
-"""Distance from the edge of the disc from which on its shadow is dark [px]."""
+"""Minimum distance from the edge of the disc at which its shadow has full darkness [px]."""
 
 PROFILE_PX = 0.5
-"""Step of the places at which the end of a shadow is looked for [px]."""
+"""Step of the profile in which the end of a shadow is searched [px]."""
 
 
 def find_shadow(
@@ -87,7 +87,7 @@ def find_shadow(
 ) -> Shadow | None:
     """Return the shadow that the things of an image cast; None if they show none.
 
-    `contrast` is the `contrast_image`, `remains` are all things on the plate.
+    `contrast` is the `contrast_image`; `remains` holds all things on the plate.
     """
     found = _capsules(remains, silhouettes)
     if found is None:
@@ -104,12 +104,12 @@ def find_shadow(
         return fit_discs(contrast, seeds, parts, shadow)
 
     def misfit(shadow: Shadow) -> float:
-        """Return the mean misfit of the contours."""
+        """Return the mean misfit of the contours with a shadow."""
         return float(np.mean(np.minimum(fitted(shadow)["misfit"], WORST)))
 
     def whole_misfit(shadow: Shadow) -> float:
-        """Return the same with that of the darkness along shadows so long that a part could be
-        taken for one."""
+        """Return the mean misfit of contours and of the darkness along the shadows. The latter
+        counts only for shadows that are long enough to be taken for a part."""
         discs = fitted(shadow)
         steps, levels = _along(contrast, shadow, discs, parts)
         length = _length(shadow, discs, parts)
@@ -120,7 +120,7 @@ def find_shadow(
         return float(np.mean(np.minimum(discs["misfit"] + odd, WORST)))
 
     def improved(shadow: Shadow) -> Shadow:
-        """Try darkness and edges; then measure the length."""
+        """Choose darkness and edge by a grid search, then measure the length."""
         tried = (
             replace(shadow, darkness=float(darkness), edge_px=edge_px)
             for darkness, edge_px in product(DARKNESS, EDGES_PX)
@@ -129,7 +129,7 @@ def find_shadow(
         return _measured(contrast, best, fitted(best), parts)
 
     def refined(shadow: Shadow) -> tuple[float, Shadow]:
-        """Return the misfit of the best shadow near one, and that shadow."""
+        """Return the misfit of the best shadow near this one, and that shadow."""
 
         def at(change: np.ndarray) -> Shadow:
             return Shadow(
@@ -157,11 +157,12 @@ def find_shadow(
     one_sense = best.way @ reverse.way > 0 or whole < SURE * other
     if not one_sense or left > GOOD_FIT or left > BETTER * plain:
         return None
-    # Which end is the part cannot be seen if all parts are about as dark as their shadows.
+    # If all parts are about as dark as their shadows, the sign of the direction is unknown.
     unlike = np.abs(fitted(best)["darkness"] - best.darkness) > UNLIKE
     if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
         return None
-    # The contours say little of a long shadow's end, and most of a short one's.
+    # A long shadow's end is far from the contours, so its length is measured. A short one is
+    # fitted.
     measured = _measured(contrast, best, fitted(best), parts)
 
     def darkened(change: np.ndarray) -> Shadow:
@@ -181,9 +182,9 @@ def find_shadow(
 def _capsules(
     remains: Remains, silhouettes: Silhouettes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return things that are as long in one direction: middles (n, 2) [px], silhouettes (n,) of
-    parts there, how much longer (n,) [px] than a part, and directions (n, 2) in the image; None if
-    there are too few."""
+    """Return things that are elongated in one common direction: centres (n, 2) [px], silhouettes
+    (n,) of parts there, extra lengths (n,) [px] relative to a part, and unit directions (n, 2) in
+    the image. None if there are too few."""
     x0, y0, stride = remains.grid
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
     count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
@@ -222,8 +223,8 @@ def _capsules(
 
 
 def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> Shadow:
-    """Return the shadow with its length: the image has half of its darkness at its end, in the
-    median over the discs (n,) DISC."""
+    """Return the shadow with its measured length: where the median darkness over the discs (n,)
+    DISC falls to half of the shadow's."""
     steps, levels = _along(contrast, shadow, discs, parts)
     light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
     end = steps[light[0]] if len(light) else steps[-1]
@@ -233,8 +234,8 @@ def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.n
 def _along(
     contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the darkness (n, k) of the image along the shadows of discs (n,) DISC, at steps (k,)
-    [px] from the edges of the discs."""
+    """Return steps (k,) [px] from the edges of the discs (n,) DISC along their shadows, and the
+    darkness (n, k) of the image there."""
     centre, ends = _ends(shadow, discs, parts)
     length = np.maximum(np.hypot(*ends.T), 1e-6)
     radius = float(np.median(discs["radius_px"]))
@@ -247,20 +248,21 @@ def _along(
 
 
 def _length(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> float:
-    """Return the median length of shadows in the image [px]."""
+    """Return the median length of the shadows in the image [px]."""
     _, ends = _ends(shadow, discs, parts)
     return max(float(np.median(np.hypot(*ends.T))), 1e-6)
 
 
 def _ends(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centres (n, 2) of discs, and the ends of their shadows from there [px]."""
+    """Return the centres (n, 2) of the discs, and the displacements (n, 2) of their shadows
+    [px]."""
     centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
     return centre, to_image(parts, shadow.cast(centre, parts))
 
 
 def _flatness(length: np.ndarray) -> np.ndarray:
-    """Return (Ia - Ib) / (Ia + Ib) of capsules of radius 1 and lengths (n,), with their second
-    moments Ia along the length, and Ib across:
+    """Return the flatness (Ia - Ib) / (Ia + Ib) of capsules of radius 1 and lengths (n,). Ia and Ib
+    are the second moments along and across the length:
 
         Ia = L3 / 6 + pi L2 / 4 + 4 L / 3 + pi / 4,    Ib = 2 L / 3 + pi / 4
     """

@@ -1,4 +1,8 @@
-"""The whole stage without ROS: an image and its stamp in, parts in plate_home out."""
+"""The detection stage without ROS: from an image and its stamp to tracked parts in plate_home.
+
+`make_vision` prepares camera, plate and parts from a rig. `observe` finds the parts of one image,
+converts them to plate_home by the calibration, and updates the tracker with them.
+"""
 
 from __future__ import annotations
 
@@ -27,60 +31,63 @@ HOME = np.zeros(3)
 """The plate at rest."""
 
 EDGE_POINTS = 8
-"""Points by which every bent edge of the plate is known: twice what its polynomial needs."""
+"""Number of points for each curved edge of the plate: twice as many as its polynomial needs."""
 
 
 CENTRE_PX = 0.01
-"""Scatter of a part's centre along each axis [px]: drawn images, radius 5 to 16 px, noise of 1 to 4
-grey levels, alone or touching, have 0.002 to 0.018 px. What lens and corners_px are wrong by, and
-blur by motion, is not in it."""
+"""Standard deviation of a part's centre along each axis [px]. In synthetic images (radius 5 to 16
+px, noise of 1 to 4 grey levels, parts alone or touching) it is 0.002 to 0.018 px. Errors of the
+lens and of corners_px, and motion blur, are not included."""
 
 MARK_PX = 0.08
-"""Scatter of a mark's direction, times the part's radius [px]: drawn as above, at 8 px."""
+"""Standard deviation of a mark's direction times the part's radius [px], at a radius of 8 px in the
+same synthetic images."""
 
 SHAPE_PX = 0.04
-"""Scatter of the centre of a part of a taught type along each axis [px]: `bench/stages/classes.py`
-has the figures."""
+"""Standard deviation of the centre of a part of a taught type along each axis [px]; figures:
+`bench/stages/classes.py`."""
 
 UNKNOWN_PX = 0.3
-"""Scatter of the centre of what is of no type [px]: its outline is all that is known of it."""
+"""Standard deviation of the centre of a thing without a type [px]: only its outline is known."""
 
 UNKNOWN_RADII = 0.3
-"""The same of what may be a round part, in radii: of a part with a shadow all of it is seen."""
+"""Standard deviation of the centre of a thing that may be a round part [radii]: its shadow belongs
+to its outline."""
 
 SPECK = 0.3
-"""What is of no type, and smaller than this fraction of the smallest type, is no part [-]."""
+"""A thing without a type, and smaller than this fraction of the smallest type's area, is ignored
+[-]."""
 
 RIG_SIZE = ", that of the rig's camera, for which corners_px hold, or of the first picture"
-"""Where the size of images comes from."""
+"""Origin of the required image size, for messages."""
 
 ANY_ANGLE = math.pi / math.sqrt(3)
-"""Standard deviation of an angle of which nothing is known [rad]: all are as likely."""
+"""Standard deviation of an unknown angle [rad], uniform from -pi to pi."""
 
 
 @dataclass(frozen=True, eq=False)
 class Vision:
-    """What is known about camera, plate and parts.
+    """Model of camera, plate and parts that `observe` uses.
 
     Attributes
     ----------
     calibration : Calibration
-        Between image and plate_home.
+        Mapping between image and plate_home.
     region : Region
         Where the plate is in the image.
     options : DetectorOptions
-        What a part looks like.
+        Description of the parts.
     view : PartView
-        How a part is seen at each place.
+        Appearance of a part at each place.
     radius : float
-        Of the parts [m].
+        Radius of the parts [m].
     catalogue : Catalogue, optional
-        Types of parts; None: they are discs of that radius.
+        Types of parts; None: all parts are discs of that radius.
     background : Background, optional
-        The bare plate, for types; None: modelled from each image.
+        The bare plate, for types; None: it is modelled from each image.
     inner : (2,)
-        Half sides of what is plate wherever the motors are [m]: further out, what is of no type may
-        be the edge of a plate that was not at home.
+        Half sides of the area that the plate covers at every motor position [m]. Farther out, a
+        thing without a type may be the edge of a plate that was not at home.
     """
 
     calibration: Calibration
@@ -93,7 +100,8 @@ class Vision:
     inner: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))
 
     def radius_px(self, point_px: np.ndarray) -> np.ndarray:
-        """Radius (n,) of a part seen at points (n, 2) [px]: that of the disc of the same area."""
+        """Return the radius (n,) of a part seen at points (n, 2), of the disc of the same area
+        [px]."""
         return np.asarray(self.view.silhouettes(point_px)["radius_px"])
 
 
@@ -104,20 +112,20 @@ def make_vision(
     calibration: Calibration | None = None,
     pose: np.ndarray | None = None,
 ) -> Vision:
-    """Take camera, plate, and the parts' types or radius from a rig.
+    """Prepare a Vision from a rig's camera, plate, and the types or radius of its parts.
 
     Parameters
     ----------
     rig : Rig
     options : DetectorOptions, optional
-        Its radius is replaced by the rig's, halfway between the smallest and the largest that is
-        seen on the plate.
+        Its radius is replaced by the rig's: the geometric mean of the smallest and the largest
+        radius in the image.
     lens : Lens, optional
-        That of camera_info; the rig's if None.
+        Lens of camera_info; None: the rig's.
     calibration : Calibration, optional
-        Lens and plate_home, if they are not those of the rig.
+        Lens and mapping to plate_home, if they differ from the rig's.
     pose : (3,), optional
-        Of the plate [m, m, rad], plate_home; at home if None.
+        Pose of the plate [m, m, rad], plate_home; None: at home.
 
     Raises
     ------
@@ -160,20 +168,20 @@ def observe(
     stamp: float,
     expected: Prediction | None = None,
 ) -> Tracker:
-    """Find the parts of one image and follow them: the answer is the result's `parts`.
+    """Find the parts of one image and track them. The result's `parts` holds them.
 
     Parameters
     ----------
     vision : Vision
-        What is known.
+        Model of camera, plate and parts.
     tracker : Tracker
-        The parts so far.
+        State after the previous image.
     image : (H, W) or (H, W, 3) uint8
         Grey levels, or blue, green, red.
     stamp : float
-        When it was taken [s].
+        Time at which the image was taken [s].
     expected : Prediction, optional
-        Where parts should be by the plate's motion, if that is known: see `tracking.update`.
+        Positions of the parts predicted from the plate's motion; see `tracking.update`.
 
     Raises
     ------
@@ -183,7 +191,7 @@ def observe(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    # In vain a shadow is looked for in the 1st, 2nd, 4th, 8th... doubtful image.
+    # If the search fails, it is repeated only in the 1st, 2nd, 4th, 8th... doubtful image.
     search = tracker.doubtful & (tracker.doubtful + 1) == 0
     discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow, search)
     found = discs.found
@@ -201,7 +209,7 @@ def observe(
         ).T
         scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
         size = things["radius_px"] / scale
-        # These things may be parts: no part may be driven into them.
+        # These things may be parts, so the planner must not move other parts into them.
         unknown = may_be_parts(things, size, vision.radius, vision.inner, centre)
         more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
@@ -227,7 +235,7 @@ def _observe_types(
     stamp: float,
     expected: Prediction | None,
 ) -> Tracker:
-    """Find and follow parts of taught types: as `observe`."""
+    """Find and track parts of taught types, as `observe` does."""
     bare = vision.background
     if bare is None:
         bare = model_plate(image, vision.region)
@@ -256,8 +264,8 @@ def _observe_types(
 
 
 def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
-    """Return a tracker that also counts parts as things whose tracks have no class yet: earlier
-    images did not show them as parts."""
+    """Add to the overlooked things the tracks that have no class yet although the newest detection
+    has one: earlier images did not show them as parts."""
     tracks = [track for track in tracker.found if track.label in NAMELESS]
     tracks = [track for track in tracks if track.votes[-1] not in NAMELESS]
     if not tracks:
@@ -276,8 +284,8 @@ def follow_plate(
 ) -> tuple[PlateLocation, Vision, np.ndarray]:
     """Find a plate with markers in an image, before `observe` looks for parts.
 
-    Returns where it is now; a vision with the plate's region there, and the image (H, W) or
-    (H, W, 3) without the markers, which could be taken for parts: with those call `observe`.
+    Return the new location, a vision whose region is there, and the image (H, W) or (H, W, 3)
+    without the markers, which could be taken for parts. Pass both to `observe`.
 
     Raises
     ------
@@ -287,7 +295,7 @@ def follow_plate(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     now, image = locate_plate(location, image)
     if now.region_pose is not location.region_pose:
-        rig = replace(now.rig, types={})  # they are known
+        rig = replace(now.rig, types={})  # the catalogue is kept
         placed = make_vision(rig, vision.options, calibration=now.home, pose=now.region_pose)
         vision = replace(placed, catalogue=vision.catalogue, background=vision.background)
     return now, vision, image
@@ -307,8 +315,8 @@ def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndar
 def _quality(
     vision: Vision, found: np.ndarray, centre_px: np.ndarray, centre: np.ndarray
 ) -> np.ndarray:
-    """Return how well parts were seen (n, 3), see `Tracker.quality`; the scatter of a part that is
-    not wholly on the plate is not known."""
+    """Return the quality of the detections (n, 3), see `Tracker.quality`. The standard deviation of
+    a part that is not completely on the plate is unknown: NaN."""
     # The plate may reach beyond the image.
     corner_px = np.array(vision.region.size_px) - 1
     border_px = np.minimum(centre_px, corner_px - centre_px).min(axis=1) + 0.5
