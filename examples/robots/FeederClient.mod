@@ -1,7 +1,7 @@
 MODULE FeederClient
-  ! Takes parts from the feeder (docs/guide/feeder.md) with a robot of ABB. Run in an interpreter written from the maker's
-  ! manual, not on a robot. Set the address, zPick (mm), pAbovePlate (its configuration and external axes), tGripper and
-  ! wobjRobot (the frame of the answers); hasPart, CloseGripper, LeavePlate and Place are yours.
+  ! Takes parts from the feeder (docs/guide/feeder.md) with a robot of ABB. No robot has run it; a test plays its dialogue
+  ! with the feeder. Set the address, zPick (mm), pAbovePlate (its configuration and external axes), tGripper and wobjRobot
+  ! (the frame of the answers). Supply hasPart, CloseGripper, LeavePlate and Place.
 
   VAR socketdev feeder;
 
