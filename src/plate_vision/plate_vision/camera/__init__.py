@@ -1,6 +1,6 @@
-"""The camera: pixels of any encoding, its lens, boards and markers to find that, and its files.
+"""The camera: image encodings, the lens, boards and markers to determine it, and its files.
 
-Others use the names below; `calibrate_camera` is the program `calibrate`.
+Other packages use the names below. `calibrate_camera` is the program `calibrate`.
 """
 
 from .boards import Board, LensFit, draw_board, find_corners, fit_lens

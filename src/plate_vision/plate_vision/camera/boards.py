@@ -1,4 +1,9 @@
-"""Chessboards and ChArUco boards: drawn, found in pictures, and a camera's lens from those."""
+"""Chessboards and ChArUco boards: draw them, find them in pictures, and fit a camera's lens.
+
+`find_corners` finds the inner corners of a board to sub-pixels. `fit_lens` takes the corners from
+at least five pictures and fits K and the distortion: OpenCV's calibrateCamera for plumb_bob and
+rational_polynomial, Levenberg-Marquardt for an equidistant lens.
+"""
 
 from __future__ import annotations
 
@@ -16,43 +21,44 @@ from .lens import Lens
 from .markers import draw_marker, find_markers
 
 REFINE_STEPS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
-"""When refining of a corner ends: after 50 steps or one of less than 0.001 px."""
+"""Stop criterion of cornerSubPix: 50 iterations, or a step of less than 0.001 px."""
 
 REFINE_FRACTION = 0.25
-"""Half width of the window in which a corner is refined, over a square's side."""
+"""Half width of the window in which a corner is refined, relative to a square's side."""
 
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 2, 11
-"""Bounds of that [px]."""
+"""Bounds of this half width [px]."""
 
 LEAST_CORNERS = 6
-"""Corners that a picture needs: a homography takes four."""
+"""Minimum number of corners in a picture: a homography needs four."""
 
 LEAST_MARKERS = 4
-"""Minimum number of markers from which the board's print is recognised."""
+"""Minimum number of markers for a check of the printed board."""
 
 WORST_MISFIT = 0.4
-"""Largest misfit of markers on the right board [sides]. A wrong board has 0.7 or more, the right
-one through a strong lens up to 0.2."""
+"""Maximum misfit of markers to the right board [marker sides]. A wrong board has 0.7 or more, the
+right one with a strongly distorting lens up to 0.2."""
 
 NEAR = 4
-"""Markers from whose corners the place of one between them is predicted, so that a lens that bends
-is no matter."""
+"""Number of nearest markers from which a corner is predicted. A local prediction tolerates a
+distorting lens."""
 
 
 LEAST_SQUARE_M, MOST_SQUARE_M = 1e-3, 1.0
-"""Bounds of a square's side [m]."""
+"""Range of a square's side [m]."""
 
 MOST_PIXELS = 200_000_000
-"""Of a board for the printer: A0 at 300 dpi has 140 million."""
+"""Maximum number of pixels of a board for the printer: A0 at 300 dpi has 140 million."""
 
 LEAST_PICTURES = 5
-"""Pictures that are needed: three tell K in principle, in noise more are wanted."""
+"""Minimum number of pictures. Three determine K in principle, but noise requires more."""
 
 MOST_PICTURES = 40
-"""Maximum number of pictures in a fit: more take long and improve little."""
+"""Maximum number of pictures in a fit. More take long and improve little."""
 
 START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
-"""Angles across the longer side of the image from which the fit of an equidistant lens begins."""
+"""Angles of view across the longer side of the image, at which fits of an equidistant lens
+start."""
 
 WEAKEST = 1e-9
 """Minimum singular value of a fit's derivative, relative to the largest. Values that the pictures
@@ -64,43 +70,43 @@ FIXED = (
     cv2.CALIB_FIX_K5 | cv2.CALIB_FIX_K6,
     cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K5 | cv2.CALIB_FIX_K6,
 )
-"""Flags of OpenCV by which values of a rational polynomial are 0, one after the other."""
+"""Flags of OpenCV that set coefficients of a rational polynomial to 0: more with each entry."""
 
 FOLD_GRID = 33
-"""Points along each side of the image at which a fit must not fold it."""
+"""Number of points along each side of the image where folding by the lens is checked."""
 
 FIT_STEPS = 200
-"""Steps of that fit at most; 10 to 20 are enough."""
+"""Maximum number of iterations of the equidistant fit; 10 to 20 are typical."""
 
 WORST_ERROR_PX = 1.0
-"""Root mean square of the errors above which a lens is refused: good pictures leave 0.1 to 0.3."""
+"""Maximum root mean square error of a fit [px]. Good pictures yield 0.1 to 0.3."""
 
 LEAST_COVER = 0.5
-"""Fraction of the image's width and height that the corners of all pictures should span: beyond
-them the lens is a guess."""
+"""Minimum fraction of the image's width and height that the corners of all pictures should span.
+Outside of them the lens is extrapolated."""
 
 Corners = tuple[np.ndarray, np.ndarray]
-"""Of one picture: which (n,) of a board's corners are seen, and where (n, 2) [px]."""
+"""Corners in one picture: indices (n,) of the board's corners, and their places (n, 2) [px]."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board of squares, black and white in turns.
+    """A flat board of alternating black and white squares.
 
     Attributes
     ----------
     columns, rows : int
-        Squares along x and y, 3 to 40; of a chessboard 4 at least.
+        Number of squares along x and y, 3 to 40; of a chessboard at least 4.
     square_m : float
         Side of a square [m], 0.001 to 1.
     marker_m : float
-        Side of the markers in the white squares [m] of a ChArUco board, numbered along the rows;
+        Side of the markers in the white squares of a ChArUco board [m], numbered along the rows.
         0: a chessboard.
     dictionary : str
-        Of the markers.
+        Dictionary of the markers.
     white_first : bool
-        The square at the top left is white, as on boards of OpenCV before 4.6 with an even number
-        of rows, and of other programs; else it is black.
+        Whether the square at the top left is white, as on boards of OpenCV before 4.6 with an even
+        number of rows, and of other programs. If False, it is black.
     """
 
     columns: int
@@ -111,7 +117,7 @@ class Board:
     white_first: bool = False
 
     def __post_init__(self) -> None:
-        least = 4 if self.marker_m == 0 else 3  # OpenCV finds no chessboard of fewer
+        least = 4 if self.marker_m == 0 else 3  # OpenCV finds no smaller chessboard
         if not (least <= self.columns <= 40 and least <= self.rows <= 40):
             raise CalibrationError(
                 f"board: {self.columns} x {self.rows} squares, allowed: {least} x {least} to "
@@ -135,13 +141,13 @@ class Board:
 
     @property
     def white(self) -> np.ndarray:
-        """Which squares (rows, columns) are white."""
+        """Whether a square is white, (rows, columns) bool."""
         y, x = np.mgrid[: self.rows, : self.columns]
         return np.asarray((x + y) % 2 == (0 if self.white_first else 1))
 
     @property
     def markers(self) -> np.ndarray:
-        """Corners (n, 4, 2) [m] of the markers, as `find_markers` gives them; y down."""
+        """Corners (n, 4, 2) [m] of the markers, in the order of `find_markers`; y down."""
         y, x = np.nonzero(self.white)
         middle = np.column_stack([x, y]) + 0.5
         square = 0.5 * self.marker_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
@@ -149,12 +155,12 @@ class Board:
 
 
 def draw_board(board: Board, square_px: int) -> np.ndarray:
-    """Return a picture for the printer, uint8, with a white border of half a square.
+    """Return a picture of the board for the printer, uint8, with a border of half a square.
 
     Raises
     ------
     CalibrationError
-        If the dictionary is not known, or has too few markers; or the picture would be too large.
+        If the dictionary is unknown or has too few markers, or the picture would be too large.
     """
     pixels = (board.columns + 1) * (board.rows + 1) * square_px**2
     if pixels > MOST_PIXELS:
@@ -177,20 +183,20 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
 def find_corners(grey: np.ndarray, board: Board) -> Corners | None:
     """Find a board's inner corners in an image (H, W) uint8; None if fewer than `LEAST_CORNERS`.
 
-    Of a chessboard all corners must be seen, of a ChArUco board those next to markers that are; its
-    first square may be black or white.
+    All corners of a chessboard must be visible. Of a ChArUco board, the corners next to visible
+    markers are found; its first square may be black or white.
 
     Raises
     ------
     CalibrationError
-        If markers are seen, but not where such a board has them.
+        If markers are visible, but not at the places where this board has them.
     """
     return find_board(grey, board)[1]
 
 
 def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Board, Corners | None]:
-    """Find the corners as `find_corners` does. Return also the board as it is printed: the given
-    one, unless the markers show that its first square has the other colour.
+    """Find the corners as `find_corners` does. Also return the board as printed: the given one,
+    unless the markers show that its first square has the other colour.
 
     If `fast`, a picture without a chessboard takes 0.1 s instead of 2 s, but a few chessboards are
     missed.
@@ -214,8 +220,8 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
 
 
 def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
-    """Return the board, with a black or white first square, that fits the markers found: corners
-    (4, 2) [px] by number."""
+    """Return the board whose first square, black or white, fits the detected markers: corners (4,
+    2) [px] by number."""
     if len(found) < LEAST_MARKERS:
         return board
     other = replace(board, white_first=not board.white_first)
@@ -235,11 +241,11 @@ def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
 
 
 def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
-    """Return the root mean square distance between the markers found and those of the board under
-    a homography, over a marker's side."""
+    """Return the root mean square distance between the detected markers and the board's markers
+    mapped by the best homography, relative to a marker's side."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
-    if 2 * len(numbers) < len(found):  # a few may be others' markers
+    if 2 * len(numbers) < len(found):  # tolerate a few markers of other objects
         return np.inf
     place, seen = known[numbers].reshape(-1, 2), np.concatenate([found[k] for k in numbers])
     matrix, _ = cv2.findHomography(place, seen)
@@ -251,14 +257,14 @@ def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
 
 
 def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
-    """Predict the corners next to markers that are found (4, 2) [px], by number."""
+    """Predict the corners next to detected markers (4, 2) [px], by number."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
     which, corners_px = [], []
     middle = known[numbers].mean(axis=1)
     for k, corner in enumerate(board.corners if len(numbers) > 1 else ()):
         near = np.argsort(np.linalg.norm(middle - corner, axis=1))[:NEAR]
-        # A corner counts if a marker touches its square's corner: beyond that it may be covered.
+        # Use a corner only if its nearest marker touches it: others may be covered.
         if np.linalg.norm(middle[near[0]] - corner) > 0.75 * board.square_m:
             continue
         place = known[[numbers[i] for i in near]].reshape(-1, 2)
@@ -270,11 +276,11 @@ def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
 
 
 def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray:
-    """Move corners (n, 2) [px] to where the edges around them meet."""
+    """Refine corners (n, 2) [px] to the intersection of the edges around them."""
     points = np.asarray(corner_px, dtype=np.float32).reshape(-1, 2)
     gap = np.linalg.norm(points[:, None] - points, axis=2)
     side = float(np.median(np.sort(gap, axis=1)[:, 1]))
-    # No marker may be seen in the window.
+    # The window must not contain a marker.
     reach = side * min(REFINE_FRACTION, 0.5 * (1 - board.marker_m / board.square_m))
     window = round(float(np.clip(reach, LEAST_WINDOW_PX, MOST_WINDOW_PX)))
     refined = cv2.cornerSubPix(
@@ -284,11 +290,11 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
 
 
 def choose(seen: Sequence[Corners], board: Board, most: int = MOST_PICTURES) -> list[int]:
-    """Choose pictures in which the board is in places that differ most, and return their indices.
+    """Choose the pictures whose board places differ most, and return their indices.
 
-    The first shows most of the board; each next one is the one whose board is farthest from those
-    of all chosen ones, by the images of its four outer corners: so they spread over the image,
-    distances and tilts.
+    The first chosen picture shows most corners. Each further one maximises the distance to the
+    chosen ones, measured by the images of the board's four outer corners (farthest-point sampling).
+    The boards then spread over the image, distances and tilts.
     """
     if len(seen) <= most:
         return list(range(len(seen)))
@@ -313,7 +319,7 @@ def choose(seen: Sequence[Corners], board: Board, most: int = MOST_PICTURES) -> 
 
 @dataclass(frozen=True, eq=False)
 class LensFit:
-    """The result.
+    """Result of `fit_lens`.
 
     Attributes
     ----------
@@ -321,13 +327,14 @@ class LensFit:
     size_px : (int, int)
         Width and height of the pictures.
     error_px : float
-        Root mean square distance of corners from where the lens has them.
+        Root mean square distance between the detected corners and those computed with the lens
+        [px].
     errors : tuple of (n, 2)
-        By picture: corners seen less computed [px].
+        Detected minus computed corners of each picture [px].
     corners : tuple
-        By picture: which corners, and where they are seen [px].
+        Indices and places [px] of the corners in each picture.
     deviation : (n,)
-        Standard deviations of fx, fy, cx, cy [px] and the lens's distortion that the errors entail.
+        Standard deviations of fx, fy, cx, cy [px] and the distortion that follow from the errors.
     cover : (float, float)
         Fraction of the image's width and height that the corners span.
     """
@@ -342,13 +349,13 @@ class LensFit:
 
     @property
     def warning(self) -> str | None:
-        """What should be done better, or None."""
+        """Advice on better pictures; None if there is none."""
         if min(self.cover) < LEAST_COVER:
             return (
                 f"the board was seen in {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
                 f"of the height, better: {LEAST_COVER:.0%} or more (hold it into the corners)"
             )
-        model = self.lens.model  # a fisheye lens may show more than the straight image has
+        model = self.lens.model  # a fisheye may show more than a straight image can
         if model != "equidistant" and not _shows(self.lens, self.size_px):
             return (
                 "the lens folds the image near its edges, allowed there: no part of the plate, "
@@ -360,7 +367,7 @@ class LensFit:
 def fit_lens(
     board: Board, seen: Sequence[Corners], size_px: tuple[int, int], model: str = "plumb_bob"
 ) -> LensFit:
-    """Find the lens from what was seen of a board in pictures of a width and height [px].
+    """Fit the lens to the corners of a board in pictures of a width and height [px].
 
     `model` is a key of `plate_core.rig.LENS_MODELS`: a plumb_bob with k1, k2, p1, p2, k3, a
     rational_polynomial with k4, k5, k6 too, or an equidistant lens.
@@ -368,7 +375,7 @@ def fit_lens(
     Raises
     ------
     CalibrationError
-        If there are too few pictures, they do not tell the lens, or do not agree.
+        If there are too few pictures, if they do not determine the lens, or if they disagree.
     """
     if len(seen) < LEAST_PICTURES:
         raise CalibrationError(
@@ -400,17 +407,17 @@ def fit_lens(
 
 
 Fit = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
-"""K (3, 3) [px], D, by picture the corners seen less computed (n, 2) [px], and the standard
+"""K (3, 3) [px], D, detected minus computed corners (n, 2) [px] of each picture, and the standard
 deviations of fx, fy, cx, cy [px] and D."""
 
 
 def _fit_brown(
     points: Sequence[np.ndarray], places: Sequence[np.ndarray], size_px: tuple[int, int], model: str
 ) -> Fit:
-    """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] seen in places (n, 2) [px].
+    """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] at image points (n, 2) [px].
 
-    If a rational polynomial folds the image, its last coefficients are too many for the pictures:
-    they are then 0.
+    If a rational polynomial folds the image, the pictures do not determine all coefficients. The
+    last ones are then set to 0.
     """
     if model == "plumb_bob":
         return _fit_opencv(points, places, size_px, 5, 0)
@@ -424,7 +431,7 @@ def _fit_brown(
 
 
 def _shows(lens: Lens, size_px: tuple[int, int]) -> bool:
-    """Whether a lens folds an image nowhere."""
+    """Whether a lens maps the whole image without folding it."""
     across, down = (np.linspace(0, side - 1, FOLD_GRID) for side in size_px)
     grid = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     return bool(np.all(np.isfinite(lens.straighten(grid))))
@@ -437,7 +444,8 @@ def _fit_opencv(
     count: int,
     flags: int,
 ) -> Fit:
-    """Fit a lens with `count` values of distortion, by flags of OpenCV."""
+    """Fit a lens with `count` distortion coefficients, by OpenCV's calibrateCamera and its
+    flags."""
     try:
         _, matrix, bend, turns, moves = cv2.calibrateCamera(
             [point.astype(np.float32) for point in points],
@@ -459,15 +467,19 @@ def _fit_opencv(
         slopes[rows, : 4 + count] = slope[:, 6 : 10 + count]
         slopes[rows, 4 + count + 6 * k : 10 + count + 6 * k] = slope[:, :6]
     free = np.ones(slopes.shape[1], bool)
-    free[4 : 4 + count] = bend != 0  # the others are fixed
+    free[4 : 4 + count] = bend != 0  # coefficients at 0 are fixed
     deviation = np.zeros(len(free))
     deviation[free] = _deviation(slopes[:, free], np.concatenate(errors))
     return matrix, bend, errors, deviation[: 4 + count]
 
 
 def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Return the standard deviations (m,) of values fitted by least squares, from the derivative
-    (n, m) and the errors that are left; infinite after a fit that failed."""
+    """Return the standard deviations (m,) of parameters of a least-squares fit from its derivative
+    (n, m) and residuals; infinite after a failed fit.
+
+    With the derivative J = U S V', the deviations are s sqrt(diag(V S^-2 V')), where s^2 is the sum
+    of squared residuals divided by the degrees of freedom.
+    """
     if not np.all(np.isfinite(slopes)):
         return np.full(slopes.shape[1], np.inf)
     size = np.linalg.norm(slopes, axis=0)
@@ -480,9 +492,9 @@ def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
 def _fit_equidistant(
     points: Sequence[np.ndarray], places: Sequence[np.ndarray], size_px: tuple[int, int], model: str
 ) -> Fit:
-    """Fit an equidistant lens: Levenberg and Marquardt's method with OpenCV's derivatives.
+    """Fit an equidistant lens by the Levenberg-Marquardt method with OpenCV's derivatives.
 
-    The fit starts from the best of several ideal lenses of different angles of view.
+    The fit starts from the best of several ideal lenses with different angles of view.
     """
     starts = []
     for angle in START_ANGLES_RAD:
@@ -514,7 +526,8 @@ def _fit_equidistant(
 
 
 def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
-    """Return rotation vector and translation (6,) of a board by a lens; NaN if there is none."""
+    """Return the rotation vector and translation (6,) of a board for a given lens; NaN if there is
+    no solution."""
     straight = lens.straighten(place)
     if not np.all(np.isfinite(straight)):
         return np.full(6, np.nan)
@@ -525,8 +538,8 @@ def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
 def _equidistant_errors(
     values: np.ndarray, points: Sequence[np.ndarray], places: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners computed less seen (2 n,) [px], and their derivative (2 n, m), of fx, fy, cx,
-    cy, k1 to k4 and six numbers for each picture's pose (m,)."""
+    """Return computed minus detected corners (2 n,) [px], and their derivative (2 n, m) with
+    respect to fx, fy, cx, cy, k1 to k4 and six numbers for the pose of each picture."""
     fx, fy, cx, cy = values[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     residuals = []

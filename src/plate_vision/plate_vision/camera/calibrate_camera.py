@@ -1,4 +1,6 @@
-"""The program `calibrate`: a camera's lens from pictures, and things to print. It needs no ROS.
+"""The program `calibrate`: fit a camera's lens to pictures, and draw boards and markers.
+
+It needs no ROS. Example:
 
 ros2 run plate_vision calibrate lens PICTURES --board 9x7 --square 0.03 --marker 0.022
 """
@@ -34,25 +36,26 @@ from .lens import lens_keys, rig_lens
 from .markers import draw_marker
 
 PRINT_DPI = 300
-"""Resolution of what is printed [dots per inch]."""
+"""Resolution of printed boards and markers [dots per inch]."""
 
 INCH_M = 0.0254
 
 FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
-"""Frames of a film, and pictures of a folder, that are searched one after the other; then as many
-of every second one, of every fourth and so on: 250 of 1000 frames, 450 of 10,000."""
+"""Number of frames of a film, and of pictures of a folder, that are searched one by one. Then the
+same number of every second one is searched, then of every fourth, and so on: 250 of 1000 frames,
+450 of 10,000."""
 
 FRAMES_TOLD = 50
-"""Searched frames of a film between two lines of progress where there is no terminal."""
+"""Number of searched frames between two progress lines, if the output is not a terminal."""
 
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE = ("k1", "k2", "k3", "k4")
-"""Names of distortion's values."""
+"""Names of the distortion coefficients."""
 
 
 @piped()
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; exit code 2, with one line, if something is wrong."""
+    """Run the command line. Errors print one line and end with exit code 2."""
     args = _parser().parse_args(arguments)
     try:
         args.run(args)
@@ -136,8 +139,8 @@ def _lens(args: argparse.Namespace) -> None:
 
 
 def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
-    """Look for the board in pictures of one size: in fewer and fewer of a long film or a large
-    folder. Returns the board as it is printed, too."""
+    """Search the board in pictures of one size; in a long film or a large folder in fewer and fewer
+    of them. Also return the board as printed."""
     each = FRAMES_SEARCHED if pictures.is_film else PICTURES_SEARCHED
     progress = Progress(pictures)
     seen: list[Corners] = []
@@ -165,8 +168,8 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
 
 
 class Progress:
-    """Prints the progress of the search: a line for each picture of a folder. For a film, one line
-    that is updated on a terminal, or else a line now and then, and the totals at the end."""
+    """Prints the progress of the search: one line per picture of a folder; for a film, one line
+    that is updated on a terminal, otherwise a line from time to time; and the totals at the end."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures

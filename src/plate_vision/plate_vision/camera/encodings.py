@@ -1,4 +1,8 @@
-"""Pixels of any usual encoding to grey levels (H, W) or blue, green, red (H, W, 3), 8 bits each."""
+"""Conversion of image encodings to grey levels (H, W) or blue, green, red (H, W, 3), uint8.
+
+Input: the data of sensor_msgs/Image or CompressedImage. Sizes are checked before any pixels are
+unpacked.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,12 @@ from ..errors import ImageError, check_image, check_size
 from .headers import PNG, Header, not_turned, read_header
 
 BAYER = {
-    "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV's names are those of the second row and column
+    "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV names the second row and column
     "bayer_bggr": cv2.COLOR_BayerRG2BGR,
     "bayer_gbrg": cv2.COLOR_BayerGR2BGR,
     "bayer_grbg": cv2.COLOR_BayerGB2BGR,
 }
-"""Colour filters, by their first two rows and columns, and OpenCV's codes to undo them."""
+"""Bayer patterns, named by their first two rows and columns, and OpenCV's demosaicing codes."""
 
 CODES = {
     "mono": None,
@@ -26,10 +30,10 @@ CODES = {
     "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
     **BAYER,
 }
-"""OpenCV's codes from a kind of pixels to blue, green, red; None: nothing to convert."""
+"""OpenCV's conversion codes from a kind of pixels to blue, green, red; None: no conversion."""
 
 CHANNELS = {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "yuv422": 2, "yuv422_yuy2": 2}
-"""Numbers for each pixel, where there is more than one."""
+"""Number of channels for each kind of pixels with more than one."""
 
 ENCODINGS = {
     **{f"{kind}8": (kind, 1) for kind in CODES if not kind.startswith("yuv")},
@@ -42,19 +46,21 @@ ENCODINGS = {
     "8UC3": ("bgr", 1),
     "16UC1": ("mono", 2),
 }
-"""Encodings of sensor_msgs/Image: kind of pixels and bytes of each number."""
+"""Encodings of sensor_msgs/Image: kind of pixels, and bytes per number."""
 
 MOST_PIXELS = 50_000_000
-"""Largest image that is unpacked: 0.15 GB in colour. A few bytes can claim to be far more."""
+"""Maximum size of an unpacked image [pixels]: 0.15 GB in colour. A small file can declare much
+more."""
 
 PNG_DEPTH = 24
-"""Where the bits of a colour stand in a PNG file."""
+"""Position of the bit depth in a PNG file [bytes]."""
 
 BRIGHT = 127
-"""Largest grey level that leaves the highest bit unused."""
+"""Maximum grey level that leaves the highest bit unused."""
 
 TAIL = 64
-"""Bytes at the end of a file among which its end mark must be: some cameras pad."""
+"""Number of bytes at the end of a file that must contain its end mark: some cameras append
+padding."""
 
 
 def decode(
@@ -70,28 +76,27 @@ def decode(
     Parameters
     ----------
     data : bytes-like
-        Rows one after the other.
+        Rows of pixels, first to last.
     size_px : (int, int)
-        Width and height.
+        Width and height [px].
     encoding : str
         A key of `ENCODINGS`.
     step : int
         Bytes from one row to the next.
     big_endian : bool
-        Order of the bytes of numbers of 16 bits.
+        Byte order of 16-bit numbers.
     bits : int
-        Of numbers of 16 bits those that are used: of a camera with 12 bits the largest value is
-        4095.
+        Number of used bits of 16-bit numbers. For a camera with 12 bits the maximum is 4095.
 
     Returns
     -------
     (H, W) or (H, W, 3) uint8
-        Grey levels, or blue, green, red. Where nothing is to be converted it shares the memory.
+        Grey levels, or blue, green, red. Shares the memory of `data` if no conversion is needed.
 
     Raises
     ------
     ImageError
-        If the encoding is not understood, or size, step and number of bytes disagree.
+        If the encoding is unknown, or size, step and number of bytes disagree.
     """
     if encoding not in ENCODINGS:
         raise ImageError(f"image: encoding is {encoding!r}, allowed: {', '.join(ENCODINGS)}")
@@ -121,7 +126,7 @@ def decode_file(
     bits: int = 16,
     size_px: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Return the pixels of a sensor_msgs/CompressedImage, such as image_transport publishes.
+    """Return the pixels of a sensor_msgs/CompressedImage, as image_transport publishes it.
 
     Parameters
     ----------
@@ -132,7 +137,7 @@ def decode_file(
     bits : int
         As in `decode`.
     size_px : (int, int), optional
-        Width and height that are expected: files of others are refused before they cost time.
+        Expected width and height; a file of another size is refused before it is unpacked.
 
     Returns
     -------
@@ -142,7 +147,7 @@ def decode_file(
     Raises
     ------
     ImageError
-        If it is neither, or is damaged: a file that breaks off is refused as a whole.
+        If it is neither, or is damaged or truncated.
     """
     if "compressedDepth" in form:
         raise ImageError(f"image: format is {form!r}, allowed: jpeg, png")
@@ -168,19 +173,19 @@ def decode_file(
 
 
 def is_wide(encoding: str) -> bool:
-    """Whether an encoding has 16 bits, so that `bits` counts."""
+    """Whether an encoding has 16 bits, so that `bits` applies."""
     return ENCODINGS.get(encoding, ("", 1))[1] == 2
 
 
 def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
-    """Whether a picture's file has 16 bits: PNG may."""
+    """Whether a picture's file has 16 bits per number: only PNG can."""
     return bytes(content[: len(PNG)]) == PNG and len(content) > PNG_DEPTH and content[PNG_DEPTH] > 8
 
 
 def bits_hint(image: np.ndarray, bits: int) -> str:
     """Return a remedy for an image (H, W) or (H, W, 3) uint8 that had 16 bits and is too dark or
-    too bright: another value of `bits`. Empty if `bits` is not the reason, or the image is black.
-    """
+    too bright: another value of `bits`. Empty if `bits` is not the reason, or if the image is
+    black."""
     brightest = int(image.max(initial=0))
     used = bits - 8 + brightest.bit_length()
     if brightest > BRIGHT:
@@ -191,15 +196,15 @@ def bits_hint(image: np.ndarray, bits: int) -> str:
 
 
 def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
-    """Return the pixels of a picture's file by OpenCV's flags, never rotated; None if it is no
+    """Return the pixels of a picture's file by OpenCV's flags, never rotated; None if it is not a
     picture, or damaged.
 
-    `header` is the file's, if it is known already.
+    `header` is the header of the file, if it has been read already.
 
     Raises
     ------
     ImageError
-        If it has no pixels, or far too many: before they are unpacked.
+        If it declares no pixels or too many. This is checked before unpacking.
     """
     header = header or read_header(content)
     if header is None:
@@ -214,8 +219,8 @@ def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarr
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
-    """Return the grey levels (H, W) of an image (H, W) or (H, W, 3) uint8: of colours the middle
-    channel, green in either order.
+    """Return the grey levels (H, W) of an image (H, W) or (H, W, 3) uint8. Of a colour image it is
+    the middle channel, green.
 
     Raises
     ------
@@ -225,11 +230,11 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     image = np.asarray(image)
     check_image(image)
     grey = image if image.ndim == 2 else image[:, :, 1]
-    return np.ascontiguousarray(grey)  # once, or each kernel would
+    return np.ascontiguousarray(grey)  # once here, instead of in each kernel
 
 
 def check_pixels(width: int, height: int, what: str = "image:") -> None:
-    """Refuse images without pixels, or with far too many; `what` begins the message."""
+    """Refuse images without pixels or with too many. `what` begins the message."""
     if width < 1 or height < 1 or width * height > MOST_PIXELS:
         raise ImageError(
             f"{what} size is {width} x {height} px, allowed: at least 1 x 1, "
@@ -238,12 +243,12 @@ def check_pixels(width: int, height: int, what: str = "image:") -> None:
 
 
 def to_8_bits(wide: np.ndarray, bits: int) -> np.ndarray:
-    """Return the upper eight of the `bits` that are used of numbers of 16 bits."""
+    """Return the upper eight of the used `bits` of 16-bit numbers."""
     return np.minimum(wide >> (bits - 8), 255).astype(np.uint8)
 
 
 def to_colour(pixels: np.ndarray, kind: str) -> np.ndarray:
-    """Return blue, green, red (H, W, 3), or grey levels (H, W), of a key of `CODES`."""
+    """Return blue, green, red (H, W, 3) or grey levels (H, W) of pixels of a key of `CODES`."""
     code = CODES[kind]
     if code is None:
         return pixels

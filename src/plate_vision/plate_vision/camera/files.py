@@ -1,5 +1,5 @@
-"""Lenses as YAML files, as ROS's camera_calibration_parsers and camera drivers use; and pictures or
-a video in place of a camera."""
+"""Lens files (YAML of ROS's camera_calibration_parsers), and pictures or a video as image
+source."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from .headers import AS_STORED, read_header, turned_text
 from .lens import Lens
 
 FAR = 1e6
-"""Greatest number that is believed in such a file."""
+"""Maximum magnitude of a number in a lens file."""
 
 
 PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
-"""Endings of pictures."""
+"""File name suffixes of pictures."""
 
 KINDS = "BMP, JPEG, PNG, PGM, PPM, TIFF or WebP"
 
 PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
-"""Most in a file: 20 megapixels without compression; half an hour of full HD."""
+"""Maximum size of a file [bytes]: 20 megapixels without compression; half an hour of full HD."""
 
 
 NO_FILM = "cannot be read, allowed: a video that OpenCV knows"
 
 
 def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> Lens:
-    """Read a camera_info file, for images of the expected width and height if these are given.
+    """Read a camera_info file, and check its image size if an expected width and height are given.
 
-    Files that OpenCV writes (`%YAML:1.0`) and `.ini` files of ROS 1 are read, too.
+    Files of OpenCV (`%YAML:1.0`) and `.ini` files of ROS 1 are also read.
 
     Raises
     ------
@@ -68,13 +68,13 @@ def _camera_fields(path: Path) -> Fields:
 
 
 def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Lens) -> None:
-    """Write the camera_info file of a camera, with images of a width and height: no rectification
-    (R = 1), P = [K 0].
+    """Write the camera_info file of a camera for images of a width and height: without
+    rectification (R = 1), P = [K 0].
 
     Raises
     ------
     PlateError
-        If it cannot be written: what was there stays.
+        If it cannot be written. An existing file then remains unchanged.
     """
     data = {
         "image_width": size_px[0],
@@ -97,7 +97,7 @@ def _block(matrix: np.ndarray) -> dict[str, object]:
 
 
 def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
-    """Return the numbers of a matrix; of one row if no shape is given."""
+    """Return the values of a matrix, flat; without a shape the size is read from the file."""
     rows, columns = fields.integer("rows", 1, 16), fields.integer("cols", 1, 16)
     if shape is not None and (rows, columns) != shape:
         raise CalibrationError(
@@ -107,7 +107,8 @@ def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
 
 
 def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pictures:
-    """Return an iterator over pictures: name and pixels (H, W, 3) uint8, blue, green, red, of each.
+    """Return an iterator over pictures. It yields the name and the pixels (H, W, 3) uint8, blue,
+    green, red, of each.
 
     Pictures are never rotated: an orientation in EXIF, PNG, TIFF, WebP or a video is ignored. A
     warning names the first picture that has one.
@@ -115,15 +116,14 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     Parameters
     ----------
     path : Path
-        A folder, of which pictures are taken by their names; a picture; or a video.
+        A folder, whose pictures are sorted by name; a picture; or a video.
     warn : callable, optional
-        Takes a warning. Default: it is printed to stderr.
+        Called with the text of a warning. Default: print it to stderr.
 
     Raises
     ------
     ImageError
-        If there is nothing at the path that can be read, or a picture has too many pixels; also
-        while it is read.
+        If the path cannot be read, or a picture has too many pixels. Also raised during iteration.
     """
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
@@ -137,17 +137,17 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
 
 
 class Pictures:
-    """Pictures of a folder, or of a video, one after the other.
+    """Iterator over the pictures of a folder or the frames of a video.
 
     Attributes
     ----------
     is_film : bool
     count : int
-        How many there are; of a video as its file says, which may be wrong or 0.
+        Number of pictures; of a video as declared in its file, which may be wrong or 0.
     place : int
-        How many have been read or left out.
+        Number of pictures read or skipped.
     rate : float
-        Images a second of a video as its file says, which may be wrong or 0; else 0.
+        Frames per second declared in a video's file, which may be wrong or 0; 0 for pictures.
     """
 
     def __init__(self, path: Path, files: Sequence[Path], warn: Callable[[str], None]) -> None:
@@ -160,7 +160,7 @@ class Pictures:
             self.count = max(0, int(self._film.get(cv2.CAP_PROP_FRAME_COUNT)))
             self.rate = float(self._film.get(cv2.CAP_PROP_FPS))
             turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
-            if turn in (90, 180, 270):  # -1: it does not know
+            if turn in (90, 180, 270):  # -1: unknown
                 self._tell(
                     f"{path.name}: rotation of {turn} degrees is ignored: players rotate the film; "
                     f"{AS_STORED}"
@@ -184,7 +184,7 @@ class Pictures:
         return f"{self._path.name}: {number}", np.asarray(pixels)
 
     def skip(self, count: int) -> None:
-        """Leave out some pictures, in less time than it takes to read them."""
+        """Skip some pictures; this is faster than reading them."""
         for _ in range(count):
             if not (self.place < len(self._files) if self._film is None else self._film.grab()):
                 return
@@ -219,7 +219,7 @@ def _print_warning(text: str) -> None:
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write a picture (H, W) or (H, W, 3) uint8 of the kind that its ending says.
+    """Write a picture (H, W) or (H, W, 3) uint8 in the format of the file name's suffix.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     """
     try:
         done = cv2.imwrite(str(path), picture)
-    except cv2.error:  # of no kind that it knows
+    except cv2.error:  # unknown suffix
         done = False
     if not done:
         raise ImageError(
@@ -237,11 +237,11 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 
 
 def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
-    """Return the rig whose camera takes pictures of a size (width, height), and what a user should
-    know of that; nothing if it is the rig's own camera.
+    """Return the rig adapted to pictures of a size (width, height), and a message for the user. The
+    rig is unchanged and the message empty if this is the size of the rig's camera.
 
-    If that is not the size of the rig's camera, nothing is known of where the picture was taken:
-    then it is a view of a plate that fills it, from straight above, as long as the rig's.
+    For another size the camera's pose is unknown. The picture is then taken as a view from straight
+    above of a plate that fills it and has the length of the rig's plate.
     """
     camera = rig.camera
     if size_px == (camera.width_px, camera.height_px):

@@ -1,4 +1,7 @@
-"""Camera files of others, as the keys of a camera_info file: OpenCV's, and `.ini` of ROS 1."""
+"""Camera files of other programs, converted to the keys of a camera_info file.
+
+Supported are files of OpenCV's cv::FileStorage and `.ini` files of ROS 1.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,10 @@ from plate_core.yaml_fields import Fields, parse_yaml
 from ..errors import CalibrationError
 
 OPENCV = b"%YAML:1.0"
-"""First bytes of files that cv::FileStorage wrote up to OpenCV 4; version 5 writes proper YAML."""
+"""First bytes of files from cv::FileStorage up to OpenCV 4; version 5 writes standard YAML."""
 
 MATRIX = re.compile(rb"!!opencv-[a-z-]+")
-"""Tag of a matrix in them; JSON files have `type_id`."""
+"""Tag of a matrix in these files; JSON files have `type_id`."""
 
 NAMES = {
     "image_width": ("imagewidth", "width"),
@@ -23,34 +26,35 @@ NAMES = {
     "camera_matrix": ("cameramatrix", "intrinsics", "k", "mtx"),
     "distortion_coefficients": ("distortioncoefficients", "distcoeffs", "dist", "d"),
 }
-"""Keys of a camera_info file, and the names that programs of OpenCV give them, without `_`."""
+"""Keys of a camera_info file, and the names for them in programs of OpenCV, without `_`."""
 
 BLOCKS = {"camera matrix": (3, 3), "distortion": (1, None)}
-"""Blocks of numbers in an `.ini` file that count, and their shapes."""
+"""Blocks of an `.ini` file that are read, with their shapes."""
 
 
 def is_ini(content: bytes) -> bool:
-    """Whether a file is one of ROS 1's camera_calibration_parsers: `[image]` comes first."""
+    """Whether a file is an `.ini` of ROS 1's camera_calibration_parsers: it begins with
+    `[image]`."""
     lines = (line.strip() for line in content.splitlines())
     first = next((line for line in lines if line and line[:1] not in (b"#", b";")), b"")
     return first == b"[image]"
 
 
 def is_opencv(content: bytes) -> bool:
-    """Whether a file is one that cv::FileStorage writes."""
+    """Whether a file was written by cv::FileStorage."""
     return content.startswith(OPENCV) or b"opencv-matrix" in content or b"opencv-nd" in content
 
 
 def read_opencv(content: bytes, path: Path) -> Fields:
     """Return the camera in a file of cv::FileStorage.
 
-    Without `distortion_model` it is told by the number of values and `fisheye_model`, which
-    OpenCV's example writes.
+    If `distortion_model` is missing, it follows from `fisheye_model`, which OpenCV's example
+    writes, and from the number of coefficients.
 
     Raises
     ------
     CalibrationError
-        If it is broken, or there are no K and D in it.
+        If the file is malformed, or contains no K.
     """
     if content.lstrip()[:1] == b"<":
         raise CalibrationError(
@@ -75,7 +79,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
 
 
 def _block(value: Any) -> Any:
-    """Return a matrix as camera_info files have it: an nd-matrix has `sizes`."""
+    """Return a matrix in the form of camera_info files; an nd-matrix has `sizes`."""
     if not isinstance(value, Mapping) or not isinstance(value.get("sizes"), list):
         return value
     rows, columns = [1, 1, *value["sizes"]][-2:]
@@ -92,12 +96,13 @@ def _model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
 
 
 def read_ini(content: bytes, path: Path) -> Fields:
-    """Return the camera in an `.ini` file of ROS 1: blocks of numbers below a line that names them.
+    """Return the camera in an `.ini` file of ROS 1: each block of numbers follows a line with its
+    name.
 
     Raises
     ------
     CalibrationError
-        If it is no text, or a number is none.
+        If a line that should contain numbers cannot be read.
     """
     blocks: dict[str, list[float]] = {}
     name = ""

@@ -1,8 +1,8 @@
-"""The first bytes of a picture's file: its size and orientation, before anything is unpacked.
+"""Headers of picture files: size and orientation, read before the pixels are unpacked.
 
 A file of 389 kB can unpack to 20000 x 20000 pixels, so its size is checked first. OpenCV rotates
-pictures by their orientation; ROS never does. Here, too, pixels stay where the sensor stores them:
-`camera_info` and `corners_px` refer to these places.
+pictures by their orientation; ROS never does. This project keeps the pixels as the sensor stores
+them, because `camera_info` and `corners_px` refer to these places.
 """
 
 from __future__ import annotations
@@ -13,40 +13,41 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 ORIENTATION = 274
-"""Tag of EXIF and TIFF: how a viewer rotates and mirrors the picture. 1: it does not."""
+"""EXIF and TIFF tag for the rotation and mirroring that a viewer applies. 1: none."""
 
 WIDTH, HEIGHT = 256, 257
-"""Tags of TIFF."""
+"""TIFF tags of the size."""
 
 TURNS = {
     2: "mirror it", 3: "rotate it by 180 degrees", 4: "flip it", 5: "transpose it",
     6: "rotate it by 90 degrees clockwise", 7: "transpose and rotate it",
     8: "rotate it by 90 degrees anticlockwise",
 }  # fmt: skip
-"""What viewers do with a picture, by its orientation."""
+"""Actions of viewers for each orientation."""
 
 AS_STORED = "here, as in ROS, pixels stay where the sensor stores them"
-"""End of a warning: what is done with a picture that viewers rotate."""
+"""End of the warning about a picture that viewers rotate."""
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
 PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(\d+)\s")
-"""Kind, width, height, with comments between."""
+"""Kind, width and height of a PNM file, with comments between them."""
 
 MOST_ENTRIES = 1000
-"""Tags of a directory that are looked at; files have some dozens."""
+"""Maximum number of tags that are read from a directory; files have some dozens."""
 
 
 MOST_PIECES = 20_000
-"""Pieces of a file that are looked at: a PNG file of 64 MB has 8,000, and a wrong file millions."""
+"""Maximum number of chunks that are read from a file. A PNG file of 64 MB has 8,000; a malformed
+file may have millions."""
 
 
 BROKEN = (struct.error, IndexError, OverflowError)
-"""Errors of a file that breaks off, or refers to places beyond its end."""
+"""Errors from a file that is truncated, or refers to places beyond its end."""
 
 
 class Header(NamedTuple):
-    """The first bytes of a picture's file.
+    """Header of a picture's file.
 
     Attributes
     ----------
@@ -55,7 +56,7 @@ class Header(NamedTuple):
     width, height : int
         Size as stored [px].
     orientation : int
-        1 to 8, by EXIF.
+        EXIF orientation, 1 to 8.
     place : int
         Position of the orientation in a TIFF file [bytes]; 0 if there is none.
     """
@@ -68,7 +69,7 @@ class Header(NamedTuple):
 
 
 def read_header(content: bytes) -> Header | None:
-    """Return the header of a picture's file; None if its kind is unknown or it is broken."""
+    """Return the header of a picture's file; None if its kind is unknown or it is malformed."""
     try:
         if content.startswith(PNG):
             return _png(content)
@@ -88,8 +89,8 @@ def read_header(content: bytes) -> Header | None:
 
 
 def not_turned(content: bytes, header: Header) -> bytes:
-    """Return a file whose picture OpenCV does not rotate. It rotates TIFF in spite of its flags, so
-    the orientation in the file is set to 1."""
+    """Return the file with its orientation set to 1 if it is TIFF, which OpenCV rotates in spite of
+    its flags."""
     if header.kind != "TIFF" or not header.place:
         return content
     value = b"\1\0" if content[:2] == b"II" else b"\0\1"
@@ -177,7 +178,8 @@ def _tiff(content: bytes) -> Header | None:
 
 
 def _exif(data: bytes) -> int:
-    """Return the orientation in EXIF data, which have the form of a TIFF file; 1 without one."""
+    """Return the orientation in EXIF data, which has the form of a TIFF file; 1 if there is
+    none."""
     try:
         found = (value for tag, value, _ in _tags(data) if tag == ORIENTATION)
         return _known(next(found, 1))
@@ -190,12 +192,13 @@ def _known(orientation: int) -> int:
 
 
 def _tags(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield tag, first value and its place of the whole numbers in a TIFF file's first directory.
+    """Yield tag, first value and position of the value [bytes] for each integer tag in the first
+    directory of a TIFF file.
 
     Raises
     ------
     struct.error
-        If the file breaks off.
+        If the file is truncated.
     """
     order = {b"II": "<", b"MM": ">"}.get(data[:2])
     if order is None:

@@ -1,4 +1,8 @@
-"""From image points [px] to points of the plate [m, plate_home] and back."""
+"""Mapping between image points [px] and points of the plate [m, plate_home], with lens distortion.
+
+`calibrate` fits a homography to four pairs of points; `Calibration` applies it together with the
+lens (`plate_core.rig.Lens`).
+"""
 
 from __future__ import annotations
 
@@ -13,22 +17,22 @@ from plate_core.rig import camera_place, fit_homography, home_pose, lens_of_matr
 from ..errors import CalibrationError
 
 MAX_CONDITION = 1e10
-"""Condition number of a homography above which points cannot be mapped back: a useful camera has
-1e3 to 1e7, depending on the units."""
+"""Maximum condition number of a homography. Above it points cannot be mapped back; a useful camera
+has 1e3 to 1e7, depending on the units."""
 
 MIN_AREA_PX2 = 100.0
-"""Smallest plate in an image [px2]: below that no part of a useful size fits."""
+"""Minimum area of the plate in an image [px2]. On a smaller one no part is large enough."""
 
 SLENDER = 1e-4
-"""Least area of four points of the plate, over their extent squared."""
+"""Minimum area of the quadrilateral of four plate points, relative to their extent squared."""
 
 SLOPE_STEP = 1e-4
-"""Step [m] of the differences from which the scale is taken under a lens."""
+"""Step of the finite differences for the scale under a lens [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A lens that bends straight lines: K, D and distortion_model of sensor_msgs/CameraInfo.
+    """A distorting lens: K, D and distortion_model of sensor_msgs/CameraInfo.
 
     The formulas are those of `plate_core.rig.Lens`.
 
@@ -37,18 +41,18 @@ class Lens:
     matrix : (3, 3)
         Focal lengths and image centre [px].
     distortion : (n,)
-        OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]; of an
+        OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]; for an
         equidistant lens k1, k2, k3, k4.
     model : str, optional
         A key of `plate_core.rig.LENS_MODELS`. None: plumb_bob if there are up to five values, else
         rational_polynomial.
     source : str
-        Where it comes from, such as a file's name: the beginning of messages; or empty.
+        Origin, such as a file's name, with which messages begin; may be empty.
 
     Raises
     ------
     CalibrationError
-        If K, D or the model is not understood.
+        If K, D or the model is not supported.
     """
 
     matrix: np.ndarray
@@ -73,17 +77,17 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """Whether there is any distortion."""
+        """Whether the distortion is not zero."""
         return self._formula.bends
 
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
-        """Return where points (M, 2) [px] would be without distortion (M, 2) [px]; NaN outside of
-        what the lens shows."""
+        """Remove the distortion from points (M, 2) [px]. The result (M, 2) [px] is NaN outside of
+        the lens's field of view."""
         point_px = _points(point_px)
         return self._formula.straighten(point_px) if len(point_px) and self.bends else point_px
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
-        """Return where straight points (M, 2) [px] are seen (M, 2) [px]."""
+        """Apply the distortion to points (M, 2) [px] of the straight image."""
         return self._formula.bend(_points(point_px))
 
     def check_folding(self, corners_px: np.ndarray, straight: bool = False) -> None:
@@ -92,14 +96,14 @@ class Lens:
         Parameters
         ----------
         corners_px : (4, 2)
-            Where the plate's corners are seen [px].
+            Corners of the plate in the image [px].
         straight : bool
-            They are those of the straight image.
+            Whether they are corners in the image without distortion.
 
         Raises
         ------
         CalibrationError
-            If it does: parts would be seen where they are not.
+            If the lens folds it, so that parts would appear at wrong places.
         """
         if folded := self._formula.folds(corners_px, straight):
             raise CalibrationError(f"{self._begin}{folded}")
@@ -111,7 +115,7 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Where a camera sees the points of the plane of the parts.
+    """Mapping between the image and the plane of the parts.
 
     Attributes
     ----------
@@ -120,9 +124,9 @@ class Calibration:
     home_from_image : (3, 3)
         Its inverse.
     lens : Lens, optional
-        One that bends; the homographies are then those of the straightened image.
+        A distorting lens; the homographies then refer to the image without distortion.
     place : (3,), optional
-        The camera's centre of projection [m, plate_home]; None if it is not known.
+        Centre of projection of the camera [m, plate_home]; None if unknown.
     """
 
     image_from_home: np.ndarray
@@ -142,8 +146,8 @@ class Calibration:
         return straight if self.lens is None else self.lens.bend(straight)
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
-        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]: with a lens by
-        differences."""
+        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]: analytic without a
+        lens, by central differences with one."""
         point_px = _points(point_px)
         if self.lens is None:
             rows = point_px @ self.home_from_image[:, :2].T + self.home_from_image[:, 2]
@@ -155,12 +159,12 @@ class Calibration:
         return np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2)
 
     def disc_centres(self, ring_px: np.ndarray) -> np.ndarray:
-        """Return the centres (M, 2) [m, plate_home] of discs from points (M, k, 2) [px] of the
-        ellipses that they are in the image, equally spaced in angle.
+        """Return the centres (M, 2) [m, plate_home] of discs, from points (M, k, 2) [px] at equal
+        angles on the ellipses that are their images.
 
         The centre of a disc's image is not the image of its centre: perspective and a strong lens
-        shift it by some hundredths of a pixel. So the points are mapped to the plate, and the
-        centre of area of their polygon is taken.
+        shift it by some hundredths of a pixel. Therefore the points are mapped to the plate, and
+        the centroid of their polygon is returned.
         """
         count, corners = ring_px.shape[:2]
         outline = self.to_home(ring_px.reshape(-1, 2)).reshape(count, corners, 2)
@@ -172,10 +176,10 @@ class Calibration:
         return np.asarray(middle + shift)
 
     def scale(self, point: np.ndarray) -> np.ndarray:
-        """Pixels per metre (M,) at points of plate_home (M, 2) [m]: of lengths, from areas.
+        """Pixels per metre (M,) at points of plate_home (M, 2) [m]: square root of the area ratio.
 
-        The area that a homography makes of a small area is det(H) / w^3, with w the third
-        homogeneous coordinate of the image point; with a lens it is taken from differences.
+        A homography H scales a small area by det(H) / w^3, where w is the third homogeneous
+        coordinate of the image point. With a lens the ratio comes from central differences.
         """
         point = _points(point)
         if self.lens is not None:
@@ -193,18 +197,18 @@ def calibrate(
     lens: Lens | None = None,
     place: np.ndarray | None = None,
 ) -> Calibration:
-    """Find the homography from four pairs of points.
+    """Calibrate a camera by the homography from four pairs of points.
 
     Parameters
     ----------
     corners_px : (4, 2)
-        Image points [px], as seen (not straightened).
+        Image points [px], with distortion.
     corners : (4, 2)
         The same points in plate_home [m].
     lens : Lens, optional
-        To be taken into account.
+        Lens of the camera. None: no distortion.
     place : (3,), optional
-        The camera's place [m, plate_home], if it is known without the lens.
+        The camera's centre of projection [m, plate_home], if it is known without the lens.
 
     Raises
     ------
@@ -230,12 +234,12 @@ def check_quadrilateral(
     unit: str = "px",
     least: float = MIN_AREA_PX2,
 ) -> np.ndarray:
-    """Return a polygon (4, 2) if it is convex, and its area is no less than the least one.
+    """Return a polygon (4, 2) if it is convex and has at least the area `least` [unit2].
 
     Raises
     ------
     error
-        If not: the message says what is wrong.
+        If it is not; the message names the defect.
     """
     polygon = np.asarray(polygon, dtype=float)
     if polygon.shape != (4, 2) or not np.all(np.isfinite(polygon)):
@@ -261,9 +265,10 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def calibrate_by_matrix(
     image_from_home: np.ndarray, lens: Lens | None = None, place: np.ndarray | None = None
 ) -> Calibration:
-    """Use a known homography (3, 3) from plate_home [m] to the (straightened) image [px].
+    """Return the calibration for a known homography (3, 3) from plate_home [m] to the image [px],
+    the one without distortion if there is a lens.
 
-    The camera's place (3,) [m, plate_home] follows from the lens; without one it may be given.
+    The camera's place (3,) [m, plate_home] follows from the lens. Without a lens it may be given.
 
     Raises
     ------
@@ -285,14 +290,15 @@ def calibrate_by_matrix(
 
 
 def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
-    """Use the images of the plate's corners that the rig file gives; its lens if none is given."""
+    """Calibrate by the images of the plate's corners in the rig file, and by its lens if none is
+    given."""
     lens = lens or rig_lens(rig)
     place = camera_place(rig) if lens is None else None
     return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens, place)
 
 
 def lens_keys(lens: Lens) -> dict[str, str]:
-    """Return a lens as the section `camera` of a rig file has it: values by key."""
+    """Return the lens as keys and values of the section `camera` of a rig file."""
     matrix = lens.matrix
     return {
         "focal_px": f"[{matrix[0, 0]:.3f}, {matrix[1, 1]:.3f}]",
@@ -303,7 +309,7 @@ def lens_keys(lens: Lens) -> dict[str, str]:
 
 
 def rig_lens(rig: Rig) -> Lens | None:
-    """Return the lens that the rig file gives, if it does."""
+    """Return the lens of the rig file; None if it has none."""
     lens = rig.camera.lens
     return None if lens is None else Lens(lens.matrix, np.array(lens.distortion), lens.model)
 

@@ -1,4 +1,8 @@
-"""Pictures of a board, collected one by one until they suffice for a fit of the lens."""
+"""Pictures of a board, collected one by one until they suffice to fit the lens.
+
+`LensPictures.shown` keeps a picture if the board rests at a new place. `missing` gives instructions
+for the next pictures: image corners to cover and tilts. `fit` fits the lens.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +27,8 @@ DIFFERS = 0.06
 outer corners, relative to the image's width [-]."""
 
 STILL = 0.01
-"""Maximum distance, likewise, from the board in the previous picture up to which the board counts
-as at rest, so that its image is not blurred [-]."""
+"""Maximum distance from the board in the previous picture, measured in the same way, at which the
+board counts as at rest and its image is not blurred [-]."""
 
 COLUMNS, ROWS = 4, 3
 """Cells of the grid over the image."""
@@ -45,14 +49,14 @@ TILTS = ("left", "right", "top", "bottom")
 """Sides of the board: each must be nearer to the camera in at least one picture."""
 
 GUESSED_FOCAL = 1.2
-"""Focal length that the estimate of the tilt assumes, relative to the longer side of the image [-]:
-a lens of 45 degrees. For lenses of 30 to 70 degrees the side is right, and the tilt within a
-third."""
+"""Focal length assumed in the estimate of the tilt, relative to the longer side of the image [-]: a
+lens of 45 degrees. For lenses of 30 to 70 degrees the side is right, and the tilt has an error of
+up to a third."""
 
 
 @dataclass(frozen=True, eq=False)
 class LensPictures:
-    """The pictures so far.
+    """The pictures collected so far.
 
     Attributes
     ----------
@@ -62,7 +66,7 @@ class LensPictures:
     kept : tuple of Corners
         Corners of the board seen in each kept picture.
     places : tuple of (8,)
-        Their outer corners [widths of the image].
+        Outer corners of the board in each kept picture, relative to the image's width [-].
     tilts : frozenset of str
         Members of `TILTS` that the kept pictures show.
     last : (8,) or None
@@ -136,7 +140,7 @@ def _away(place: np.ndarray, other: np.ndarray) -> float:
 
 
 def _tilt(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
-    """Return which side of the board is nearer to the camera, one of `TILTS`; "" if it faces it."""
+    """Return the side of the board nearest to the camera, one of `TILTS`; "" without a tilt."""
     which, place_px = corners
     focal = GUESSED_FOCAL * max(size_px)
     middle = (np.array(size_px) - 1) / 2

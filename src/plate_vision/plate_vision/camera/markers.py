@@ -1,11 +1,9 @@
 """ArUco markers in an image, and the corners of dark squares to hundredths of a pixel.
 
-OpenCV 4.7 made classes of what were functions: only this file knows both ways to ask for markers.
-
-Corners of squares are where lines along their edges meet. Corners themselves are rounded by blur:
-what looks for them there (OpenCV's refinement) finds them a quarter of a pixel inside at a blur of
-1 px. An edge stays where it is.
-"""
+Each corner is the intersection of two lines fitted to the square's edges. Blur rounds the corner
+itself: at a blur of 1 px OpenCV's corner refinement finds it a quarter of a pixel too far inside.
+The edges are not displaced. OpenCV 4.7 replaced marker functions by classes; only this file handles
+both."""
 
 from __future__ import annotations
 
@@ -21,40 +19,40 @@ DICTIONARIES = tuple(
     for name in sorted(dir(getattr(cv2, "aruco", None)))
     if name.startswith("DICT_") and name == name.upper()
 )
-"""Names of the sets of markers that OpenCV knows, such as 4X4_50; none if it was built without."""
+"""Dictionaries of markers in this OpenCV, such as 4X4_50; empty if it was built without markers."""
 
 SETTINGS = {
     "perspectiveRemovePixelPerCell": 8,
     "perspectiveRemoveIgnoredMarginPerCell": 0.3,
     "maxErroneousBitsInBorderRate": 0.5,
 }
-"""How OpenCV reads a marker, where not by its defaults: only the middle of a module counts, so that
-markers of 30 px are read in a blur of 1.5 px."""
+"""OpenCV's detector parameters that differ from its defaults. Only the centre of each module
+counts, so that markers of 30 px are read at a blur of 1.5 px."""
 
 
 SAMPLES = 24
-"""Places along each edge where it is crossed."""
+"""Number of profiles across each edge."""
 
 SPAN = (0.15, 0.85)
-"""Part of an edge that is looked at [sides]: its ends are rounded."""
+"""Range of an edge that is sampled [sides]: its ends are rounded."""
 
 REACH_PX = 4.0
-"""How far to both sides of where an edge should be it is looked for [px]."""
+"""Maximum distance of an edge from its expected place, to both sides [px]."""
 
 STEP_PX = 0.5
-"""Distance of two samples across an edge [px]."""
+"""Distance between two samples across an edge [px]."""
 
 LEAST_CONTRAST = 25.0
-"""Least difference of grey levels across an edge."""
+"""Minimum difference of grey levels across an edge."""
 
 OUTLIER_PX = 0.5
-"""Crossings this far from their line [px] are left out: dirt, a part that lies there."""
+"""Distance from the line beyond which a crossing is excluded, for example dirt or a part [px]."""
 
 LEAST_CROSSINGS = 6
-"""Of an edge that are needed."""
+"""Minimum number of crossings for an edge."""
 
 ROUNDS = 2
-"""How often edges are looked for, each time around where they were found."""
+"""Number of refinements, each around the edges of the previous one."""
 
 
 def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
@@ -70,13 +68,13 @@ def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
     Returns
     -------
     dict of int to (4, 2)
-        By number the corners [px], to sub-pixels: top left, top right, bottom right, bottom left as
-        the marker is printed. A number that is seen twice is left out: one of them is none.
+        Corners [px] by number, to sub-pixels: top left, top right, bottom right, bottom left of the
+        printed marker. A number that is found twice is omitted, because one of them is wrong.
 
     Raises
     ------
     CalibrationError
-        If OpenCV was built without markers, or does not know the dictionary.
+        If OpenCV was built without markers, or the dictionary is unknown.
     """
     known = _dictionary(dictionary)
     grey = np.ascontiguousarray(grey)
@@ -101,13 +99,13 @@ def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
 
 
 def draw_marker(dictionary: str, number: int, side_px: int) -> np.ndarray:
-    """Return the picture (side_px, side_px) uint8 of a marker, its black border included.
+    """Return the picture (side_px, side_px) uint8 of a marker, including its black border.
 
     Raises
     ------
     CalibrationError
-        As `find_markers`, or if the dictionary has no such number, or its modules would not fill
-        a pixel.
+        As `find_markers`; if the dictionary has no such number; or if its modules would be smaller
+        than a pixel.
     """
     known = _dictionary(dictionary)
     count = len(known.bytesList)
@@ -135,10 +133,10 @@ def _dictionary(name: str) -> Any:
 
 
 def square_corners(grey: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
-    """Find squares, dark on bright, near to where they should be.
+    """Find dark squares on bright ground near their expected places.
 
-    Takes corners (n, 4, 2) [px] in order around each square, right to `REACH_PX`; returns the same
-    corners, NaN for a square of which an edge is not seen.
+    Takes corners (n, 4, 2) [px] in order around each square, with errors of up to `REACH_PX`.
+    Returns refined corners; NaN for a square if one of its edges is not visible.
     """
     corners = np.array(corners_px, dtype=float).reshape(-1, 4, 2)
     for _ in range(ROUNDS):
@@ -158,14 +156,14 @@ def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     foot = corners[:, :, None] + at[:, None] * along[:, :, None]
     place = foot[..., None, :] + across[:, None] * outward[:, :, None, None]
     crossing = _crossings(_values(grey, place), across)
-    line = _lines(at, crossing)  # offset at the edge's beginning, and its growth to the end
+    line = _lines(at, crossing)  # offset at the edge's first corner, and its change to the last
     first = corners + line[..., :1] * outward
     last = corners + along + line.sum(axis=2, keepdims=True) * outward
     return _intersect(np.roll(first, 1, axis=1), np.roll(last, 1, axis=1), first, last)
 
 
 def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Grey levels (n, 4, s, k) at places (n, 4, s, k, 2) [px]; NaN outside of the image."""
+    """Return the grey levels (n, 4, s, k) at places (n, 4, s, k, 2) [px]; NaN outside the image."""
     rows = (place.shape[0] * place.shape[1], place.shape[2] * place.shape[3])
     x, y = np.moveaxis(np.nan_to_num(place, nan=-9.0).astype(np.float32), -1, 0)
     value = np.asarray(
@@ -183,7 +181,8 @@ def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Where profiles (n, 4, s, k) rise through the middle of an edge's levels (n, 4, s); NaN."""
+    """Return the places (n, 4, s) where profiles (n, 4, s, k) rise through the mean of an edge's
+    dark and bright level; NaN where they do not."""
     with np.errstate(all="ignore"):
         dark = np.median(value.min(axis=3), axis=2, keepdims=True)[..., None]
         bright = np.median(value.max(axis=3), axis=2, keepdims=True)[..., None]
@@ -198,7 +197,8 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 
 def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
-    """Fit a + b at to crossings (n, 4, s) without outliers: (n, 4, 2); NaN if too few."""
+    """Fit a + b t to crossings (n, 4, s) at t = `at`, without outliers. Return a, b (n, 4, 2); NaN
+    with too few crossings."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
     line = _fit(at, crossing, weight)
@@ -218,8 +218,8 @@ def _fit(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray
 
 
 def _intersect(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Where lines through a, b and through c, d (n, 4, 2) meet; NaN for the whole square if one
-    line is missing."""
+    """Intersect lines through a, b with lines through c, d (n, 4, 2); NaN for the whole square if
+    one line is missing."""
     u, v, w = b - a, d - c, c - a
     cross = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
     with np.errstate(all="ignore"):

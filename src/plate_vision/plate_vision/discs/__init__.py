@@ -1,7 +1,7 @@
-"""Round parts of a known radius, the fast path: seeds, then measurement by moments or a fit, then
-which of them are parts.
+"""Round parts of a known radius, the fast method: find seeds (first guesses of the places), measure
+them by moments or by a fit of the contour, and select those that are parts.
 
-`detection` calls them in this order; nothing else does.
+Only `detection` calls these functions, in this order.
 """
 
 from .dark import measure_dark

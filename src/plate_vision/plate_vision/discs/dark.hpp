@@ -1,4 +1,4 @@
-// Parts that are clearly darker than the plate, each measured in the cheapest way: see dark.py.
+// Parts that are clearly darker than the plate, each measured by the cheapest method: see dark.py.
 #pragma once
 #include <algorithm>
 #include <cmath>

@@ -1,9 +1,12 @@
-"""Parts that are clearly darker than the plate, each measured in the cheapest way.
+"""Parts that are clearly darker than the plate, each measured by the cheapest method.
 
-A part that stands alone is measured by moments of its darkness, to a hundredth of a pixel. With m
-the darkness and d the distance from the centre, a disc of radius r has sum(m d2) / sum(m) = r2 / 2.
-The misfit is the relative difference from the radius by area, or from the silhouette's second
-moments, whichever is larger. The others are measured by `fit`, which takes neighbours into account.
+A part that stands alone is measured by the moments of its darkness, to a hundredth of a pixel. With
+the darkness m of a pixel and its distance d from the centre, an even disc of radius r has
+
+    sum(m d^2) / sum(m) = r^2 / 2.
+
+The misfit is the relative deviation from the radius by area, or from the silhouette's second
+moments, whichever is larger. The other parts are measured by `fit`, which models their neighbours.
 """
 
 from __future__ import annotations
@@ -34,9 +37,9 @@ def measure_dark(
     -------
     (n,) DISC
     (n, 2)
-        The centres of marks [px], NaN for a part without one.
+        Centres of marks [px], NaN for a part without a mark.
     (n,) bool
-        Which were measured by moments.
+        Whether a disc was measured by moments.
     """
     discs, marks = np.zeros(len(seeds), DISC), np.empty((len(seeds), 2))
     alone = np.empty(len(seeds), np.bool_)

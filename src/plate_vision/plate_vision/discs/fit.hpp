@@ -1,4 +1,4 @@
-// Places, radii and darkness of round parts by their contours: see fit.py.
+// Places, radii and darkness of round parts, fitted to their contours: see fit.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -12,29 +12,30 @@
 
 namespace plate {
 
-// Minimum, first and maximum half width [px] of a disc's edge, where its cover rises from 0 to 1 as
-// a cubic: 0.5 are sharp pixels, 1.1 a lens with a blur of 0.6 px (standard deviation).
+// Minimum, first and maximum half width [px] of a disc's edge, over which its cover rises from 0 to
+// 1 as a cubic. 0.5 stands for sharp pixels, 1.1 for a lens with a blur of 0.6 px (standard
+// deviation).
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
-// The maximum is this fraction of the radius, if that is more; and reach of a window beyond the
-// contour, as a fraction of the radius, if that is more than RIM_PX.
+// Maximum half width of the edge, as a fraction of the radius, if that is more than EDGE_PX[2].
+// Reach of a window beyond the contour, as a fraction of the radius, if that is more than RIM_PX.
 constexpr double EDGE_SHARE = 0.6, RIM_SHARE = 0.3;
 
 inline double rim_of(const Silhouette& part) {
     return std::max(RIM_PX, RIM_SHARE * part.radius_px);
 }
 
-// Maximum change of a place or radius [px] in one iteration: edges are seen only when near.
+// Maximum change of a place or radius [px] in one iteration: the model is valid only near the edge.
 constexpr double MAX_STEP_PX = 1.0;
 
-// Change [px] of place and radius after which the fit has converged: the next change would be a
-// tenth of it, and a tenth of the effect of the image's noise.
+// Change [px] of place and radius at which the fit has converged. The next change would be a tenth
+// of it, and a tenth of the effect of the image's noise.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
 
-// Added to the normal equations, also as a fraction of their diagonal: keeps them solvable when
-// hardly anything of a disc is seen.
+// Added to the diagonal of the normal equations, absolute and relative: keeps them solvable if
+// hardly anything of a disc is visible.
 constexpr double FIT_DAMPING = 1e-3;
 
 // A pixel inside the contour has no weight if its darkness differs from the part's by more than
@@ -45,12 +46,12 @@ constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 // The misfit is measured within this distance [px] beyond the edge's own width, on both sides.
 constexpr double CONTOUR_PX = 1.0;
 
-// Darkness of the side faces, relative to that of the top: where hardly anything of them is seen it
-// could be any number.
+// Range of the side faces' darkness, relative to that of the top. If they are hardly visible, the
+// fit does not determine it.
 constexpr double SIDE_RANGE[] = {0.3, 3.0};
 
-// Errors at the contour count up to this fraction of the darkness for the misfit: a bite out of the
-// edge is no reason to drop a disc.
+// Maximum error of a pixel in the misfit, as a fraction of the darkness. A local defect of the edge
+// must not reject a disc.
 constexpr double WORST_FRACTION = 0.4;
 
 // Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top and of the side
@@ -94,7 +95,7 @@ struct DiscWindow {
         };
         float *xs = x(), *ys = y(), *levels = dark();
         for (int row = y0 - reach; row <= y0 + reach; row++) {
-            // The window has no hole: of a row it has what is between its first and last pixel.
+            // The window is convex: a row has all pixels between its first and its last one.
             int first = x0 - reach, last = x0 + reach;
             while (first <= last && !is_inside(first, row)) first++;
             while (last > first && !is_inside(last, row)) last--;
@@ -111,10 +112,10 @@ struct DiscWindow {
         to_darkness(plate.light.data);
     }
 
-    // Put darkness in the place of grey levels.
+    // Convert grey levels to darkness.
     void to_darkness(const float* light);
 
-    // The pixels, first and last + 1, of rows within a distance [px] of one.
+    // Range of pixels, half open, in the rows within a distance [px] of y_px.
     std::array<int, 2> rows(double y_px, double distance) {
         const float *begin = y(), *end = begin + size;
         const auto first = std::lower_bound(begin, end, static_cast<float>(y_px - distance));
@@ -133,12 +134,12 @@ inline void DiscWindow::to_darkness(const float* light) {
     levels_to_darkness(x(), y(), light, size, dark());
 }
 
-// The fit sums products of these numbers of a pixel: the derivatives of the disc's darkness by its
-// unknowns; the error; its square, if the pixel is at the contour; whether the pixel is near the
-// contour; and its visible fraction.
+// Numbers of a pixel whose products the fit sums up: the derivatives of the disc's darkness with
+// respect to its unknowns; the error; its square, if the pixel is at the contour; whether the pixel
+// is near the contour; and its visible fraction.
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
-// These numbers of all pixels of a window, eight pixels at once; the last ones are 0.
+// These numbers for all pixels of a window, padded with zeros to a multiple of eight.
 struct PixelNumbers {
     std::vector<float> numbers;
     int size = 0;
@@ -159,7 +160,7 @@ struct PixelNumbers {
     return ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
 }
 
-// Add up the normal equations of unknowns FIRST to LAST - 1 in rows of the lower half.
+// Sum up the lower half of the normal equations for the unknowns FIRST to LAST - 1.
 template <int FIRST, int LAST>
 [[gnu::always_inline]] inline void add_products(const PixelNumbers& pixels,
                                                 double (&normal)[UNKNOWNS][UNKNOWNS],
@@ -201,12 +202,13 @@ inline double first_darkness(DiscWindow& window, double x, double y, double radi
     return std::max<double>(*middle, MIN_DARKNESS);
 }
 
-// How much of a pixel a disc covers, by how deep it is inside: a cubic from 0 to 1.
+// Fraction of a pixel that a disc covers, a cubic from 0 to 1. `u` is the depth inside the contour,
+// relative to the edge's half width, -1 to 1.
 [[gnu::always_inline]] inline float cover_at(float u) {
     return 0.5f + u * (0.75f - 0.25f * u * u);
 }
 
-// A disc's contour in one precision, as the loops over pixels take it.
+// A disc's contour in single precision, for the loops over pixels.
 struct Contour {
     float ax, bx, ay, by, cx, cy, lx, ly, over, radius, more, scale, growth;
 
@@ -216,8 +218,8 @@ struct Contour {
           over(1 / std::max(lx * lx + ly * ly, 1e-9f)), radius(disc[RADIUS]),
           more(part.growth - 1), scale(1 / disc[EDGE]), growth(part.growth) {}
 
-    // Place of a pixel in the disc's frame, from the nearest point of the way of the lean; the
-    // depth inside the contour, over the edge's half width.
+    // Depth of a pixel inside the contour, relative to the edge's half width. Also sets the vector
+    // and distance to the pixel from the nearest point of the line of the lean [px, disc's frame].
     template <bool LEANS>
     [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy, float& far) const {
         const float dx = x - cx, dy = y - cy;
@@ -231,7 +233,7 @@ struct Contour {
         far = std::sqrt(wx * wx + wy * wy);
         return (r - far) * scale;
     }
-    // The depth inside the top's contour.
+    // Depth of a pixel inside the top's contour, relative to the edge's half width.
     [[gnu::always_inline]] float top_depth(float x, float y) const {
         const float dx = x - cx, dy = y - cy;
         const float wx = ax * dx + bx * dy - lx, wy = ay * dx + by * dy - ly;
@@ -242,15 +244,15 @@ struct Contour {
 
 [[gnu::always_inline]] inline float within(float u) { return std::min(std::max(u, -1.f), 1.f); }
 
-// The shadows that one lamp casts: to where the centre of each part's shadow reaches (n, 2) [px,
-// disc's frame], the darkness of the plate in it, and half the width of its edge [px].
+// The shadows from one lamp: displacement of each part's shadow (n, 2) [px, disc's frame], darkness
+// of the plate in it, and half the width of its edge [px].
 struct Shadows {
     const double* cast = nullptr;
     double darkness = 0, edge_px = 1;
 
     bool any() const { return darkness > 0; }
 
-    // The contour of a disc's shadow: the disc, drawn along its cast.
+    // Contour of a disc's shadow: the disc swept along its displacement.
     Contour contour(const DiscFit& disc, const Silhouette& part, int k) const {
         DiscFit soft = disc;
         soft[EDGE] = edge_px;
@@ -264,8 +266,8 @@ struct Shadows {
 // Margin for rounding errors [px] when pixels beyond the reach of a disc are skipped.
 constexpr double SAFE_PX = 0.1;
 
-// Subtract the neighbours' darkness from a window. Pixels in their shadows do not count. `stretch`
-// (n,) holds the stretch of each disc.
+// Subtract the neighbours' darkness from a window. Pixels in their shadows get less weight.
+// `stretch` (n,) holds the stretch of each disc.
 PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<DiscFit>& discs,
                                       const Silhouette* parts, const std::vector<double>& stretch,
                                       const Shadows& shadows, const std::vector<int>& neighbours) {
@@ -308,12 +310,12 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
     }
 }
 
-// Add up the normal equations, lower half, of one disc; set its misfit, and the fraction of the
-// contour that is seen.
+// Sum up the lower half of the normal equations of one disc; set its misfit, and the visible
+// fraction of its contour.
 //
-// The misfit is the root mean square error at the contour, less the noise, relative to the
-// darkness. `noise` is a standard deviation, as darkness. With SHADOW the plate beside the disc is
-// darker by `shade` within `cast`.
+// The misfit is the root mean square error at the contour, minus the noise (in squares), relative
+// to the darkness. `noise` is a standard deviation, as darkness. With SHADOW the plate beside the
+// disc is darker by `shade` within `cast`.
 template <bool SHADOW, bool HIGH>
 [[gnu::always_inline]] inline void sum_up(DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
@@ -345,7 +347,7 @@ template <bool SHADOW, bool HIGH>
             top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
             level = side + more * (top / std::max(cover, 1e-6f));
         }
-        // The disc hides its own part of the shadow.
+        // The disc hides the part of its shadow that is below it.
         float beside = 0, under = 0;
         if constexpr (SHADOW) {
             float sx, sy, beyond;
@@ -389,12 +391,12 @@ template <bool SHADOW, bool HIGH>
     out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
     const double whole = std::max(count, 1.0) * std::max(window.all, 1.0) / window.size;
     out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
-    // Each coordinate is seen on half of the contour.
+    // Each coordinate is determined by half of the contour.
     const double slopes_xy = 0.5 * (normal[X][X] + normal[Y][Y]);
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
 
-// Each kind of disc by a function of its own: a template is not compiled for several widths.
+// One function for each kind of disc: PLATE_WIDE cannot be applied to a template.
 #define PLATE_SUM_UP(name, SHADOW, HIGH)                                                         \
     PLATE_WIDE inline void name(DiscWindow& window, const DiscFit& disc,                         \
                                 const Silhouette& part, const Contour& cast, float shade,        \
@@ -409,7 +411,7 @@ PLATE_SUM_UP(sum_up_shadowed, true, false)
 PLATE_SUM_UP(sum_up_high_shadowed, true, true)
 #undef PLATE_SUM_UP
 
-// Make one step of a disc by its normal equations; return the change [px].
+// Apply one damped step to a disc by its normal equations; return the change [px].
 inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
                       double (&right)[UNKNOWNS], double first_radius) {
     for (int i = 0; i < UNKNOWNS; i++) {
@@ -428,9 +430,8 @@ inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
     return change;
 }
 
-// Measure discs (n,), neighbours among them, from first guesses of their places (n, 2) [px] and
-// their silhouettes (n,) there, with the shadows that they cast; `noise` is a standard deviation, as
-// darkness.
+// Measure discs (n,), also among neighbours, from seeds (n, 2) [px] and the silhouettes (n,) there,
+// with the shadows that they cast. `noise` is a standard deviation, as darkness.
 inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const Silhouette* parts,
                       const Shadows& shadows, double noise, Disc* discs) {
     const int count = seeds.size(0);

@@ -1,10 +1,10 @@
-"""Places, radii and darkness of round parts by their contours.
+"""Places, radii and darkness of round parts, fitted to their contours.
 
-Damped Gauss-Newton on place, radius, edge width and darkness of one part after the other, with the
-darkness of its neighbours subtracted. A part with a height has two darknesses, of its top and of
-its side faces. Pixels that do not show the plate have no weight, those that a neighbour covers the
-less the more it covers them, and those inside a part none if they differ from it: they show a mark,
-a highlight or a hole.
+Damped Gauss-Newton iterations fit place, radius, edge width and darkness of one part after the
+other, with the darkness of its neighbours subtracted. A part with a height has two darknesses, of
+its top and of its side faces. Pixels outside the plate have no weight. The weight of other pixels
+decreases with the fraction that a neighbour covers. Pixels inside a part that differ much from it
+have no weight, because they show a mark, a highlight or a hole.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from .shadow import Shadow
 def fit_discs(
     plate: LitPlate, seeds: np.ndarray, parts: np.ndarray, shadow: Shadow | None = None
 ) -> np.ndarray:
-    """Measure discs (n,) DISC, neighbours among them, from first guesses of their places (n, 2)
-    [px] and their silhouettes (n,) SILHOUETTE there, and with the shadows that they cast."""
+    """Measure discs (n,) DISC, also among neighbours. Input: seeds (n, 2) [px], the silhouettes
+    (n,) SILHOUETTE of parts there, and the shadow that every part casts."""
     discs = np.zeros(len(seeds), DISC)
     shapes = silhouette.numbers(parts)
     cast, shade, edge_px = np.empty((0, 2)), 0.0, 1.0

@@ -1,4 +1,4 @@
-"""Which measured discs are parts, and their angle, label, confidence and standard deviation."""
+"""Selection of the parts among measured discs; angle, label, confidence and standard deviation."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ def judge(
     ----------
     discs, parts : (n,) DISC, (n,) SILHOUETTE
     marks : (n, 2)
-        The centres of marks [px], NaN for a part without one.
+        Centres of marks [px], NaN for a part without a mark.
     light : (n,)
         Brightness relative to the plate.
     region : Region
         Region of the plate in the image.
     noise : float
-        Of the image, relative to the plate's brightness.
+        Noise of the image, relative to the plate's brightness [-].
     tolerance, class_threshold, margin_px : float
         As in `DetectorOptions`.
 
     Returns
     -------
     (m,) int64
-        Which are parts.
+        Indices of the discs that are parts.
     (m,) int64
-        Their labels: 0 black, 1 grey, 2 brighter than the plate.
+        Labels of the parts: 0 black, 1 grey, 2 brighter than the plate.
     (m, 7)
-        Their `NUMBERS`.
+        Their properties in the order of `NUMBERS`.
     """
     return _kernels.judge(
         numbers(discs), silhouette.numbers(parts), marks, light, region.edges, region.bows, noise,

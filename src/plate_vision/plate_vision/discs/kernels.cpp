@@ -1,4 +1,4 @@
-// Bindings of the chapter `discs`.
+// Python bindings of the kernels in `discs`.
 #include <nanobind/stl/array.h>
 
 #include "discs/dark.hpp"
@@ -21,7 +21,7 @@ constexpr double MOST_RADIUS_PX = 1e4;
 
 bool is_radius(double radius) { return radius > 0 && radius <= MOST_RADIUS_PX; }
 
-// Rows of numbers that are silhouettes.
+// Silhouettes from rows of numbers.
 const Silhouette* as_silhouettes(const In<double, 2>& rows, size_t count) {
     require(rows.shape(0) == count && rows.shape(1) == sizeof(Silhouette) / sizeof(double),
             "shape: silhouettes (n, 8)");
@@ -41,7 +41,7 @@ bool are_pairs(const Rows& places) {
 
 constexpr size_t DISC_NUMBERS = sizeof(Disc) / sizeof(double);
 
-// Rows of numbers that are discs.
+// Discs from rows of numbers.
 Disc* as_discs(const Array<double, 2>& rows, size_t count) {
     require(rows.shape(0) == count && rows.shape(1) == DISC_NUMBERS, "shape: discs (n, 7)");
     return reinterpret_cast<Disc*>(rows.data());

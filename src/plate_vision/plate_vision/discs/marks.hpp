@@ -1,4 +1,4 @@
-// Marks, a spot off the middle of a part that tells its angle: see marks.py.
+// Marks: spots off the centre of a part that show its angle; see marks.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -10,37 +10,39 @@
 
 namespace plate {
 
-// Of a mark [part radii].
+// Radius of a mark [part radii].
 constexpr double MARK_RADIUS = 0.3;
 
-// Where its centre may be, from that of a seed [part radii]: half way out, give or take the seed's
-// error.
+// Range of the distance of a mark's centre from the seed [part radii]: half way out, with the
+// seed's error.
 constexpr double MARK_PLACE[] = {0.25, 0.75};
 
-// What stands out, over the area of a mark: less is noise, more is something else.
+// Range of a spot's area, relative to a mark's area. Smaller spots are noise, larger ones are not
+// marks.
 constexpr double MARK_AREA[] = {0.5, 1.6};
 
-// Round the mark's centre, what stands out belongs to it [mark radii]: with its blurred edge, and
-// short of the part's.
+// Radius around the mark's centre within which deviating pixels belong to the mark [mark radii]. It
+// includes the mark's blurred edge, but not the part's.
 constexpr double MARK_REACH = 1.5;
 
-// Least contrast of a mark, over the part's darkness: a black part's grey mark has 0.5, a grey
-// part's black mark 1.
+// Minimum contrast of a mark, relative to the part's darkness. A grey mark on a black part has 0.5,
+// a black mark on a grey part 1.
 constexpr double CONTRAST = 0.3;
 
-// Least contrast of a mark, over the standard deviation of the image's noise.
+// Minimum contrast of a mark, relative to the standard deviation of the image's noise.
 constexpr double MARK_SIGMAS = 6;
 
-// Fraction of the contrast that may be noise: five deviations of a noise of 2 levels.
+// Fraction of the contrast below which a deviation counts as noise: five standard deviations of a
+// noise of 2 grey levels.
 constexpr double MARK_NOISE = 0.25;
 
-// Brightness relative to the bare plate from which on a spot is a highlight: marks are darker.
+// Brightness relative to the bare plate above which a spot is a highlight. Marks are darker.
 constexpr double SHINE = 0.85;
 
-// Times that the centre is taken again, in the window round the last one.
+// Number of centroid iterations, each in the window around the previous centre.
 constexpr int ROUNDS = 4;
 
-// The pixels of an image of which a round spot may have some: rows and columns, half open.
+// The pixels that a round spot may cover: ranges of rows and columns, half open.
 struct Box {
     int top, bottom, left, right;
 
@@ -51,7 +53,7 @@ struct Box {
           right(std::min(grey.size(1), static_cast<int>(x + reach) + 2)) {}
 };
 
-// Median of numbers, which are put in another order.
+// Median of numbers. Their order is changed.
 inline double median(std::vector<double>& numbers) {
     const auto middle = numbers.begin() + numbers.size() / 2;
     std::nth_element(numbers.begin(), middle, numbers.end());
@@ -59,8 +61,8 @@ inline double median(std::vector<double>& numbers) {
     return (*std::max_element(numbers.begin(), middle) + *middle) / 2;
 }
 
-// Find the places of marks (n, 2) [px], NaN for a part without one, and the grey of their parts
-// and their contrasts (n, 2). `noise` is that of the image, relative to the bare plate.
+// Find the places of marks (n, 2) [px], NaN for a part without a mark. `level` (n, 2) becomes the
+// part's grey level and the mark's contrast. `noise` is relative to the bare plate.
 inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const double* radii,
                        double noise, View<double, 2> found, View<double, 2> level) {
     std::vector<double> inner;
@@ -82,14 +84,14 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         const auto [darkest, lightest] = std::minmax_element(inner.begin(), inner.end());
         const double below = *darkest, above = *lightest;
         const double clear = MARK_SIGMAS * noise * empty;
-        // Whatever the median is.
+        // Fast check that does not need the median.
         if (above - below < std::max(CONTRAST * (empty - above), clear)) continue;
         const double part = median(inner);
         const double contrast = above - part > part - below ? above - part : below - part;
         if (std::abs(contrast) < std::max(CONTRAST * std::abs(empty - part), clear)) continue;
         double x = u, y = v, mass = 0;
         for (int turn = 0; turn < ROUNDS; turn++) {
-            // First what stands out in the inner part; then round the last centre.
+            // First all deviating pixels of the inner part, then those around the last centre.
             const double reach = turn == 0 ? core : MARK_REACH * mark, at_x = x, at_y = y;
             const Box box(plate.grey, at_x, at_y, reach);
             x = y = 0, mass = 1e-9;

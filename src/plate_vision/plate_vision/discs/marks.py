@@ -1,8 +1,8 @@
-"""Marks: a spot off the middle of a part, darker or lighter than the part, shows its angle.
+"""Marks: a spot off the centre of a part, darker or lighter than the part, shows its angle.
 
-A spot is the region around the pixel that differs most from the part's grey. It is painted over, so
-that the part is then measured like one without a mark. Highlights, which are as bright as the plate
-or brighter, are painted over too, but do not count as marks.
+The mark is the region around the pixel that differs most from the part's grey. It is painted over,
+so that the part is then measured like one without a mark. Highlights, which are as bright as the
+plate or brighter, are painted over too, but do not count as marks.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from . import silhouette
 
 
 def find_marks(plate: LitPlate, seeds: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return the centres (n, 2) [px] of marks, NaN for a part without one.
+    """Return the centres (n, 2) [px] of marks, NaN for a part without a mark.
 
-    Places (n, 2) of the parts are known to a pixel or two [px], with silhouettes (n,) SILHOUETTE.
+    `seeds` (n, 2) are the places of the parts, with errors of one or two pixels; `parts` (n,)
+    SILHOUETTE are the silhouettes there.
     """
     return np.asarray(_kernels.find_marks(*plate, seeds, silhouette.numbers(parts)))

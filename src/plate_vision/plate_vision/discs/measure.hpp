@@ -1,4 +1,4 @@
-// Centres, radii and darkness of round parts that stand alone: see measure.py.
+// Centres, radii and darkness of round parts that stand alone: see dark.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,22 +13,22 @@
 
 namespace plate {
 
-// Reach [px] beyond a part's radius that is looked at: 0.7 px from rounding the window, 1 px of
-// seed error, and the blurred edge.
+// Width [px] of the evaluated window beyond a part's radius: 0.7 px from rounding the window, 1 px
+// of seed error, and the blurred edge.
 constexpr double RIM_PX = 3.0;
 
-// Distance [px] from a part's radius to the rim of its window that must be bright.
+// Distance [px] from a part's radius beyond which its window must show bare plate.
 constexpr double RIM_CLEAR_PX = 2.2;
 
-// Inner part of a disc, in radii, whose mean darkness, or median if it may have a mark, is the
-// part's: away from the blurred edge.
+// Radius of the inner part of a disc, in radii, away from the blurred edge. The part's darkness is
+// its mean there, or its median if it may have a mark.
 constexpr double CORE = 0.6;
 
-// Darkness below which moments leave a pixel out: 4 standard deviations of a noise of 2 in 200
-// levels. Otherwise the empty rim of the window would make the centre's error half as large again.
+// Darkness below which moments ignore a pixel: 4 standard deviations of a noise of 2 in 200 grey
+// levels. Otherwise the empty border of the window would increase the centre's error by half.
 constexpr double LEAST_DARKNESS = 0.04;
 
-// Darkness below which a fitted disc is a shadow, no part; keeps the division by it harmless.
+// Darkness below which a fitted disc is a shadow, not a part. It also bounds the division by it.
 constexpr double MIN_DARKNESS = 0.05;
 
 // A measured disc: see `DISC` of measure.py.
@@ -36,9 +36,9 @@ struct Disc {
     double x_px, y_px, radius_px, darkness, misfit, scatter_px, seen;
 };
 
-// The round window around a seed: its pixels' places from the middle [px].
+// The round window around a seed: places of its pixels from the centre [px].
 struct RoundWindow {
-    // What is added up of the pixels, by which each one's darkness is multiplied.
+    // Sums over the pixels, and the factors by which each pixel's darkness enters them.
     enum Sum { MASS, RIGHT, DOWN, WIDE, RIM, FLAT, ASKEW, SUMS = 8 };
 
     struct Pixel {
@@ -46,7 +46,7 @@ struct RoundWindow {
         bool inner;
     };
     std::vector<float> x, y;
-    std::vector<int> offsets;  // in the image, from the middle
+    std::vector<int> offsets;  // in the image, from the centre pixel
     std::vector<Pixel> pixels;
     int reach, inner = 0;
 
@@ -80,12 +80,12 @@ PLATE_WIDE inline void darkness_at(const LitPlate& plate, const RoundWindow& win
     for (int i = 0; i < count; i++) dark[i] = 1 - here[i] / bare(light, left + x[i], top + y[i]);
 }
 
-// Radii [px] are rounded to this for the windows of discs that stand alone: a window is made once.
+// Step to which radii [px] of windows for single discs are rounded, so that windows are reused.
 constexpr double WINDOW_STEP_PX = 0.5;
 
-// Measure discs (n,) that are `alone` from round windows at seeds (n, 2) where silhouettes are (n,),
-// and the dark area (n,) [px2] in the rims of the windows; those at the image's border stay as they
-// are.
+// Measure the discs (n,) that are `alone` from round windows at seeds (n, 2) with silhouettes (n,).
+// Also return the dark area (n,) [px2] in the outer rings of the windows. Discs at the image's
+// border are not changed.
 inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
                           const Silhouette* parts, const bool* alone, Disc* discs, double* dirt) {
     std::map<int, RoundWindow> windows;
@@ -111,13 +111,14 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
         const float mass = std::max(sum[RoundWindow::MASS], 1e-6f);
         const float right = sum[RoundWindow::RIGHT] / mass, down = sum[RoundWindow::DOWN] / mass;
         const float wide = sum[RoundWindow::WIDE] / mass - right * right - down * down;
-        // Over `wide`, the double moments of an ellipse with half axes a, b: (a2 - b2) / (a2 + b2)
-        // in its direction. What is beyond those of the silhouette is a shadow or another thing.
+        // Twice the moments of an ellipse with half axes a, b, over `wide`, are
+        // (a^2 - b^2) / (a^2 + b^2) in its direction. A deviation from the silhouette's values is a
+        // shadow or another thing.
         const float flat = sum[RoundWindow::FLAT] / mass - right * right + down * down;
         const float askew = sum[RoundWindow::ASKEW] / mass - 2 * right * down;
         const auto [expected_flat, expected_askew] = parts[k].flatness();
         const double oblong = length_of(flat / wide - expected_flat, askew / wide - expected_askew);
-        // The mean over the inner part; the seed is near enough for that to be all inside.
+        // Mean over the inner part. The seed is near enough for all its pixels to be on the part.
         const float dark = std::max(inner / window.inner, static_cast<float>(MIN_DARKNESS));
         const double area = mass / (std::numbers::pi * dark);
         discs[k] = {x0 + static_cast<double>(right), y0 + static_cast<double>(down),
@@ -126,7 +127,7 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
     }
 }
 
-// Which centres (n, 2) [px] have another nearer than a distance.
+// Set `near` (n,) for centres (n, 2) [px] that have another one nearer than a distance.
 inline void crowded(View<const double, 2> centre, double distance_px, bool* near) {
     std::fill_n(near, centre.size(0), false);
     for (int i = 0; i < centre.size(0); i++)

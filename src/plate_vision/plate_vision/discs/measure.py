@@ -1,6 +1,7 @@
-"""The numbers of a disc, common to all methods that measure it; and which discs are near others.
+"""The record of a measured disc, common to all methods; and which discs have near neighbours.
 
-Darkness is 1 - grey / bare plate: 0 on the plate, the same all over a part whatever the shading.
+Darkness is 1 - grey / bare plate. It is 0 on the plate, and constant over an even part whatever the
+shading of the light.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ DISC = np.dtype(
     [(name, "f8") for name in ("x_px", "y_px", "radius_px", "darkness", "misfit")]
     + [("scatter_px", "f8"), ("seen", "f8")]
 )
-"""A measured disc: its place; radius, that of a disc of the same darkness and area; mean darkness
-of its inner part; deviation from an evenly dark disc (moments) or from its contour (fit): 0 for a
-perfect one, about 1 for something else; standard deviation of the place along each axis, as far as
-the image's noise and the misfit cause it; fraction of the contour that is seen."""
+"""A measured disc: place; radius of a disc of the same darkness and area; mean darkness of its
+inner part; misfit, the deviation from an evenly dark disc (moments) or from its contour (fit): 0 if
+perfect, about 1 for another thing; standard deviation of the place along each axis, caused by the
+image's noise and the misfit; visible fraction of the contour."""
 
 
 def numbers(discs: np.ndarray) -> np.ndarray:
@@ -25,7 +26,7 @@ def numbers(discs: np.ndarray) -> np.ndarray:
 
 
 def crowded(centre: np.ndarray, distance_px: float) -> np.ndarray:
-    """Tell which centres (n, 2) [px] have another nearer than a distance: (n,) bool."""
+    """Return which centres (n, 2) [px] have another one nearer than a distance: (n,) bool."""
     near = np.empty(len(centre), np.bool_)
     _kernels.crowded(centre, distance_px, near)
     return near

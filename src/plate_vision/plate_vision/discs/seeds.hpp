@@ -13,26 +13,28 @@
 
 namespace plate {
 
-// Change of darkness [1/px], by Sobel, that is an edge: seven times what noise makes.
+// Minimum gradient of the darkness [1/px] at an edge, by Sobel: seven times that of noise.
 constexpr double MIN_SLOPE = 0.03;
 
-// Least fraction of a whole rim's votes that make a part; and where no other is near, as in the
-// middle of seven that are packed: of its rim only the gaps are seen, and those are blurred.
+// Minimum number of votes for a part, relative to those of a whole contour; and the same if no
+// other centre is near. The second one finds the middle of seven packed parts: only the gaps of its
+// contour are visible, and they are blurred.
 constexpr double MIN_VOTES[] = {0.12, 0.02};
 
-// Least darkness of the place that is voted for: keeps bright places from collecting votes.
+// Minimum darkness in the division of a vote: prevents bright places from collecting votes.
 constexpr double MIN_TARGET = 0.1;
 
-// Least distance of two centres, in part radii, for each of these: parts that touch have 2, the
-// middle of four in a square 1.4.
+// Minimum distance of two centres in part radii, for each entry of MIN_VOTES. Touching parts have
+// 2, the middle of four in a square 1.4.
 constexpr double SEPARATION[] = {1.3, 1.6};
 
-// A coarse grid of pixels: the first one, and the step [px].
+// A coarse grid of pixels: its first pixel, and its step [px].
 struct Grid {
     int x, y, step;
 };
 
-// Write 1 (h, w) where there is less than a fraction of the light, or no plate, on a grid.
+// Write 1 to a grid (h, w) where a pixel is darker than a fraction of the light, or outside the
+// plate.
 PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid grid,
                                  View<const bool, 2> outside, View<uint8_t, 2> dark) {
     float light[9];
@@ -58,13 +60,13 @@ PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid g
     }
 }
 
-// A blob: centre x, y; number of pixels; box x0, x1, y0, y1, half open.
+// A blob: centre x, y; number of pixels; bounding box x0, x1, y0, y1, half open.
 struct Blob {
     double x, y, size, x0, x1, y0, y1;
 };
 
-// Find the blobs in `core` (h, w). `number` (h, w) becomes that of each pixel's blob, from 1 on; it
-// is 0 before, and `core` is false everywhere afterwards.
+// Find the connected blobs in `core` (h, w). `number` (h, w), 0 before, becomes the number of each
+// pixel's blob, from 1 on. `core` is false everywhere afterwards.
 inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number) {
     const int height = core.size(0), width = core.size(1);
     struct Pixel {
@@ -105,11 +107,11 @@ inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number)
     return found;
 }
 
-// Let every piece of edge vote for the place of the part whose silhouette has that edge; `votes`
-// (h, w) begins at the pixel x0, y0.
+// Hough transform: each pixel of an edge votes for the place of the part whose silhouette has that
+// edge there. `votes` (h, w) begins at the pixel x0, y0.
 //
-// A vote weighs as much as the edge rises, relative to the darkness it votes for: so the votes of
-// a whole rim add up to its length [px], however blurred it is.
+// The weight of a vote is the edge's gradient relative to the darkness at the voted place. The
+// votes of a whole contour then sum up to its length [px], whatever its blur.
 inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
                  View<float, 2> votes) {
     const int height = plate.height(), width = plate.width();
@@ -139,7 +141,7 @@ inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
     }
 }
 
-// Squared distance [px2] of a point from the nearest of `count` centres [px].
+// Squared distance [px^2] of a point from the nearest of `count` centres [px].
 inline double nearest(const double* centres, int count, double x, double y) {
     double least = std::numeric_limits<double>::infinity();
     for (int k = 0; k < count; k++) {
@@ -149,8 +151,9 @@ inline double nearest(const double* centres, int count, double x, double y) {
     return least;
 }
 
-// Centres x, y (n, 2) [px]: the most votes (h, w) first, then the most far enough away. The votes
-// begin at the pixel x0, y0; centres are where `merged` (h, w) is true, on a grid.
+// Centres x, y (n, 2) [px] in decreasing order of votes (h, w), each far enough from the previous
+// ones. The votes begin at the pixel x0, y0. Centres are restricted to where `merged` (h, w), on a
+// grid, is true.
 inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0,
                                       View<const bool, 2> merged, const Grid& grid, double radius) {
     const double rim = 2 * std::numbers::pi * radius;
@@ -181,7 +184,7 @@ inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0
         if (count < MIN_VOTES[0] * rim &&
             nearest(found.data(), found.size() / 2, x + x0, y + y0) < far)
             continue;
-        // The middle of the peak: among pixels with nearly as many votes.
+        // Centre of the peak: weighted mean of the pixels with more than half of its votes.
         double weight = 0, sx = 0, sy = 0;
         for (int j = std::max(y - 1, 0); j < std::min(y + 2, rows); j++)
             for (int i = std::max(x - 1, 0); i < std::min(x + 2, columns); i++) {

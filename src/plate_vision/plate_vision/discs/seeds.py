@@ -1,7 +1,8 @@
-"""First guesses of the parts' centres: cheap, to about a pixel, also where parts touch.
+"""Seeds: first guesses of the parts' centres, computed fast, to about a pixel, even where parts
+touch.
 
-Dark blobs are eroded. What is then as large as one part is one; in what is larger, every piece of
-edge votes for the point one radius inside it: a Hough transform for one radius.
+Dark blobs are eroded. An eroded blob of the size of one part is one seed. In a larger one, each
+pixel of an edge votes for the point one radius inside it: a Hough transform for one radius.
 """
 
 from __future__ import annotations
@@ -17,21 +18,21 @@ from ..plate.region import Region
 from .silhouette import SILHOUETTE, Silhouettes, longest, numbers, to_image
 
 COARSE_RADIUS_PX = 3.5
-"""Least radius [px] that a part keeps when rows and columns are skipped for speed."""
+"""Minimum radius of a part on the coarse grid, which skips rows and columns for speed [px]."""
 
 EROSION = 0.5
-"""Rim taken off every dark blob, in part radii: cuts the neck between parts that touch, and
-removes the thin dark line of a plate that is displaced a little."""
+"""Width by which dark blobs are eroded [part radii]. It separates parts that touch, and removes the
+thin dark line of a plate that is displaced a little."""
 
 MIN_CORE = 0.1
-"""Smallest eroded blob, relative to that of a whole part: what is left of a part of which hardly
-half is on the plate, a quarter in a corner, or which is 0.8 as large as expected."""
+"""Minimum size of an eroded blob, relative to a whole part's. It keeps a part of which hardly half
+is on the plate, a quarter in a corner, or whose radius is 0.8 of the expected one."""
 
 MAX_CORE = 1.5
-"""Largest eroded blob that is taken for one part."""
+"""Maximum size of an eroded blob that counts as one part, relative to a whole part's."""
 
 SPREAD = 0.2
-"""Votes are counted together over this many radii to either side: how well a radius is known."""
+"""Half width of the window over which votes are summed [part radii]: the error of the radius."""
 
 
 def find_seeds(
@@ -41,8 +42,8 @@ def find_seeds(
     radius_px: float,
     silhouettes: Silhouettes,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the places (n, 2) [px] of dark blobs; some may be no part. Returns also the silhouettes
-    (n,) SILHOUETTE of a part there.
+    """Find the places (n, 2) [px] of dark blobs, some of which may not be parts. Also return the
+    silhouettes (n,) SILHOUETTE of a part there.
 
     Parameters
     ----------
@@ -54,10 +55,10 @@ def find_seeds(
     radius_px : float
         Smallest radius of a part in the image [px].
     silhouettes : callable
-        Of a part at image points.
+        Returns the silhouettes of a part at image points.
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
-    # What is outside counts as dark while eroding: a part is not eroded from the plate's edge.
+    # Pixels outside count as dark: a part is then not eroded from the plate's edge.
     outside = region.outside(stride)
     if outside.size == 0:
         return np.empty((0, 2)), np.empty(0, SILHOUETTE)
@@ -77,8 +78,8 @@ def seeds_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the places (n, 2) [px] of parts in dark pixels (h, w) uint8 of a coarse grid.
 
-    `outside` (h, w) bool are those that show no plate, and are dark too; `grid` is the first x, the
-    first y and the step [px]; the rest as for `find_seeds`.
+    `outside` (h, w) bool marks pixels outside the plate, which are dark in `dark` too. `grid` is
+    the first x, the first y and the step [px]. Other parameters as in `find_seeds`.
     """
     x0, y0, stride = grid
     eroded = round(EROSION * radius_px / stride)
@@ -98,13 +99,13 @@ def seeds_of(
     size = blobs[:, 2] / (whole / stride**2)
     large = size > MAX_CORE
     single = (size >= MIN_CORE) & ~large
-    # The middle of a part that leans is half way to its top.
+    # The centre of a leaning part's blob is half way between its base and its top.
     seeds = middle[single]
     if leans:
         seeds = seeds - 0.5 * to_image(parts[single], lean[single])
     if not np.any(large):
         return seeds, parts[single]
-    # Around a core is what was eroded, with the edges that vote.
+    # Extend the boxes by the eroded width and the edges that vote.
     pad = np.rint(longest(parts[large])).astype(int)[:, None] + stride
     low, size_px = np.repeat((x0, y0), 2), np.repeat(plate.grey.shape[::-1], 2)
     boxes = np.clip(blobs[large, 3:].astype(int) * stride + low + pad * (-1, 1, -1, 1), 0, size_px)
@@ -128,11 +129,11 @@ def _split(
     boxes: np.ndarray,
     parts: np.ndarray,
 ) -> np.ndarray:
-    """Return the places (n, 2) [px] of parts in dark areas that are too large for one.
+    """Return the places (n, 2) [px] of parts in dark areas that are too large for one part.
 
-    They may be where `merged` (h, w) is true, on a grid (first x, first y, step [px]); `boxes`
-    (m, 4) are the pixels x0, x1, y0, y1, half open, around each of these areas; `parts` (m,)
-    SILHOUETTE are what a part looks like there.
+    Places are restricted to where `merged` (h, w) is true on a grid (first x, first y, step [px]).
+    `boxes` (m, 4) are the pixel ranges x0, x1, y0, y1, half open, around the areas. `parts` (m,)
+    SILHOUETTE are the silhouettes of a part there.
     """
     found = np.empty((0, 2))
     for (x0, x1, y0, y1), part in zip(boxes.tolist(), np.split(parts, len(parts)), strict=True):
@@ -141,7 +142,7 @@ def _split(
         votes = np.zeros((y1 - y0, x1 - x0), np.float32)
         _kernels.vote(*plate.pixels, x0, y0, numbers(part), votes)
         votes = cv2.boxFilter(votes, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        # Boxes may overlap, so that a part is found in two of them.
+        # Boxes may overlap, so a part may be found in two of them.
         for x, y in _kernels.find_peaks(votes, x0, y0, merged, grid, radius_px):
             if _kernels.nearest(found, x, y) > radius_px**2:
                 found = np.vstack([found, (x, y)])

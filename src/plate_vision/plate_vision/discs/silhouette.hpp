@@ -8,9 +8,9 @@
 
 namespace plate {
 
-// One row of `SILHOUETTE` (silhouette.py). `across` (2, 2) takes image offsets [px] from the part's
-// place to the disc's frame, in which the contour at the plate is a circle. The top is a circle of
-// `growth` times that radius about `lean` [px].
+// One row of `SILHOUETTE` (silhouette.py). `across` (2, 2) transforms image offsets [px] from the
+// part's place to the disc's frame, in which the contour at the plate is a circle. The top is a
+// circle of `growth` times that radius around `lean_px`.
 struct Silhouette {
     double across[2][2], radius_px, lean_px[2], growth;
 
@@ -24,10 +24,10 @@ struct Silhouette {
         const double area = across[0][0] * across[1][1] - across[0][1] * across[1][0];
         return std::abs(area) > 1e-6 && std::isfinite(reach());
     }
-    // Of the ellipse that a flat part is in the image, with half axes a, b: (a2 - b2) / (a2 + b2)
-    // times the cosine and the sine of twice the direction of a.
+    // For the image of a flat part, an ellipse with half axes a, b: (a^2 - b^2) / (a^2 + b^2) times
+    // the cosine and the sine of twice the direction of a.
     std::array<double, 2> flatness() const {
-        // Its second moments are those of the inverse of `across`, times its transpose.
+        // Its second moments are those of A^-1 A^-T with A = `across`.
         const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
         const double xx = d * d + b * b, yy = a * a + c * c, xy = -(c * d + a * b);
         return {(xx - yy) / (xx + yy), 2 * xy / (xx + yy)};
@@ -35,24 +35,24 @@ struct Silhouette {
     bool is_high() const { return growth != 1 || lean_px[0] != 0 || lean_px[1] != 0; }
     double lean_length() const { return length_of(lean_px[0], lean_px[1]); }
 
-    // Largest length [px of the image] of what has a length of 1 px in the disc's frame.
+    // Maximum length in the image [px] of a vector with length 1 px in the disc's frame.
     double stretch() const {
-        // It is one over the smallest singular value.
+        // Reciprocal of the smallest singular value.
         const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
         const double half = 0.5 * (a * a + b * b + c * c + d * d), area = a * d - b * c;
         const double least = std::sqrt(half - std::sqrt(std::max(half * half - area * area, 0.0)));
         return 1 / std::max(least, 1e-3);
     }
 
-    // Distance [px of the image] within which all of the silhouette is.
+    // Distance in the image [px] from the part's place within which the whole silhouette is.
     double reach() const {
         return (std::max(growth, 1.0) * radius_px + lean_length()) * stretch();
     }
 
-    // Image offset [px] from the part's place to the contour, where the outward normal of the
-    // contour in the image is along (nx, ny).
+    // Image offset [px] from the part's place to the point of the contour whose outward normal in
+    // the image is along (nx, ny).
     void contour(double nx, double ny, double& x, double& y) const {
-        // Normals change by the inverse transpose, up to length.
+        // Normals transform by the inverse transpose, up to their length.
         double wx = across[1][1] * nx - across[1][0] * ny;
         double wy = across[0][0] * ny - across[0][1] * nx;
         const double length = std::max(std::sqrt(wx * wx + wy * wy), 1e-12);

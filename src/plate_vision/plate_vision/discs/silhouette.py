@@ -1,9 +1,12 @@
-"""The silhouette of a round part at each place of the image: its size, shape and lean there.
+"""The silhouette of a round part at a place of the image: its size, shape and lean.
 
-Near one place the mapping from the image to the plate is linear: a part of radius r is an ellipse.
-A part of height h is seen with its side faces. Its top is at p + l with the lean l = (p - c) h /
-(H - h) and H / (H - h) times as large, where c is the place below the camera and H the height of
-the camera above the plate.
+Near one place the mapping from the image to the plate is linear, so a part of radius r appears as
+an ellipse. A part of height h also shows its side faces. Its top appears at p + l, larger by the
+factor H / (H - h), with the lean
+
+    l = (p - c) h / (H - h),
+
+where c is the place below the camera and H the height of the camera above the plate.
 """
 
 from __future__ import annotations
@@ -18,12 +21,12 @@ from ..camera.lens import Calibration
 SILHOUETTE = np.dtype(
     [("across", "f8", (2, 2)), ("radius_px", "f8"), ("lean_px", "f8", (2,)), ("growth", "f8")]
 )
-"""The silhouette at one place. `across` takes image offsets [px] to the disc's frame, where the
-contour at the plate is a circle of `radius_px`, that of the disc of the same area in the image. The
-top is a circle of `growth` times that radius about `lean_px` [px, disc's frame]."""
+"""The silhouette at one place. `across` transforms image offsets [px] to the disc's frame. There
+the contour at the plate is a circle of `radius_px`, the radius of the disc of the same area in the
+image. The top is a circle of `growth` times that radius around `lean_px` [px, disc's frame]."""
 
 RING = 8
-"""Points of a disc's contour that are mapped to the plate."""
+"""Number of points of a disc's contour that are mapped to the plate."""
 
 Silhouettes = Callable[[np.ndarray], np.ndarray]
 """Returns the silhouettes (n,) SILHOUETTE of a part at image points (n, 2) [px]."""
@@ -48,8 +51,8 @@ class EvenDiscs:
 class SeenDiscs:
     """Silhouettes of a part of a radius and a height [m] in a camera's images.
 
-    With J the derivative of plate_home in the image, J = Q S with Q orthogonal and S symmetric:
-    `across` is S / sqrt(det S). The height counts if the camera's place is known.
+    With the derivative J of plate_home with respect to the image, and J = Q S with Q orthogonal and
+    S symmetric, `across` is S / sqrt(det S). The height is used if the camera's place is known.
     """
 
     calibration: Calibration
@@ -64,7 +67,7 @@ class SeenDiscs:
         area = np.abs(a * d - b * c)  # sqrt(det J'J) [m2/px2]
         found = np.zeros(len(slopes), SILHOUETTE)
         xx, xy, yy = a * a + c * c + area, a * b + c * d, b * b + d * d + area
-        # S = (J'J + sqrt(det) 1) / sqrt(trace of that)
+        # S = (J'J + sqrt(det(J'J)) 1) / sqrt(its trace)
         across = np.array([xx, xy, xy, yy]) / np.sqrt((xx + yy) * area)
         found["across"] = across.T.reshape(-1, 2, 2)
         found["radius_px"] = self.radius / np.sqrt(area)
@@ -75,7 +78,7 @@ class SeenDiscs:
                 * self.height
                 / (place[2] - self.height)
             )
-            # Q' l = S^-1 J' l, over the size of a pixel
+            # Q' l = S^-1 J' l, divided by the size of a pixel
             right, down = (a * x + c * y) / area, (b * x + d * y) / area
             p, q, r, s = across
             found["lean_px"][:, 0] = s * right - q * down
@@ -90,7 +93,7 @@ def numbers(parts: np.ndarray) -> np.ndarray:
 
 
 def to_image(parts: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Return image offsets (n, 2) or (n, k, 2) [px] from as many in the frames of discs [px]."""
+    """Transform offsets (n, 2) or (n, k, 2) [px] from the frames of n discs to the image [px]."""
     p, q, r, s = parts["across"].reshape(-1, 4).T
     x, y = offset.T  # (n,) or (k, n)
     seen = np.empty(offset.shape)
@@ -99,8 +102,8 @@ def to_image(parts: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 def outlines(parts: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
-    """Return image offsets (n, RING, 2) [px] of points around the contours at the plate, if their
-    radii are (n,) [px]."""
+    """Return image offsets (n, RING, 2) [px] of points on the contours at the plate, for radii (n,)
+    [px]."""
     turn = 2 * np.pi * np.arange(RING) / RING
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     return to_image(parts, radius_px[:, None, None] * ring)
@@ -113,7 +116,7 @@ def tops(places_px: np.ndarray, parts: np.ndarray) -> np.ndarray:
 
 
 def longest(parts: np.ndarray) -> np.ndarray:
-    """Return the distances (n,) [px of the image] from the places of parts within which their
+    """Return the distances (n,) in the image [px] from the places of parts within which their
     silhouettes are."""
     half = 0.5 * np.einsum("nij,nij->n", parts["across"], parts["across"])
     stretch = np.sqrt(half + np.sqrt(np.maximum(half * half - 1, 0)))

@@ -1,6 +1,6 @@
-"""The plate in the image: its region and outline, the light on it, and where it is by its markers.
+"""The plate in the image: its region and outline, the light on it, and its pose by markers.
 
-Others use the names below; a `Region` is made once for many images.
+Other packages use the names below. A `Region` is made once for many images.
 """
 
 from .contrast import brightness, channels_of, contrast_image

@@ -1,4 +1,4 @@
-// Arrays of Python as kernels of vision take them; what would be read outside memory is refused.
+// Python arrays as arguments of the vision kernels. Accesses outside their memory are refused.
 #pragma once
 #include <array>
 #include <stdexcept>
@@ -43,7 +43,7 @@ inline void require_lights(const In<uint8_t, 3>& image, const In<float, 2>& ligh
             "shapes: image (h, w, c), lights (c, 9)");
 }
 
-// Require that a grid with these numbers of rows and columns lies within an image (h, w, ...).
+// Require that a grid with these numbers of rows and columns is inside an image (h, w, ...).
 template <class Image>
 void require_grid(const std::array<int, 3>& grid, int64_t rows, int64_t columns,
                   const Image& image) {

@@ -1,4 +1,4 @@
-// How far pixels are from the bare plate, darker or brighter, in any channel: see contrast.py.
+// Deviation of pixels from the bare plate, darker or brighter, in any channel: see contrast.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -13,8 +13,9 @@
 
 namespace plate {
 
-// Deviation of a pixel from the bare plate, 0 to 1, the largest of all channels: relative to the
-// plate; of brighter ones to what is between the plate and white, if that is more.
+// Deviation of a pixel from the bare plate, 0 to 1, the maximum over the channels. A darker pixel
+// is compared with the plate's level; a brighter one with the plate's level or its distance to
+// white, whichever is larger.
 inline float deviation(const uint8_t* pixel, int channels, View<const float, 2> lights, int x,
                        int y) {
     float most = 0;
@@ -25,7 +26,7 @@ inline float deviation(const uint8_t* pixel, int channels, View<const float, 2> 
     return std::min(most, 1.f);
 }
 
-// Write 255 less the deviation, scaled to 255, into a box x0, y0, x1, y1 of an image (h, w).
+// Write 255 (1 - deviation) into a box x0, y0, x1, y1 of an image (h, w).
 inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> lights, int x0, int y0,
                            int x1, int y1, View<uint8_t, 2> out) {
     const int channels = image.size(2);
@@ -36,8 +37,8 @@ inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> li
     }
 }
 
-// Write 1 where pixels deviate by more than a limit, 0 elsewhere, on a grid (h, w): of the mean of
-// each pixel and its neighbours to the right and below, as the noise of that is half as large.
+// Write 1 where pixels deviate by more than a limit, 0 elsewhere, on a grid (h, w). The mean of
+// each pixel and its neighbours to the right and below is used, because its noise is half as large.
 PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 2> lights,
                                 double limit, const std::array<int, 3>& grid,
                                 View<uint8_t, 2> out) {
@@ -73,8 +74,8 @@ PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 
     }
 }
 
-// Write the median brightness (n,) of the inner parts of discs at places (n, 2) [px] of radii (n,)
-// [px], relative to the bare plate: the mean of all channels.
+// Write the median brightness (n,) of the inner parts of discs at places (n, 2) [px] with radii
+// (n,) [px], relative to the bare plate, averaged over the channels.
 inline void find_brightness(View<const uint8_t, 3> image, View<const float, 2> lights,
                             View<const double, 2> places, const double* radii, double inner,
                             double* out) {

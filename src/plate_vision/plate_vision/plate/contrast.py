@@ -1,9 +1,12 @@
 """The contrast of an image to the bare plate: the same for darker, brighter and coloured parts.
 
-The deviation of a pixel from the bare plate is, in each channel, (plate - pixel) / plate if it is
-darker, and (pixel - plate) / max(plate, white - plate) if it is brighter. The contrast is the
-largest of all channels. As an image it is 255 (1 - contrast): parts are dark on a white plate,
-whatever they are in the camera's image.
+In each channel the deviation of a pixel from the bare plate is
+
+    (plate - pixel) / plate                         if the pixel is darker,
+    (pixel - plate) / max(plate, white - plate)     if it is brighter.
+
+The contrast is the maximum over the channels. The contrast image is 255 (1 - contrast), so parts
+are dark on a white plate, whatever they are in the camera's image.
 """
 
 from __future__ import annotations
@@ -17,11 +20,12 @@ from .light import LitPlate, fit_light
 from .region import Region
 
 LEAST_CHANNEL = 20.0
-"""Darkest plate in a channel of which the contrast is used [grey levels]: below, noise and dark
-current are too large a part of it."""
+"""Minimum brightness of the plate in a channel whose contrast is used [grey levels]. On a darker
+plate, noise and dark current are too large a fraction."""
 
 INNER = 0.6
-"""Inner part of a disc, in radii, whose brightness is taken: away from the blurred edge."""
+"""Radius of the inner part of a disc whose brightness is measured [radii]: inside the blurred
+edge."""
 
 
 class Channels(NamedTuple):
@@ -32,9 +36,9 @@ class Channels(NamedTuple):
     image : (H, W, c) uint8
         The channels with enough light.
     lights : (c, 9) float32
-        As `LitPlate.light`.
+        Light of each channel, as `LitPlate.light`.
     noise : float
-        The largest of their noises, as `LitPlate.noise`.
+        Maximum noise of these channels, as `LitPlate.noise`.
     """
 
     image: np.ndarray
@@ -43,7 +47,7 @@ class Channels(NamedTuple):
 
 
 def channels_of(image: np.ndarray, plate: LitPlate, region: Region) -> Channels:
-    """Fit the light in all channels of an image (H, W) or (H, W, 3), of which `plate` is the grey
+    """Fit the light in all channels of an image (H, W) or (H, W, 3). `plate` holds its grey
     levels."""
     if image.ndim == 2:
         return Channels(plate.grey[:, :, None], plate.light[None], plate.noise)
@@ -70,7 +74,7 @@ def contrast_image(channels: Channels, region: Region) -> LitPlate | None:
 def find_odd(
     channels: Channels, limit: float, grid: tuple[int, int, int], shape: tuple[int, int]
 ) -> np.ndarray:
-    """Return which pixels (h, w) uint8, 0 or 1, deviate from the plate by more than a limit, on a
+    """Return 1 (h, w) uint8 where pixels deviate from the plate by more than a limit, else 0, on a
     grid (first x, first y, step [px])."""
     odd = np.empty(shape, np.uint8)
     _kernels.find_odd(channels.image, channels.lights, limit, grid, odd)
@@ -78,8 +82,8 @@ def find_odd(
 
 
 def brightness(channels: Channels, places: np.ndarray, radii_px: np.ndarray) -> np.ndarray:
-    """Return the median brightness (n,) of discs at places (n, 2) [px] of radii (n,) [px], relative
-    to the bare plate: the mean of all channels."""
+    """Return the median brightness (n,) of discs at places (n, 2) [px] with radii (n,) [px],
+    relative to the bare plate, averaged over the channels."""
     return np.asarray(
         _kernels.find_brightness(channels.image, channels.lights, places, radii_px, INNER)
     )

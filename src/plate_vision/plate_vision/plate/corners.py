@@ -1,4 +1,8 @@
-"""Find the corners of a plate without markers by its outline in a picture."""
+"""The corners of a plate without markers, found by the plate's outline in a picture.
+
+`find_plate_corners` measures the four edges (`measure_outline`), intersects them, and repeats this
+around the new corners until they settle.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +44,7 @@ def find_plate_corners(
     Parameters
     ----------
     lens : Lens, optional
-        The rig's if None.
+        Lens of the camera; None: the rig's.
 
     Returns
     -------
@@ -52,7 +56,7 @@ def find_plate_corners(
     Raises
     ------
     CalibrationError
-        If no outline is seen on all four sides.
+        If the outline is not visible on all four sides.
     """
     starts = [np.array(rig.camera.corners_px, float), *_quadrilaterals(image, rig)]
     for start in starts:
@@ -104,8 +108,8 @@ def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]
 
 
 def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
-    """Return the corners (4, 2) [px] of large quadrilaterals, brighter or darker than the rest, the
-    largest first; in the order nearest to the rig's corners."""
+    """Return the corners (4, 2) [px] of large quadrilaterals that are brighter or darker than the
+    rest, the largest first, each in the order nearest to the rig's corners."""
     grey = cv2.GaussianBlur(grey_levels(image), (5, 5), 0)
     _, bright = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     found = []

@@ -1,6 +1,7 @@
-"""Where plate_home is in the image, and where the plate is in plate_home: by markers on the plate.
+"""plate_home in the image, and the pose of the plate in plate_home, by markers on the plate.
 
-plate_home is found once, the plate in every image.
+plate_home is determined once, by a homography from the corners of all markers (`find_home`). The
+plate's pose is determined in every image, by a rigid least-squares fit (`find_pose`).
 """
 
 from __future__ import annotations
@@ -19,42 +20,42 @@ from ..camera.markers import find_markers, square_corners
 from ..errors import CalibrationError
 
 LEAST_SEEN = 2
-"""Markers needed for a pose: with one alone the angle would hang on 3 cm."""
+"""Minimum number of markers for a pose. One alone gives the angle over a length of only 3 cm."""
 
 WORST_FIT_M = 1e-3
-"""Largest root mean square deviation [m] of the markers' corners from where the rig file has them
-that is believed: ten times what a good print and a sharp picture leave."""
+"""Maximum root mean square deviation of the markers' corners from the rig file [m]: ten times that
+of a good print and a sharp picture."""
 
 FOLLOWED_FIT_M = 3e-4
-"""The same where markers are followed by their edges alone: others must not be taken for them."""
+"""The same limit if markers are tracked by their edges only: stricter, to exclude other things."""
 
 QUIET = 0.2
-"""Border [sides] of bare plate around a marker, which is painted over with it."""
+"""Width of the bare border around a marker that is painted over with it [sides]."""
 
 MOVED_M = 5e-4
-"""Way of a corner of the plate [m] from which parts are looked for in another region: half a pixel
-of the default rig. A new region takes longer than the detection."""
+"""Displacement of a corner of the plate above which a new region is made [m]: half a pixel of the
+default rig. Making a region takes longer than the detection."""
 
 AWAY_M = 2e-3
-"""A plate this far from home [m] when an image is taken is worth a warning."""
+"""Distance of the plate from home above which there is a warning [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlateLocation:
-    """What is known of where a plate with markers is.
+    """Location of a plate with markers.
 
     Attributes
     ----------
     rig : Rig
-        With fiducials.
+        Rig with fiducials.
     lens : Lens, optional
-        That of camera_info; the rig's if None.
+        Lens of camera_info; None: the rig's.
     home : Calibration or None
-        Found in the first image that showed all markers; until then None.
+        Calibration from the first image that showed all markers; None before it.
     pose : (3,) or None
-        x, y [m], theta [rad] in plate_home in the last image; None if too few markers were seen.
+        x, y [m], theta [rad] in plate_home in the last image; None if too few markers were visible.
     region_pose : (3,) or None
-        That for which the region was made in which parts are looked for; None if none was.
+        Pose for which the present region was made; None if there is no region.
     """
 
     rig: Rig
@@ -65,7 +66,7 @@ class PlateLocation:
 
     @property
     def problem(self) -> str | None:
-        """What a user should know, or None."""
+        """Warning for the user, or None."""
         if self.pose is None:
             return "the plate's markers are not seen, it is taken to be where it was"
         away = float(np.hypot(*self.pose[:2]))
@@ -79,15 +80,15 @@ class PlateLocation:
 
 
 def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocation, np.ndarray]:
-    """Look for the plate in an image (H, W) or (H, W, 3) uint8, before parts are looked for.
+    """Locate the plate in an image (H, W) or (H, W, 3) uint8, before the detection of parts.
 
-    Returns where it is, with another `region_pose` if parts are to be looked for in another region;
-    and the image without the markers, which could be taken for parts.
+    Return the new location, whose `region_pose` changes if a new region is needed; and the image
+    without the markers, which could be taken for parts.
 
     Raises
     ------
     CalibrationError
-        If plate_home is not known yet, and the image does not show it; or the rig has no markers.
+        If plate_home is unknown and the image does not show it, or if the rig has no markers.
     """
     rig, fiducials = location.rig, location.rig.fiducials
     if fiducials is None:
@@ -112,13 +113,12 @@ def find_home(
 ) -> tuple[Calibration, float]:
     """Find plate_home in an image (H, W) or (H, W, 3) uint8 of the plate at rest at home.
 
-    Returns also the root mean square deviation [m] of the markers' corners from where `fiducials`
-    has them.
+    Also return the root mean square deviation of the markers' corners from `fiducials` [m].
 
     Raises
     ------
     CalibrationError
-        If not all markers are seen, or they are not where the rig file has them.
+        If not all markers are visible, or they are not at the places in the rig file.
     """
     found = find_markers(grey_levels(image), fiducials.dictionary)
     missing = [str(number) for number in fiducials.numbers if number not in found]
@@ -154,10 +154,11 @@ def find_pose(
     home: Calibration,
     last: np.ndarray | None = None,
 ) -> np.ndarray | None:
-    """Return the plate's pose (3,) [m, m, rad], plate_home, by the markers that are seen.
+    """Return the plate's pose (3,) [m, m, rad], plate_home, by the visible markers.
 
-    None if fewer than `LEAST_SEEN` are, or they contradict each other. `last` is a pose that is not
-    far, in pixels: there edges are looked for before markers are, which takes half the time.
+    None if fewer than `LEAST_SEEN` are visible, or they contradict each other. `last` is a pose
+    within a few pixels. With it the markers' edges are searched first, which takes half the time of
+    a search for markers.
     """
     grey = grey_levels(image)
     if last is not None:
@@ -173,10 +174,10 @@ def find_pose(
 
 
 def fit_pose(point: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the rigid motion (3,) [m, m, rad] with the least sum of squares, and what it leaves.
+    """Return the least-squares rigid motion (3,) [m, m, rad] from points (n, 2) [m, plate frame] to
+    points (n, 2) [m, plate_home], and the root mean square residual [m].
 
-    It takes points (n, 2) [m, plate frame] to where they are seen (n, 2) [m, plate_home]; what it
-    leaves is the root mean square deviation [m].
+    With centred points a and b: theta = atan2(sum(a x b), sum(a . b)).
     """
     a, b = point - point.mean(axis=0), seen - seen.mean(axis=0)
     theta = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
@@ -188,9 +189,9 @@ def fit_pose(point: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, float]:
 def hide_markers(
     image: np.ndarray, fiducials: Fiducials, home: Calibration, pose: np.ndarray
 ) -> np.ndarray:
-    """Return a copy of the image in which the markers have the brightness of the plate around.
+    """Return a copy of the image in which the markers have the brightness of the plate around them.
 
-    So that no part is seen in them. A part that lies on a marker is not seen either. `pose` (3,)
+    The detection then finds no parts in them, and no part that is on a marker. `pose` (3,)
     [m, m, rad] is the plate's.
     """
     copy = np.array(image)
@@ -200,7 +201,7 @@ def hide_markers(
         rim = middle + (1 + 2 * QUIET) * (corners - middle)
         rim_px = home.to_image(to_home(pose, rim))
         place = np.clip(np.rint(rim_px), 0, [width - 1, height - 1]).astype(np.int32)
-        # The corners of the border are bare plate, unless a part lies there: so their median.
+        # The median ignores a part on one of the border's corners.
         shade = np.median(image[place[:, 1], place[:, 0]], axis=0)
         cv2.fillConvexPoly(copy, place, np.atleast_1d(shade).tolist())
     return copy
@@ -209,7 +210,8 @@ def hide_markers(
 def _pose(
     fiducials: Fiducials, home: Calibration, corners_px: np.ndarray, worst: float
 ) -> np.ndarray | None:
-    """Return the pose by corners (n, 4, 2) [px], NaN where unseen, if it is believed."""
+    """Return the pose by corners (n, 4, 2) [px], NaN if not visible; None if the fit is worse than
+    `worst` [m]."""
     rows = np.flatnonzero(np.all(np.isfinite(corners_px), axis=(1, 2)))
     if len(rows) < LEAST_SEEN:
         return None
@@ -219,7 +221,7 @@ def _pose(
 
 
 def _way(rig: Rig, pose: np.ndarray, other: np.ndarray) -> float:
-    """Return how far the plate's corners are apart at two poses [m]."""
+    """Return the maximum displacement of the plate's corners between two poses, per axis [m]."""
     corners = rig.plate.corners
     return float(np.abs(to_home(pose, corners) - to_home(other, corners)).max())
 

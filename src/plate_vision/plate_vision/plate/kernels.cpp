@@ -1,4 +1,4 @@
-// Bindings of the chapter `plate`.
+// Python bindings of the kernels in `plate`.
 #include <nanobind/stl/array.h>
 
 #include "plate/binding.hpp"

@@ -11,30 +11,32 @@
 
 namespace plate {
 
-// First guess of the plate's brightness: right as long as parts cover less than 3/4 of it.
+// Percentile of the brightness that is the first guess of the plate's. It is right if parts cover
+// less than 3/4 of the plate.
 constexpr double BRIGHT_PERCENTILE = 75;
 
-// Brightness relative to the first guess that counts as plate: wider than a shading of +-15 %,
-// narrow enough to leave out a part as bright as 2/3 of the plate. Then the same relative to the
-// fitted surface, for the second fit: leaves out the parts' edges.
+// Range of brightness that counts as plate, relative to the first guess: wider than a shading of
+// +-15 %, narrow enough to exclude a part with 2/3 of the plate's brightness. Then the range
+// relative to the fitted surface, for the second fit: it excludes the parts' edges.
 constexpr std::pair<double, double> BRIGHT_RANGES[] = {{0.72, 1.3}, {0.92, 1.08}};
 
-// Keeps the fit solvable for images one pixel high or wide; elsewhere without effect.
+// Keeps the fit solvable for images one pixel high or wide; without effect on others.
 constexpr double RIDGE = 1e-9;
 
-// Least fraction of the pixels looked at that must be plate.
+// Minimum fraction of the sampled pixels that must be plate.
 constexpr double MIN_FRACTION = 0.1;
 
-// Standard deviation of a normal distribution, over the lower quartile of its absolute values.
+// Ratio of the standard deviation of a normal distribution to the lower quartile of its absolute
+// values.
 constexpr double SIGMA_OF_QUARTILE = 3.1383;
 
-// Minimum noise of an image [grey levels]: that of its quantisation.
+// Minimum noise of an image [grey levels], from its quantisation.
 constexpr double LEAST_NOISE = 0.3;
 
 // Coefficients of a quadratic surface.
 constexpr int TERMS = 6;
 
-// An image, and by what parts are told from the plate in it: see `LitPlate` of light.py.
+// An image, its light, and its usable pixels: see `LitPlate` of light.py.
 struct LitPlate {
     View<const uint8_t, 2> grey;
     View<const float, 1> light;
@@ -66,14 +68,14 @@ void solve(double (&normal)[SIZE][SIZE], double (&right)[SIZE]) {
     }
 }
 
-// A pixel from which the light is taken: terms of the surface there, grey level, and nothing.
+// A pixel sampled for the light: terms of the surface there, grey level, and padding.
 struct LightSample {
     float terms[TERMS], value, none;
 };
 static_assert(sizeof(LightSample) == sizeof(Eight));
 
-// Add up the least squares over those samples whose value is `low` to `high` times the fitted one;
-// return how many these are. All sums of a sample are taken at once.
+// Sum up the normal equations over the samples whose value is `low` to `high` times the fitted one.
+// Return their number. All sums of a sample are computed at once.
 PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
                                       const std::vector<float>& fitted, double low, double high,
                                       double (&normal)[TERMS][TERMS], double (&right)[TERMS]) {
@@ -95,8 +97,9 @@ PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
     return kept;
 }
 
-// Coefficients of the surface, and the noise relative to its mean, through those of the pixels `rows`, `columns` (n,), with `design`
-// (TERMS, n), that show the bare plate; none if there is no bright plate.
+// Fit a quadratic surface to the grey levels of the pixels `rows`, `columns` (n,) that show the
+// bare plate; `design` (TERMS, n) are its terms there. Return its coefficients, and the noise
+// relative to its mean; empty if there is no bright plate.
 inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int64_t, 1> rows,
                                     View<const int64_t, 1> columns, View<const float, 2> design,
                                     double min_grey) {
@@ -126,7 +129,8 @@ inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int6
         }
     }
     if (*std::min_element(fitted.begin(), fitted.end()) < 0.5 * min_grey) return {};
-    // The noise, from the lower quartile of deviations: what covers half of the plate does not count.
+    // The noise comes from the lower quartile of the deviations, so things that cover up to half of
+    // the plate have no effect.
     double level = 0;
     for (int i = 0; i < count; i++) {
         level += fitted[i] / count;

@@ -1,5 +1,8 @@
-"""The light on the plate: its brightness where no part lies, a smooth surface; and what is wrong
-with it."""
+"""The light on the plate: the brightness of the bare plate as a quadratic surface, and its defects.
+
+`fit_light` fits the surface to sampled pixels in two steps; each keeps only pixels with about the
+brightness of the previous estimate, so that parts have no effect.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +14,30 @@ from .. import _kernels
 from .region import Region
 
 DARK_PERCENTILE, BURNT_PERCENTILE = 95, 50
-"""Percentage of an image: below its brightness there is too little light, a twentieth may be lamps
-and glare; too much, a plate that is burnt out fills more than half of the image."""
+"""Percentiles of an image's brightness. Too little light: the first one is below the plate's
+minimum, with a twentieth of the image left for lamps and glare. Too much light: the second one is
+at white, so more than half of the image is overexposed."""
 
 BURNT_GREY = 254
-"""Grey level from which a pixel may have been any brighter."""
+"""Grey level from which a pixel counts as overexposed."""
 
 EVERY = 8
-"""Of the image every eighth row and column is looked at for these."""
+"""Step between rows and columns that are evaluated for these."""
 
 
 class LitPlate(NamedTuple):
-    """An image, and by what parts are told from the plate in it: what the kernels take.
+    """An image with the brightness of the bare plate: the input of the kernels.
 
     Attributes
     ----------
     grey : (H, W) uint8
         Grey levels.
     light : (9,) float32
-        The bare plate's brightness: a to f [grey levels] of
-        a + b u + c v + d u2 + e u v + f v2; the image point [px] where u = v = 0; one over the
-        length [px] of one unit of u and v.
+        Brightness of the bare plate: the coefficients a to f [grey levels] of
+        a + b u + c v + d u2 + e u v + f v2; the image point [px] where u = v = 0; and the
+        reciprocal of the length [px] of one unit of u and v.
     usable : (H, W) bool
-        Pixels that show the plate, clear of its edge.
+        Whether a pixel shows the plate, away from its edge.
     noise : float
         Standard deviation of the bare plate's pixels, relative to its brightness [-].
     """
@@ -45,14 +49,14 @@ class LitPlate(NamedTuple):
 
     @property
     def pixels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """All but the noise, as the kernels take it."""
+        """The arrays without the noise, for the kernels."""
         return self.grey, self.light, self.usable
 
 
 def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | None:
-    """Fit the bare plate's brightness to the pixels of an image (H, W) uint8 that show no part.
+    """Fit the bare plate's brightness to the pixels of an image (H, W) uint8 without parts.
 
-    None if there is no plate as bright as `min_grey` [grey levels].
+    None if there is no plate with at least the brightness `min_grey` [grey levels].
     """
     samples = region.samples
     if not len(samples.rows):
@@ -65,9 +69,9 @@ def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | N
 
 
 def light_problem(image: np.ndarray, min_grey: float) -> str | None:
-    """Return what is wrong with the light of an image (H, W) or (H, W, 3) uint8, or None.
+    """Return the defect of the light in an image (H, W) or (H, W, 3) uint8, or None.
 
-    `min_grey` is the darkest plate that is believed [grey levels].
+    `min_grey` is the minimum brightness of the plate [grey levels].
     """
     sample = image[::EVERY, ::EVERY]
     grey = sample if sample.ndim == 2 else sample[:, :, 1]

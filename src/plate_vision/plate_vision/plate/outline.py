@@ -1,9 +1,9 @@
-"""The plate's outline in the image compared with the one that `corners_px` and lens predict.
+"""Comparison of the plate's outline in the image with the one predicted by `corners_px` and lens.
 
-Each predicted edge is crossed by profiles along its normal. A curve of second degree through steps
-of brightness in these profiles is the measured edge. The deviations of all edges give the cause: a
-lens left out bends edges, a camera that was moved shifts, rotates or scales the outline. Where
-edges are not seen nothing is claimed.
+Each predicted edge is crossed by profiles along its normal. The measured edge is a curve of second
+degree through steps of brightness in these profiles (random sampling, then least squares). The
+deviations of all edges show the cause: a missing lens model bends edges, a moved camera shifts,
+rotates or scales the outline. Edges that are not visible do not contribute.
 """
 
 from __future__ import annotations
@@ -21,84 +21,86 @@ from ..camera.encodings import grey_levels
 from ..camera.lens import Calibration
 
 IMAGES = 5
-"""Images from which the outline is evaluated: a plate that shakes is then seen at several places of
-its cycle."""
+"""Number of images in an evaluation. They show a plate in motion at several places of its cycle."""
 
 REST_M = 5e-4
-"""Range of an edge's places in these images up to which the plate is taken to rest [m]. Of a plate
-at rest it is 0.1 mm, with noise of 15 grey levels."""
+"""Maximum range of an edge's places in these images at which the plate counts as at rest [m]. A
+plate at rest has 0.1 mm, with noise of 15 grey levels."""
 
 RECHECK_S, UNSEEN_S = 1.0, 10.0
-"""Least time until the next evaluation after a finding, and where the plate was not seen or moved
-[s]: an image takes 20 to 60 ms."""
+"""Minimum time until the next evaluation [s]: after a finding; and if the plate was not visible or
+moved. An image takes 20 to 60 ms."""
 
 SEARCH = 0.15
-"""Distance from the predicted edge within which the edge is searched [smaller side of the plate]:
-a published barrel lens left out shifts corners by 8 %."""
+"""Distance from the predicted edge within which the edge is searched [smaller side of the plate]. A
+missing model of a published barrel lens shifts corners by 8 %."""
 
 STATIONS, STATION_END = 64, 0.94
-"""Profiles along an edge, and the fraction of it that they span: corners are often rounded."""
+"""Number of profiles along an edge, and the fraction of the edge that they span. Corners are often
+rounded."""
 
 NEAR_M, NEAR_STROKE, NEAR_PX = 3e-3, 0.3, 3.0
-"""Deviation that is tolerated: the smaller of the first [m] and a fraction of the stroke, but no
-less than the last [px]. At a cycle's start the plate is within 2 mm of home, and corners measured
-by hand are 1 to 2 px off."""
+"""Tolerated deviation: the smaller of the first [m] and a fraction of the stroke, but at least the
+last [px]. At a cycle's start the plate is within 2 mm of home. Corners measured by hand have errors
+of 1 to 2 px."""
 
 BOW_PX, BOW_M = 1.0, 5e-4
-"""Bow in the middle of an edge that is tolerated, the larger of the two [px, m]. It is measured to
-0.2 px, and sawn plates are straight to 0.3 mm."""
+"""Tolerated bow in the middle of an edge, the larger of the two [px, m]. It is measured to 0.2 px,
+and sawn plates are straight to 0.3 mm."""
 
 TURN_RAD, STRETCH = np.radians(0.6), 0.01
-"""Rotation [rad] and change of size [-] that are tolerated. Both are measured to a tenth of that
-on a plate of 300 px; a plate that shakes rotates by less at the starts of cycles."""
+"""Tolerated rotation [rad] and change of size [-]. Both are measured to a tenth of that on a plate
+of 300 px. A shaking plate rotates by less at the starts of cycles."""
 
 SUPPORT = 0.6
-"""Fraction of an edge's profiles that must agree on it: parts over the edge hide some."""
+"""Minimum fraction of an edge's profiles that must agree. Parts on the edge hide some."""
 
 MIN_EDGES = 3
-"""Edges that must be seen for a claim: two leave shift and size open."""
+"""Minimum number of visible edges for a finding. Two do not determine shift and size."""
 
 SMOOTH_PX = 1.0
-"""Standard deviation of the smoothing before profiles are taken [px]: noise of 20 grey levels
-becomes 6."""
+"""Standard deviation of the Gaussian filter before profiles are sampled [px]. It reduces noise of
+20 grey levels to 6."""
 
 MIN_STEP, NOISE_STEPS = 4.0, 5.0
-"""Weakest step of an edge: in grey levels, and in standard deviations of the gradient beside it."""
+"""Minimum step of an edge: in grey levels, and in standard deviations of the gradient beside it."""
 
 CANDIDATES = 3
-"""Strongest steps of each sign that are kept of a profile: the plate's edge, a shadow, a part."""
+"""Number of strongest steps of each sign kept from a profile: the plate's edge, a shadow, a
+part."""
 
 DRAWS = 400
-"""Curves that are tried for an edge: of the triples of candidates one in 27 is the true one if each
-profile has two others, so fifteen of the curves are true."""
+"""Number of curves drawn for an edge. If each profile has two false candidates, one triple of
+candidates in 27 is right, so about fifteen of the curves are right."""
 
 INLIER_PX = 2.0
-"""Distance from the curve within which a step belongs to it [px]: an edge that a strong lens bends
+"""Maximum distance of a step from the curve to which it belongs [px]. An edge bent by a strong lens
 deviates by 1 px from a curve of second degree."""
 
 MOVED_RADII = 2.0
-"""A smaller deviation, in radii of a part, is rather a camera that was moved than an image that is
-flipped, where both fit."""
+"""Deviation in part radii below which a moved camera is more likely than a flipped image, if both
+explain it."""
 
 SIDE_PX = 5.0, 10.0
-"""Distances from a step between which the brightness beside it is compared [px]: beyond a line of
-pen or tape, 2 to 4 px wide."""
+"""Range of distances from a step in which the brightness beside it is measured [px]: beyond a line
+of pen or tape, which is 2 to 4 px wide."""
 
 SHIFT_TEXT_M, TURN_TEXT_RAD, STRETCH_TEXT = 5e-4, np.radians(0.2), 0.003
-"""Shift [m], rotation [rad] and change of size [-] below which a message leaves them out: as large
-as they are measured with noise and corners rounded to a pixel."""
+"""Shift [m], rotation [rad] and change of size [-] below which a message omits them: the errors of
+the measurement with noise and with corners rounded to a pixel."""
 
 FLIPS = {
     "mirrored left to right": (1, -1),
     "mirrored upside down": (-1, 1),
     "rotated by 180 degrees": (-1, -1),
 }
-"""Ways in which a driver or a mount turns images: steps through rows and columns that undo it."""
+"""Ways in which a driver or a mount flips images, with the steps through rows and columns that undo
+them."""
 
 
 @dataclass(frozen=True, eq=False)
 class OutlineGrid:
-    """The places in an image at which the plate's edges are looked for.
+    """Image points at which the plate's edges are searched.
 
     Attributes
     ----------
@@ -113,9 +115,9 @@ class OutlineGrid:
     scale : (4,)
         Pixels per metre across each edge.
     near : float
-        Deviation that is tolerated [m].
+        Tolerated deviation [m].
     stroke : float
-        Of the motors [m].
+        Stroke of the motors [m].
     """
 
     half: np.ndarray
@@ -128,7 +130,7 @@ class OutlineGrid:
 
     @classmethod
     def of(cls, rig: Rig, calibration: Calibration) -> OutlineGrid:
-        """Prepare it for the plate of a rig at home, as this calibration sees it."""
+        """Prepare the grid for the plate of a rig at home and its calibration."""
         half = np.asarray(rig.plate.half, float)
         size_px = np.array([rig.camera.width_px, rig.camera.height_px])
         along = np.linspace(-STATION_END, STATION_END, STATIONS)
@@ -139,7 +141,7 @@ class OutlineGrid:
         offset = np.linspace(-reach, reach, 2 * count + 1)
         point = foot[:, :, None] + offset[:, None] * OUTWARD[:, None, None]
         place = calibration.to_image(point.reshape(-1, 2)).reshape(*point.shape)
-        # Where a strong lens folds, a point that is far outside comes back into the image.
+        # Outside the range of a strong lens, far points fold back into the image.
         step = np.diff(place, axis=2)
         middle = step[:, :, count : count + 1]
         folded = np.sum(step * middle, axis=3) <= 0
@@ -155,7 +157,7 @@ class OutlineGrid:
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """Which profiles (4, S) are in the image around the predicted edge: bool."""
+        """Whether a profile (4, S) is in the image around the predicted edge: bool."""
         around = np.abs(self.offset) <= self.near
         return np.asarray(np.all(np.isfinite(self.place_px[:, :, around, 0]), axis=2))
 
@@ -175,25 +177,26 @@ def edge_points(half: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """The plate's edges as one image shows them.
+    """The plate's edges measured in one image.
 
     Attributes
     ----------
     edges : (4, 3)
-        Of each edge: distance outwards [m] from the predicted one, as the mean of both ends; slope,
-        half the difference of the ends [m]; and bow, how far the middle is further out [m]. NaN
-        where it is not seen.
+        For each edge: outward distance from the predicted edge, mean of both ends [m]; slope, half
+        the difference of the ends [m]; and bow, the additional outward distance of the middle [m].
+        NaN if the edge is not visible.
     """
 
     edges: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
-        """Which edges (4,) are seen: bool."""
+        """Whether an edge (4,) is visible: bool."""
         return np.isfinite(self.edges[:, 0])
 
     def within(self, near: float) -> np.ndarray:
-        """Which edges (4,) are nowhere further than this from the predicted ones [m]: bool."""
+        """Whether an edge (4,) is everywhere within this distance of the predicted one [m]:
+        bool."""
         middle, slope, _ = np.abs(self.edges).T
         return np.asarray(np.nan_to_num(middle + slope, nan=np.inf) <= near)
 
@@ -201,11 +204,11 @@ class Outline:
 def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = None) -> Outline:
     """Measure the plate's edges in an image (H, W) or (H, W, 3) uint8.
 
-    `limit` is the greatest distance from the predicted edges [m]; None: that of the grid.
+    `limit` is the maximum distance from the predicted edges [m]; None: that of the grid.
     """
     smooth = cv2.GaussianBlur(contrasted(image, grid), (0, 0), SMOOTH_PX)
     edges = np.full((4, 3), np.nan)
-    rng = np.random.default_rng(0)  # the same image has the same answer
+    rng = np.random.default_rng(0)  # the same image gives the same result
     for edge in range(4):
         place = grid.place_px[edge]
         used = grid.visible[edge]
@@ -223,7 +226,8 @@ def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = 
 
 def contrasted(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
     """Return an image (H, W) float32 whose values rise from the surround's colour to the plate's:
-    grey levels of a grey image (H, W), a projection of a colour image (H, W, 3)."""
+    the grey levels of an image (H, W); for an image (H, W, 3) its projection on the line between
+    the two colours."""
     if image.ndim == 2:
         return image.astype(np.float32)
     colours = []
@@ -250,7 +254,7 @@ def _fit_edge(
 ) -> np.ndarray | None:
     """Return middle, slope and bow (3,) [m] of the edge in profiles (S, D); None if there is none.
 
-    An edge near the predicted one is preferred to a clearer one further off: that may be of a
+    An edge near the predicted one is preferred to a clearer one farther away, which may belong to a
     frame, a shadow or a table.
     """
     candidate = _steps(profile, grid.offset)
@@ -268,8 +272,8 @@ def _fit_edge(
 
 
 def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: np.ndarray) -> bool:
-    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]: a line drawn on
-    the plate or the table is no edge."""
+    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. Then it is a
+    line drawn on the plate or the table, not an edge."""
     at = curve[0] + curve[1] * along + curve[2] * (1 - along**2)
     away = (offset - at[:, None]) / (offset[1] - offset[0])
     sides = []
@@ -283,10 +287,10 @@ def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: 
 
 def _steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
     """Return the offsets (S, CANDIDATES) [m] of the strongest falling steps of profiles (S, D), and
-    of the strongest rising ones; NaN where there are fewer."""
+    of the strongest rising ones; NaN for missing ones."""
     reach = np.arange(-4, 5)
     kernel = -reach * np.exp(-(reach**2) / 4.5)
-    kernel = 2 * kernel / np.sum(np.abs(kernel))  # of a step: its height
+    kernel = 2 * kernel / np.sum(np.abs(kernel))  # its response to a step is the step's height
     slope = np.stack([np.convolve(row, kernel[::-1], mode="valid") for row in profile])
     at = offset[4:-4]
     noise = 1.4826 * float(np.nanmedian(np.abs(slope - np.nanmedian(slope))))
@@ -309,15 +313,16 @@ def _fit_curve(
     drawn: np.ndarray, every: np.ndarray, along: np.ndarray, tolerance: float,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, float]:  # fmt: skip
-    """Return the curve (3,) through most candidates, and the fraction of profiles that it explains.
+    """Return the curve (3,) through most candidates, and the fraction of profiles near it.
 
-    It is drawn through candidates `drawn` (S, C) [m] and refined with `every` (S, C) [m].
+    Curves are drawn through triples of candidates `drawn` (S, C) [m] (RANSAC). The best one is
+    refined with `every` (S, C) [m] by least squares.
     """
     rows = np.flatnonzero(np.any(np.isfinite(drawn), axis=1))
     if len(rows) < SUPPORT * len(along):
         return np.full(3, np.nan), 0.0
     terms = np.column_stack([np.ones_like(along), along, 1 - along**2])
-    # One profile from each third, so that the three are apart.
+    # One profile from each third, so that the three are far from each other.
     thirds = np.array_split(rows, 3)
     pick = np.stack([rng.choice(third, DRAWS) for third in thirds], axis=1)  # (DRAWS, 3)
     count = np.sum(np.isfinite(drawn), axis=1)
@@ -341,24 +346,24 @@ def _fit_curve(
 
 @dataclass(frozen=True)
 class Deviation:
-    """How the measured outline differs from the predicted one.
+    """Deviation of the measured outline from the predicted one.
 
     Attributes
     ----------
     shift : (float, float)
-        Of the plate's centre [m, plate_home].
+        Shift of the plate's centre [m, plate_home].
     turn : float
         Rotation [rad], counter-clockwise.
     stretch : (float, float)
         Relative change of length and width [-].
     bow, bow_px : float
-        Mean distance by which the middles of the edges are further out than their ends [m, px].
+        Mean outward distance of the edges' middles relative to their ends [m, px].
     bowed : bool
         Whether the edges are bent, all to the same side.
     rest : float
-        Greatest deviation of an edge's end from a shifted, rotated and stretched outline [m].
+        Maximum residual of an edge's end after shift, rotation and stretch [m].
     worst : float
-        Greatest error of a part's place [m].
+        Maximum error of a part's place [m].
     """
 
     shift: tuple[float, float]
@@ -372,7 +377,11 @@ class Deviation:
 
 
 def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
-    """Return how an outline of which at least `MIN_EDGES` edges are seen differs."""
+    """Return the deviation of an outline with at least `MIN_EDGES` visible edges.
+
+    With the outward normal n of an edge, its points p and the stretch s, the least-squares fit is
+    n . (shift + turn (-p_y, p_x) + (s_x p_x, s_y p_y)) = measured outward distance.
+    """
     seen = np.flatnonzero(outline.seen)
     ends = np.array([-1.0, 1.0])
     point = edge_points(grid.half, ends)[seen]  # (n, 2, 2)
@@ -384,7 +393,7 @@ def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
     middle, slope, bow = outline.edges[seen].T
     away = (middle[:, None] + slope[:, None] * ends).ravel()
     motion = np.linalg.lstsq(terms, away, rcond=None)[0]
-    if len(seen) < 4:  # shift and stretch across the missing edge are one: a plate keeps its shape
+    if len(seen) < 4:  # shift and stretch across the missing edge are not separable: equal stretch
         same = np.column_stack([terms[:, :3], terms[:, 3] + terms[:, 4]])
         found = np.linalg.lstsq(same, away, rcond=None)[0]
         motion = np.array([*found, found[3]])
@@ -406,29 +415,29 @@ def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
 
 @dataclass(frozen=True, eq=False)
 class OutlineCheck:
-    """The evaluation of the outline from image to image.
+    """Evaluation of the outline over several images.
 
     Attributes
     ----------
     grid : OutlineGrid
     radius : float
-        Of a part [m]: an outline that is further off is an error.
+        Radius of a part [m]. A larger deviation of the outline is an error.
     bends : bool
         Whether the calibration has a lens.
     measured : tuple of Outline
-        Of the images of this evaluation so far.
+        Outlines of the images of this evaluation so far.
     moving : bool
-        Whether the plate may have moved meanwhile.
+        Whether the plate may have moved during these images.
     stamp : float
-        Of the last of them [s].
+        Stamp of the last of these images [s].
     finding : Finding or None
-        What is wrong; None if nothing is, or nothing is known yet.
+        The deviation as a finding; None if there is no deviation, or no result yet.
     text : str
-        The result in a few words.
+        Short text of the result.
     done : bool
         Whether the outline has been evaluated.
     agrees : bool
-        Whether it was where it is predicted.
+        Whether the outline agreed with the prediction.
     """
 
     grid: OutlineGrid
@@ -444,16 +453,16 @@ class OutlineCheck:
 
     @classmethod
     def of(cls, rig: Rig, calibration: Calibration) -> OutlineCheck:
-        """Begin for a rig's plate as this calibration sees it."""
+        """Start the check for a rig's plate and its calibration."""
         grid = OutlineGrid.of(rig, calibration)
         return cls(grid, rig.parts.radius_m, calibration.lens is not None)
 
     def add(self, image: np.ndarray, stamp: float, moving: bool = False) -> OutlineCheck:
-        """Take in an image (H, W) or (H, W, 3) uint8, its stamp [s], and whether the plate may be
-        away from home in it.
+        """Record an image (H, W) or (H, W, 3) uint8 with its stamp [s]. `moving` is whether the
+        plate may be away from home in it.
 
-        After `IMAGES` images the outline is evaluated. That is repeated from time to time, but not
-        while the plate moves, until the outline of a plate at rest agrees.
+        After `IMAGES` images the outline is evaluated. The evaluation is repeated at intervals, but
+        not while the plate moves, until the outline of a plate at rest agrees.
         """
         waits = self.done and not self.measured
         waits = waits and (moving or 0 <= stamp - self.stamp < self._wait)
@@ -468,7 +477,7 @@ class OutlineCheck:
         return UNSEEN_S if self.finding is None else RECHECK_S
 
     def _evaluated(self, image: np.ndarray) -> OutlineCheck:
-        """Return it with the result of all images; `image` is the last of them."""
+        """Return a copy with the result of all images; `image` is the last of them."""
         grid = self.grid
         every = np.stack([one.edges for one in self.measured])
         often = np.sum(np.isfinite(every[:, :, 0]), axis=0) > IMAGES / 2
@@ -484,7 +493,7 @@ class OutlineCheck:
         if finding is not None or not seen:
             finding, text = judge_outline(*facts, fitting_flips(image, grid))
         if moving and finding is None and self.finding is not None:
-            finding, text = self.finding, self.text  # a plate at rest has the last word
+            finding, text = self.finding, self.text  # only a plate at rest cancels a finding
         agrees = finding is None and seen and not moving
         return replace(
             self, measured=(), moving=False, finding=finding, text=text, done=True, agrees=agrees
@@ -499,10 +508,10 @@ def judge_outline(
     moving: bool = False,
     flips: tuple[str, ...] = (),
 ) -> tuple[Finding | None, str]:
-    """Return what is wrong, None if nothing is, and the result in a few words.
+    """Return a finding, None if the outline agrees, and the result as short text.
 
-    `radius` [m] is a part's, `bends` whether a lens is known, `moving` whether the plate may be
-    away from home by the motors' stroke, and `flips` the ways to turn the image so that it agrees.
+    `radius` [m] is a part's. `bends` is whether a lens is known. `moving` is whether the plate may
+    be away from home by the motors' stroke. `flips` are the flips of the image that make it agree.
     """
     count = int(np.count_nonzero(outline.seen))
     if count < MIN_EDGES:
@@ -583,8 +592,8 @@ def _percent(change: float) -> str:
 
 
 def fitting_flips(image: np.ndarray, grid: OutlineGrid) -> tuple[str, ...]:
-    """Return which of `FLIPS` the outline in an image (H, W) or (H, W, 3) agrees with on all four
-    edges; none if the image agrees as it is."""
+    """Return those of `FLIPS` with which the outline in an image (H, W) or (H, W, 3) agrees on all
+    four edges; empty if the image agrees as it is."""
     if np.all(measure_outline(image, grid, grid.near).within(grid.near)):
         return ()
     names = []

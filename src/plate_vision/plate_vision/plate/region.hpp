@@ -1,4 +1,4 @@
-// Where the plate is in an image: see region.py.
+// The region of the plate in an image: see region.py.
 #pragma once
 #include <algorithm>
 #include <limits>
@@ -8,10 +8,11 @@
 
 namespace plate {
 
-// Pixels nearer than this [px] to the plate's edge mix plate and background: they are not used.
+// Pixels nearer than this to the plate's edge show both plate and background, and are not used
+// [px].
 constexpr double SEAM_PX = 1;
 
-// How far beyond its ends, in half lengths, a bent edge is followed.
+// Range in which a bent edge follows its polynomial, in half lengths of the edge.
 constexpr double BOW_REACH = 1.05;
 
 // `Region.depth` (count,) of points: their distance from the nearest edge [px], negative outside.

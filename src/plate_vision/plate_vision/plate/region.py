@@ -1,7 +1,8 @@
-"""Where the plate is in an image: a quadrilateral, whose edges a lens may bend; or all of it.
+"""The region of the plate in an image: a quadrilateral, with edges bent by a lens; or the whole
+image.
 
-Image coordinates everywhere in this package: x_px to the right, y_px down, the centre of the first
-pixel is (0, 0), as in OpenCV.
+Image coordinates in this package: x_px to the right, y_px down, (0, 0) at the centre of the first
+pixel, as in OpenCV.
 """
 
 from __future__ import annotations
@@ -17,27 +18,29 @@ from ..camera.lens import check_quadrilateral, cross
 from ..errors import ImageError
 
 SEAM_PX: float = _kernels.SEAM_PX
-"""Pixels nearer than this [px] to the plate's edge mix plate and background: they are not used."""
+"""Pixels nearer than this to the plate's edge show both plate and background, and are not used
+[px]."""
 
 BOW_DEGREE = 4
-"""Degree of the polynomial for a bent edge: within 0.05 px of one that bulges by 20 px."""
+"""Degree of the polynomial for a bent edge: its error is 0.05 px for a bulge of 20 px."""
 
 SAMPLES = 1200
-"""Pixels from which the light is taken, on a regular grid: its surface is then good to 0.15 grey
-levels at 2 levels of noise, and takes a tenth of the detection of a hundred parts."""
+"""Number of pixels for the fit of the light, on a regular grid. The error of the surface is then
+0.15 grey levels with a noise of 2. The fit takes a tenth of the detection of a hundred parts."""
 
 
 class Samples(NamedTuple):
-    """Pixels of the plate from which the light is taken.
+    """Pixels of the plate for the fit of the light.
 
     Attributes
     ----------
     rows, columns : (K,) int
-        Which.
+        Indices of the pixels.
     design : (6, K) float32
-        Terms of a quadratic surface there.
+        Terms of a quadratic surface at the pixels.
     place : (3,) float32
-        The image point [px] where its u = v = 0, and one over the length [px] of one unit of u, v.
+        The image point [px] with u = v = 0, and the reciprocal of the length [px] of one unit of u
+        and v.
     """
 
     rows: np.ndarray
@@ -48,7 +51,7 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The pixels that show the plate: made once by `make_region`, used for many images.
+    """The pixels that show the plate. Made once by `make_region`, used for many images.
 
     Attributes
     ----------
@@ -57,14 +60,14 @@ class Region:
     outline_px : (n, 2)
         Points around the plate [px].
     edges : (4, 3)
-        Inward unit normal of each edge, and the distance of the image's origin from it [px],
-        positive inside; (0, 3) for the whole image.
+        Inward unit normal of each edge, and the signed distance of the image's origin from the edge
+        [px], positive inside. (0, 3) for the whole image.
     bows : (4, BOW_DEGREE + 4)
-        Of edges that a lens bends: three numbers by which 1, x, y give the place along the straight
-        edge, -1 and 1 at its ends; then the polynomial of that place which gives how far the edge
-        is inside the straight one [px], highest power first. (0, BOW_DEGREE + 4) if none is bent.
+        Edges bent by a lens. Three coefficients of 1, x, y give the place along the straight edge,
+        -1 and 1 at its ends. The rest is a polynomial of this place, highest power first: the
+        distance of the bent edge inside the straight one [px]. (0, BOW_DEGREE + 4) if none is bent.
     box : (x0, y0, x1, y1)
-        Pixel ranges [px] that hold the region, half open.
+        Pixel range [px] that contains the region, half open.
     """
 
     size_px: tuple[int, int]
@@ -81,7 +84,7 @@ class Region:
 
     @cached_property
     def usable(self) -> np.ndarray:
-        """Which pixels (H, W) show the plate, clear of its edge: bool."""
+        """Whether a pixel (H, W) shows the plate, away from its edge: bool."""
         width, height = self.size_px
         x0, y0, x1, y1 = self.box
         usable = np.zeros((height, width), np.bool_)
@@ -104,7 +107,7 @@ class Region:
 
     @cached_property
     def samples(self) -> Samples:
-        """The pixels from which the light is taken; none if it has no area."""
+        """The pixels for the fit of the light; empty if the region is too small."""
         x0, y0, x1, y1 = self.box
         step = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / SAMPLES)))
         rows, columns = np.mgrid[y0 + step // 2 : y1 : step, x0 + step // 2 : x1 : step]
@@ -122,22 +125,20 @@ def quadratic(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def make_region(size_px: tuple[int, int], outline_px: np.ndarray | None = None) -> Region:
-    """Prepare a region.
+    """Prepare the region of the plate.
 
     Parameters
     ----------
     size_px : (int, int)
         Width and height of the images [px].
     outline_px : (4, 2) or (4, n, 2), optional
-        Corners of the plate in the image [px], in order around it; or, where a lens bends the
-        edges, points of each edge from its first corner to just before the next. The whole image
-        if None.
+        Corners of the plate in the image [px], in order around it. For edges bent by a lens: points
+        of each edge from its first corner to just before the next one. None: the whole image.
 
     Raises
     ------
     ImageError
-        If the corners are not those of a convex quadrilateral in the image, or a value is not
-        finite.
+        If the corners do not form a convex quadrilateral in the image, or a value is not finite.
     """
     width, height = size_px
     no_bows = np.empty((0, BOW_DEGREE + 4))
