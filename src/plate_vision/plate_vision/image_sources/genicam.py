@@ -1,6 +1,6 @@
-"""A GenICam camera, by harvesters and the GenTL file of its maker.
+"""A GenICam camera, read by harvesters and the GenTL file of its manufacturer.
 
-No such camera has been tried yet.
+It has not been tested with a real camera yet.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PREFIX = "genicam:"
 """Prefix of the name of such a device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
 
 PIXEL_FORMATS = {"GREY": "Mono8", "Y10": "Mono10", "Y12": "Mono12"}
-"""Of `source.FORMATS`."""
+"""GenICam's names of some `source.FORMATS`."""
 
 ENCODINGS = {
     "Mono8": ("mono8", 0), "Mono10": ("mono16", 6), "Mono12": ("mono16", 4),
@@ -29,22 +29,24 @@ ENCODINGS = {
     "BayerRG8": ("bayer_rggb8", 0), "BayerBG8": ("bayer_bggr8", 0),
     "BayerGB8": ("bayer_gbrg8", 0), "BayerGR8": ("bayer_grbg8", 0),
 }  # fmt: skip
-"""Encodings of sensor_msgs/Image, and upper bits of 16 that a pixel format leaves 0."""
+"""Encoding of sensor_msgs/Image for each pixel format, and its number of unused upper bits of
+16."""
 
 FETCH_S = 0.5
 """Maximum wait for an image before `stop` is checked again [s]."""
 
 OFFSETS = 100
-"""Images over which the least delay of an image is found: the device has a clock of its own."""
+"""Number of images over which the minimum delay of an image is taken: the device has its own
+clock."""
 
 
 def open_producer(file: str) -> Any:
-    """Return harvesters' list of devices of a GenTL file.
+    """Return harvesters' object with the devices of a GenTL file.
 
     Raises
     ------
     CameraError
-        If harvesters is not installed, or the file is none.
+        If harvesters is not installed, or the file cannot be used.
     """
     try:
         from harvesters.core import Harvester
@@ -56,7 +58,7 @@ def open_producer(file: str) -> Any:
     try:
         harvester.add_file(file, check_existence=True, check_validity=True)
         harvester.update()
-    except Exception as error:  # of many kinds, as the maker's library raises them
+    except Exception as error:  # the manufacturer's library raises many kinds
         raise CameraError(
             f"{file}: cannot be used ({error}), allowed: a GenTL file, .cti"
         ) from None
@@ -64,7 +66,7 @@ def open_producer(file: str) -> Any:
 
 
 class GenicamSource(Camera):
-    """A GenICam camera; `producer` opens its GenTL file, the other parameters are `Camera`'s."""
+    """A GenICam camera. `producer` opens its GenTL file; other parameters as `Camera`."""
 
     def __init__(
         self,
@@ -86,7 +88,7 @@ class GenicamSource(Camera):
         return self._camera.remote_device.node_map
 
     def open(self) -> None:
-        """Open it, and apply the settings."""
+        """Open the camera, and apply the settings."""
         self._harvester = harvester = self._producer(self._file)
         name = self.settings.device
         try:
@@ -135,7 +137,7 @@ class GenicamSource(Camera):
             self._set("Gain", values.gain)
 
     def _set_trigger(self) -> None:
-        """Set the trigger: by pulses, or at a rate."""
+        """Set the trigger: by pulses, or at a fixed rate."""
         triggered = self.settings.trigger
         if hasattr(self._nodes, "TriggerMode"):
             if hasattr(self._nodes, "TriggerSelector"):
@@ -158,7 +160,7 @@ class GenicamSource(Camera):
             raise CameraError(f"{where}, but the camera has no such feature")
         try:
             node.value = value
-        except Exception as error:  # of GenApi, or of the maker's library
+        except Exception as error:  # from GenApi, or from the manufacturer's library
             ends = [getattr(node, end, None) for end in ("min", "max")]
             symbols = getattr(node, "symbolics", None)
             allowed = ", ".join(symbols) if symbols else " to ".join(map(str, ends))
@@ -187,20 +189,20 @@ class GenicamSource(Camera):
                     f"image: size is {shape[1]} x {shape[0]} px, allowed: "
                     f"{self.settings.width} x {self.settings.height} px"
                 )
-            data = np.array(component.data)  # the buffer goes back to the camera
+            data = np.array(component.data)  # a copy: the camera reuses the buffer
             pixels = data.reshape(shape if data.size == shape[0] * shape[1] else (*shape, 3))
             try:
                 taken = 1e-9 * float(buffer.timestamp_ns)
-            except Exception:  # of the maker's library: it has no clock
+            except Exception:  # from the manufacturer's library: the camera has no clock
                 taken = arrival
-        # The fastest of the last images gives the difference of the clocks of camera and computer.
+        # The minimum delay of the last images is the offset between the camera's and host's clocks.
         self._offsets.append(arrival - taken)
         end = taken + min(self._offsets)
         instant = end - self._before_end_s()
         return Frame(pixels << unused if unused else pixels, encoding, instant, arrival)
 
     def _harvester_has_it(self) -> None:
-        """Raise an error if the camera is unplugged, rather than wait for it."""
+        """Raise an error if the camera is unplugged, instead of waiting for it."""
         self._harvester.update()
         infos = self._harvester.device_info_list
         if not any(self._serial in ("", str(info.serial_number)) for info in infos):
@@ -215,7 +217,7 @@ class GenicamSource(Camera):
     def state(self) -> Mapping[str, object]:
         """Return exposure and gain in force."""
         found: dict[str, object] = {"exposure_us": "unknown", "gain": "unknown"}
-        with suppress(Exception):  # of GenApi: the camera is gone, or has no such feature
+        with suppress(Exception):  # from GenApi: the camera is unplugged, or has no such feature
             found["gain"] = self._nodes.Gain.value
             found["exposure_us"] = f"{self._exposure_us():g}"
         return {
@@ -225,7 +227,7 @@ class GenicamSource(Camera):
         }
 
     def close(self) -> None:
-        """Close it."""
+        """Close the camera."""
         if self._camera is not None:
             self._camera.destroy()
         if self._harvester is not None:

@@ -57,7 +57,7 @@ reads of a good attempt [ns]."""
 
 @dataclass(frozen=True)
 class CameraParameters(NodeOptions):
-    """Parameters of the node."""
+    """Parameters of the camera node."""
 
     device: str = parameter(
         "/dev/video0",
@@ -102,7 +102,7 @@ class CameraParameters(NodeOptions):
     )
 
     def settings(self, size_px: tuple[int, int]) -> Settings:
-        """Return how images are taken; `size_px` are the rig's width and height."""
+        """Return the settings of the source. `size_px` is the rig's width and height."""
         names = {item.name for item in fields(Settings)}
         values = {name: getattr(self, name) for name in names}
         width, height = self.width or size_px[0], self.height or size_px[1]
@@ -122,8 +122,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     video, a picture, or a folder of pictures. A video, picture or folder starts to play when
     image_raw has a subscriber. `camera --list` prints devices, formats, rates and controls.
 
-    A camera that is unplugged is an ERROR in diagnostics within 1 s; when it is back its images go
-    on.
+    An unplugged camera is an ERROR in diagnostics within 1 s. When it is plugged in again, its
+    images continue.
     """
 
     def __init__(self) -> None:
@@ -134,7 +134,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self.report(self._find, self._values, "camera", self._begin_report)
 
     def source(self, settings: Settings, warn: Warn) -> Source:
-        """Return the source of images; tests put their own in place."""
+        """Return the source of images; tests override this."""
         return make_source(settings, warn)
 
     def configure(self) -> None:
@@ -157,7 +157,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def begin(self) -> None:
         """Start the reader."""
         self._watch = Watch()
-        self._lock = threading.Lock()  # of what follows, between reader and reports
+        self._lock = threading.Lock()  # guards the state below between reader and reports
         self._fault = ""
         self._refused, self._refused_total, self._why = 0, 0, ""
         self._ended = False
@@ -172,14 +172,14 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._thread.start()
 
     def rest(self) -> None:
-        """End the reader."""
+        """Stop the reader."""
         self._halt.set()
         if self._thread is not None:
             self._thread.join(END_S)
 
     def release(self) -> None:
         """Close the device. A reader that still waits for an image closes it itself."""
-        self.rest()  # where ROS has ended it has not been called
+        self.rest()  # not called yet if ROS has shut down
         if not self._open or (self._thread is not None and self._thread.is_alive()):
             return
         self._open = False
@@ -212,8 +212,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             except ImageError as error:
                 self._refuse(str(error))
                 continue
-            except Exception as error:  # also of a library: a reader must not end without a word
-                if not self.context.ok():  # ROS has ended
+            except Exception as error:  # also from a library: the reader must not stop silently
+                if not self.context.ok():  # ROS has shut down
                     break
                 self._fail(error)
                 if not source.live:  # opened again, it would start from the first picture
@@ -230,7 +230,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._open = False
         try:
             source.close()
-        except Exception as error:  # of a library
+        except Exception as error:  # from a library
             self._fail(error)
 
     def _publish(self, frame: Frame) -> None:
@@ -258,14 +258,14 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             before_ns = time.monotonic_ns()
             now_ns = self.get_clock().now().nanoseconds
             apart_ns = time.monotonic_ns() - before_ns
-            if apart_ns < CLOCKS_APART_NS:  # else another process ran meanwhile
+            if apart_ns < CLOCKS_APART_NS:  # otherwise another process ran in between
                 break
         return to_time(now_ns - (before_ns + apart_ns // 2 - round(1e9 * instant)))
 
     def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
         camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
         info = camera_to_info(camera, image.header)
-        if self._lens is not None and size_px != self._lens_px:  # of what is played
+        if self._lens is not None and size_px != self._lens_px:  # a picture of another size
             self._lens, self._lens_px = load_lens(self.options.camera_file, size_px), size_px
         lens = self._lens
         if lens is not None:
@@ -287,8 +287,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self.get_logger().warning(why)
 
     def _fail(self, error: Exception) -> None:
-        """Record and log why no images arrive. The same fault, or a device that is still absent, is
-        not logged again."""
+        """Record and log why no images arrive. Do not log the same fault, or a device that is still
+        absent, again."""
         text = str(error)
         if not isinstance(error, PlateError):
             text = f"{self.options.device}: {type(error).__name__}: {error}"
@@ -355,7 +355,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
 
 def main() -> None:
-    """Run the node, or with --list print the devices that there are."""
+    """Run the node, or with --list print the devices."""
     words = sys.argv[1:]
     if words[:1] == ["--list"]:
         for line in listing(words[1:] or video_devices()):

@@ -1,4 +1,4 @@
-"""A film, a picture or a folder of pictures in place of a camera, and a pipe of raw frames."""
+"""Image sources without a camera: a film, a picture, a folder of pictures, a pipe of raw frames."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class FilmSource:
         self._rate, self._due = settings.rate, 0.0
 
     def open(self) -> None:
-        """Open it; an empty folder, or a film that OpenCV does not know, is refused."""
+        """Open the files. An empty folder, or a film that OpenCV cannot read, is refused."""
         self._pictures = read_pictures(self._path, self._warn)
         own = FILM_RATE if self._pictures.is_film else PICTURE_RATE
         if FILM_RATES[0] <= self._pictures.rate <= FILM_RATES[1]:
@@ -74,22 +74,22 @@ class FilmSource:
         return frame
 
     def change(self, settings: Settings) -> None:
-        """Ignore the settings: a film has none."""
+        """Ignore the settings: a film has no settings."""
 
     def state(self) -> Mapping[str, object]:
-        """Return the rate."""
+        """Return the kind of the files, and the meaning of the stamps."""
         film = self._pictures is not None and self._pictures.is_film
         return {"format": "film" if film else "pictures", "stamp": "regular"}
 
     def close(self) -> None:
-        """Close it. Opened again, it starts from the first picture."""
+        """Close the files. A new `open` starts from the first picture."""
         self._pictures = None
 
 
 class PipeSource:
-    """A named pipe into which another program writes raw frames, one after the other.
+    """A named pipe into which another program writes raw frames.
 
-    Such programs are `v4l2-ctl --stream-mmap --stream-to=PIPE`, or ffmpeg with `-f rawvideo`. The
+    Examples are `v4l2-ctl --stream-mmap --stream-to=PIPE`, and ffmpeg with `-f rawvideo`. The
     exposure of a frame is assumed to end when the frame arrives.
     """
 
@@ -106,7 +106,7 @@ class PipeSource:
         self._bytes = width * height * FORMATS[self._form]
 
     def open(self) -> None:
-        """Open it, whether or not a program writes already."""
+        """Open the pipe, whether or not a program writes to it yet."""
         if not self._bytes:
             plain = ", ".join(form for form, size in FORMATS.items() if size)
             raise CameraError(
@@ -155,7 +155,7 @@ class PipeSource:
         }
 
     def close(self) -> None:
-        """Close it."""
+        """Close the pipe."""
         if self._file >= 0:
             os.close(self._file)
         self._file = -1

@@ -1,4 +1,4 @@
-"""The interface of every source of images: a camera, a pipe, a film, a folder of pictures."""
+"""The interface of all image sources: a camera, a pipe, a film, a folder of pictures."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from ..camera import decode_file
 from ..errors import ImageError, check_size
 
 FORMATS = {"GREY": 1, "Y10": 2, "Y12": 2, "YUYV": 2, "UYVY": 2, "MJPG": 0}
-"""Formats in order of preference, and bytes of each pixel; 0: compressed."""
+"""Formats in order of preference, and their bytes per pixel; 0: compressed."""
 
 ENCODINGS = {"GREY": "mono8", "Y10": "mono16", "Y12": "mono16", "YUYV": "yuv422_yuy2",
              "UYVY": "yuv422"}  # fmt: skip
 """Encodings of sensor_msgs/Image."""
 
 UNUSED_BITS = {"Y10": 6, "Y12": 4}
-"""Upper bits of 16 that a format leaves 0."""
+"""Number of unused upper bits of 16 in a format."""
 
 
 class CameraError(PlateError):
-    """A source of images cannot be opened, or gives no more images."""
+    """An image source cannot be opened, or provides no more images."""
 
 
 class AbsentError(CameraError):
-    """The device is not there: it may come back."""
+    """The device is absent. It may come back."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How images are taken.
+    """Settings of an image source.
 
     Attributes
     ----------
     device : str
         Number or path of a V4L2 device, genicam:FILE.cti, a pipe, a video, a picture or a folder.
     width, height : int
-        Size of the images [px]. A film, a picture or a folder has a size of its own.
+        Size of the images [px]. A film, a picture or a folder has its own size.
     rate : float
-        Images a second; 0: `LIVE_RATE`, or that of the film.
+        Images per second; 0: `LIVE_RATE`, or the film's rate.
     format : str
-        Key of `FORMATS`; empty: the first that has this size and rate.
+        Key of `FORMATS`; empty: the first one with this size and rate.
     exposure_us, readout_us : float
         Exposure time, 0 leaves it unchanged; time from its end to the stamp [us].
     gain, white_balance_k, focus : int
@@ -86,7 +86,7 @@ class Settings:
 
 
 LIVE_RATE = 30.0
-"""Images a second if none are given."""
+"""Default rate of a camera [images/s]."""
 
 
 class Frame(NamedTuple):
@@ -96,7 +96,7 @@ class Frame(NamedTuple):
     ----------
     pixels : (H, W), (H, W, 2) or (H, W, 3) uint8, or (H, W) uint16
     encoding : str
-        Of sensor_msgs/Image.
+        Encoding of sensor_msgs/Image.
     instant : float
         Start of the exposure [s, steady clock].
     arrival : float
@@ -127,12 +127,12 @@ class Source(Protocol):
     silence: str
 
     def open(self) -> None:
-        """Make ready for `read`.
+        """Prepare for `read`.
 
         Raises
         ------
         PlateError
-            In one sentence with the remedy.
+            One sentence with the remedy.
         """
 
     def read(self, stop: Event) -> Frame | None:
@@ -169,7 +169,7 @@ Warn = Callable[[str], None]
 
 
 class Camera(ABC):
-    """Settings of a camera, which may change while it takes images.
+    """Base of cameras, whose settings may change while they take images.
 
     Parameters
     ----------
@@ -217,21 +217,21 @@ class Camera(ABC):
 
 
 def unpack_frame(data: np.ndarray, form: str, size_px: tuple[int, int]) -> tuple[np.ndarray, str]:
-    """Return pixels and encoding of a frame as a camera or a pipe gives it.
+    """Return pixels and encoding of a frame from a camera or a pipe.
 
     Parameters
     ----------
     data : array of bytes
-        In any shape.
+        The frame, in any shape.
     form : str
         Key of `FORMATS`.
     size_px : (int, int)
-        Width and height that were agreed upon.
+        Width and height that were set.
 
     Raises
     ------
     ImageError
-        If its size is another one, or a JPEG is damaged.
+        If the frame has another size, or a JPEG is damaged.
     """
     width, height = size_px
     plain = data.reshape(-1).view(np.uint8)

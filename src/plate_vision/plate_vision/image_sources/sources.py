@@ -1,4 +1,4 @@
-"""The source for a device's name, and the list of devices that `camera --list` prints."""
+"""The image source for a device's name, and the list of devices that `camera --list` prints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .v4l2 import V4l2Source
 from .v4l2_device import V4l2Device
 
 BY_ID = Path("/dev/v4l/by-id")
-"""Links to devices by maker and serial number. They stay when devices are plugged in again."""
+"""Links to devices by manufacturer and serial number; they survive replugging."""
 
 ALLOWED = (
     "a number or path of a video device (/dev/v4l/by-id/...), genicam:FILE.cti, a video, a "
@@ -23,17 +23,17 @@ ALLOWED = (
 
 
 def is_played(device: str) -> bool:
-    """Whether a name is that of a film, a picture or a folder."""
+    """Whether a name denotes a film, a picture or a folder."""
     return kind_of(device) in ("a file", "a folder")
 
 
 def make_source(settings: Settings, warn: Warn) -> Source:
-    """Return the source that a device's name stands for; it is not opened yet.
+    """Return the source for a device's name, not opened yet.
 
     Raises
     ------
     CameraError
-        If the name is none.
+        If the name denotes no source.
     """
     name = settings.device
     if name.startswith(PREFIX):
@@ -51,7 +51,7 @@ def make_source(settings: Settings, warn: Warn) -> Source:
 
 
 def check_device(device: str) -> None:
-    """Refuse a name that stands for nothing, or a video device that cannot be opened.
+    """Refuse a name that denotes no source, or a video device that cannot be opened.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def check_device(device: str) -> None:
 
 
 def video_devices() -> list[str]:
-    """Return the paths of all video devices, by id where they have one."""
+    """Return the paths of all video devices, by id if they have one."""
     named = {link.resolve(): link for link in sorted(BY_ID.glob("*")) if link.exists()}
     devices = sorted(Path("/dev").glob("video*"), key=lambda path: (len(path.name), path.name))
     return [str(named.get(device, device)) for device in devices]
@@ -76,7 +76,7 @@ def listing(paths: Iterable[str]) -> Iterator[str]:
         try:
             device = V4l2Device(path)
         except CameraError as error:
-            if "takes no images" not in str(error):  # of a camera's second device: its metadata
+            if "takes no images" not in str(error):  # a camera's second device is for metadata
                 count += 1
                 yield str(error)
             continue

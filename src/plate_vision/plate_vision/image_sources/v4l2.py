@@ -1,4 +1,4 @@
-"""A V4L2 camera: images by OpenCV, everything else by ioctl."""
+"""A V4L2 camera: images by OpenCV, settings and the meaning of stamps by ioctl."""
 
 from __future__ import annotations
 
@@ -39,10 +39,11 @@ from .v4l2_device import (
 )
 
 EXPOSURE_US = 100
-"""Unit of the control of the exposure [us]."""
+"""Unit of the exposure control [us]."""
 
 OLDEST_S = 2.0
-"""Maximum age of a stamp of the monotonic clock [s]: OpenCV's four buffers hold younger images."""
+"""Maximum age of a stamp of the monotonic clock [s]. Images in OpenCV's four buffers are
+younger."""
 
 RATE_ERROR = 0.02
 """Maximum relative deviation of the device's rate from the requested rate without a warning."""
@@ -57,20 +58,20 @@ class V4l2Source(Camera):
     """A V4L2 camera.
 
     Stamps come from the kernel: OpenCV's `CAP_PROP_POS_MSEC` is `v4l2_buffer.timestamp` (in
-    cap_v4l.cpp of 4.x and 5.x). If these are not of the monotonic clock, as the stamps of other
-    backends of OpenCV, the time of arrival counts.
+    cap_v4l.cpp of 4.x and 5.x). If they are not from the monotonic clock, as in other backends of
+    OpenCV, the time of arrival is used.
 
     Parameters
     ----------
     settings : Settings
     warn : callable
-        Takes a warning.
+        Called with a warning.
     device : callable
         Opens the `V4l2Device` at a path.
     capture : callable
-        Opens the reader of images at a path.
+        Opens OpenCV's reader at a path.
     clock : callable
-        The steady clock [s].
+        Returns the time of the steady clock [s].
     """
 
     def __init__(
@@ -88,11 +89,11 @@ class V4l2Source(Camera):
         self._device: V4l2Device | None = None
         self._capture: Any = None
         self._form, self._rate = "", 0.0
-        self._at_start: bool | None = None  # of the exposure; None: the time of arrival counts
+        self._at_start: bool | None = None  # stamp at the start of the exposure; None: arrival
         self._stamps_known = False
 
     def open(self) -> None:
-        """Open it, and apply the settings."""
+        """Open the camera, and apply the settings."""
         if self.settings.trigger:
             raise CameraError(
                 f"{self.path}: trigger is true, allowed of GenICam cameras; of this one set it by "
@@ -110,7 +111,7 @@ class V4l2Source(Camera):
         self._stamps_known = False
 
     def _choose(self, device: V4l2Device) -> str:
-        """Return the format: the given one, or the first that has size and rate."""
+        """Return the format: the given one, or the first one with this size and rate."""
         wanted, size_px = self.settings, self.settings.size_px
         has = [form for form in FORMATS if form in device.formats()]
         offers = {form: device.sizes(form) for form in has}
@@ -151,7 +152,7 @@ class V4l2Source(Camera):
         return form
 
     def _started(self) -> Any:
-        """Return OpenCV's reader, set to format, size and rate."""
+        """Return OpenCV's reader, with format, size and rate set."""
         width, height = self.settings.size_px
         capture = self._make_capture(self.path)
         if not capture.isOpened():
@@ -209,7 +210,7 @@ class V4l2Source(Camera):
                     f"{self.path}: {name} cannot be switched; try v4l2-ctl -d {self.path} "
                     "--list-ctrls-menus"
                 )
-        if AUTO_PRIORITY in has:  # it would lower the rate in the dark
+        if AUTO_PRIORITY in has:  # it would reduce the rate in the dark
             device.set(AUTO_PRIORITY, 0)
         given = (
             ("exposure_us", EXPOSURE, values.exposure_us > 0, EXPOSURE_US),
@@ -241,7 +242,7 @@ class V4l2Source(Camera):
         )
 
     def read(self, stop: Event) -> Frame | None:
-        """Wait for the next image; OpenCV waits 10 s at most."""
+        """Wait for the next image, up to OpenCV's limit of 10 s."""
         if not self._capture.grab():
             if stop.is_set():
                 return None
@@ -272,7 +273,7 @@ class V4l2Source(Camera):
         return Frame(pixels, encoding, instant, arrival)
 
     def _learn_stamps(self, age: float) -> None:
-        """Determine with the first image when this device takes its stamps."""
+        """Determine from the first image whether its stamp is usable, and what it refers to."""
         self._stamps_known = True
         said = self._device.stamp_source() if self._device else None
         monotonic, at_start = (True, False) if said is None else said
@@ -303,7 +304,7 @@ class V4l2Source(Camera):
         }
 
     def close(self) -> None:
-        """Close it."""
+        """Close the camera."""
         if self._capture is not None:
             self._capture.release()
         if self._device is not None:

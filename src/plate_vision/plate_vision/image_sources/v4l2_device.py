@@ -1,6 +1,6 @@
-"""Formats, sizes, rates and controls of a V4L2 device, by ioctl: OpenCV lists none of them.
+"""Formats, sizes, rates and controls of a V4L2 device, read by ioctl because OpenCV lists none.
 
-The codes and the layouts of the structures are those of linux/videodev2.h on 64-bit machines.
+The codes and structure layouts are those of linux/videodev2.h on 64-bit machines.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Ioctl = Callable[[int, int, bytearray], object]
 QUERYCAP, ENUM_FMT, FRAMESIZES, FRAMEINTERVALS = 0x80685600, 0xC0405602, 0xC02C564A, 0xC034564B
 QUERYCTRL, QUERYMENU, G_CTRL, S_CTRL = 0xC0445624, 0xC02C5625, 0xC008561B, 0xC008561C
 G_FMT, S_FMT, QUERYBUF = 0xC0D05604, 0xC0D05605, 0xC0585609
-"""Requests, `VIDIOC_...`."""
+"""Codes of requests, `VIDIOC_...`."""
 
 CAPTURE, MMAP, DISCRETE = 1, 1, 1
 """V4L2_BUF_TYPE_VIDEO_CAPTURE, V4L2_MEMORY_MMAP, V4L2_FRMSIZE_TYPE_DISCRETE."""
@@ -41,16 +41,16 @@ AUTO_EXPOSURE, EXPOSURE, AUTO_PRIORITY = 0x9A0901, 0x9A0902, 0x9A0903
 GAIN, AUTO_GAIN = 0x980913, 0x980912
 AUTO_WHITE_BALANCE, WHITE_BALANCE = 0x98090C, 0x98091A
 AUTO_FOCUS, FOCUS = 0x9A090C, 0x9A090A
-"""Controls, `V4L2_CID_...`; exposure counts 100 us, white balance kelvin."""
+"""Ids of controls, `V4L2_CID_...`. Exposure is in units of 100 us, white balance in kelvin."""
 
 MANUAL = 1
 """V4L2_EXPOSURE_MANUAL, of `AUTO_EXPOSURE`."""
 
 ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV)
-"""The device is not there."""
+"""Errors of an absent device."""
 
 MAX_ENTRIES = 256
-"""Maximum number of entries that are read of a list. A broken driver may never end its list."""
+"""Maximum number of entries read from a list, because a faulty driver may never end it."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Size:
     high: tuple[int, int]
 
     def holds(self, size_px: tuple[int, int]) -> bool:
-        """Whether a size is one of them."""
+        """Whether a size is in this range."""
         return all(a <= x <= b for a, x, b in zip(self.low, size_px, self.high, strict=True))
 
     def __str__(self) -> str:
@@ -84,24 +84,24 @@ class Size:
 
 
 def fourcc(name: str) -> int:
-    """Return the code of a format: four characters, spaces at the end left out."""
+    """Return the code of a format's name: four characters, without trailing spaces."""
     return int.from_bytes(name.ljust(4).encode("ascii"), "little")
 
 
 class V4l2Device:
-    """A device, opened beside the program that reads its images.
+    """A V4L2 device, opened in addition to the program that reads its images.
 
     Parameters
     ----------
     path : str
-        Such as /dev/video0.
+        Path, such as /dev/video0.
     ioctl : callable
         `fcntl.ioctl`, or a replacement in tests.
 
     Raises
     ------
     CameraError
-        If there is no such device, it may not be opened, or it takes no images.
+        If there is no such device, no permission, or it provides no images.
     """
 
     def __init__(self, path: str, ioctl: Ioctl = fcntl.ioctl) -> None:
@@ -128,8 +128,8 @@ class V4l2Device:
             raise
 
     def close(self) -> None:
-        """Close it."""
-        file, self._file = self._file, -1  # another thread may ask for a control meanwhile
+        """Close the device."""
+        file, self._file = self._file, -1  # another thread may read a control at the same time
         if file >= 0:
             os.close(file)
 
@@ -138,7 +138,7 @@ class V4l2Device:
         return data
 
     def check_free(self) -> None:
-        """Refuse a device if another program takes its images; its format is fixed only then.
+        """Refuse a device whose images another program reads: its format can then not be set.
 
         OpenCV would wait 10 s for such a device.
 
@@ -175,7 +175,7 @@ class V4l2Device:
         return found
 
     def rates(self, form: str, size_px: tuple[int, int]) -> tuple[float, ...]:
-        """Return the image rates of a format and size [1/s], ascending; of a range both ends."""
+        """Return the image rates of a format and size [1/s], ascending; the ends of a range."""
         found = []
         head = (fourcc(form), *size_px)
         for data in self._each(FRAMEINTERVALS, 52, lambda k: struct.pack("IIII", k, *head)):
@@ -188,7 +188,7 @@ class V4l2Device:
         return tuple(sorted(set(found)))
 
     def _each(self, request: int, size: int, head: Callable[[int], bytes]) -> Iterator[bytearray]:
-        """Yield the entries of a list that the driver ends by EINVAL."""
+        """Yield the entries of a list until the driver reports an error."""
         for k in range(MAX_ENTRIES):
             data = bytearray(size)
             first = head(k)
@@ -231,15 +231,15 @@ class V4l2Device:
         return tuple(found)
 
     def get(self, number: int) -> int | None:
-        """Return the value of a control; None if it has none."""
+        """Return the value of a control; None if it cannot be read."""
         data = bytearray(struct.pack("Ii", number, 0))
         try:
             return int(struct.unpack_from("i", self._ask(G_CTRL, data), 4)[0])
-        except (OSError, ValueError):  # the latter: it is closed
+        except (OSError, ValueError):  # ValueError: the device is closed
             return None
 
     def set(self, number: int, value: int) -> bool:
-        """Set a control; returns whether the device took it."""
+        """Set a control. Return whether the device accepted it."""
         try:
             self._ask(S_CTRL, bytearray(struct.pack("Ii", number, value)))
         except OSError:
@@ -247,11 +247,11 @@ class V4l2Device:
         return True
 
     def stamp_source(self) -> tuple[bool, bool] | None:
-        """Return whether the stamps of its buffers are of the monotonic clock, and whether they
-        are the start of the exposure; None if the driver does not report it.
+        """Return whether the stamps of its buffers are from the monotonic clock, and whether they
+        refer to the start of the exposure; None if the driver does not report it.
 
-        Others than the reader may ask most drivers. uvcvideo refuses up to Linux 6.15; its stamps
-        are both.
+        Most drivers answer also to a process that is not the reader. uvcvideo refuses up to Linux
+        6.15; both are true of its stamps.
         """
         data = bytearray(88)
         struct.pack_into("II", data, 0, 0, CAPTURE)
@@ -268,7 +268,7 @@ def _text(data: bytes | bytearray) -> str:
 
 
 def explained(path: str, error: OSError) -> str:
-    """Return a sentence for an error of the system at a device, with the remedy."""
+    """Return a sentence with the remedy for a system error at a device."""
     match error.errno:
         case number if number in ABSENT:
             return f"{path}: no such device: is the camera plugged in? camera --list shows them"

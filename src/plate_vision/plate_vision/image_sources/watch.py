@@ -1,4 +1,4 @@
-"""Faults of a stream of images: lost, late, black or frozen images."""
+"""Detection of faults in a stream of images: lost, late, black or frozen images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Part of the detector node besides detection: the view for aiming the camera."""
+"""Parts of the detector node other than detection: the view for aiming the camera."""
 
 from .aiming import AimingView
 

@@ -1,7 +1,8 @@
-"""Parts of any outline: what differs from the bare plate, or from a photograph's background.
+"""Parts of any outline: patches that differ from the bare plate or from a photograph's background.
 
-`learn_plate` or `model_background` give a background, `find_patches` what lies on it. `teach`
-learns types of parts, `plate_vision.find_parts` names them; `teach_parts` is the program `teach`.
+`learn_plate` and `model_background` give a background, `find_patches` the patches in front of it.
+`teach` learns part types, and `plate_vision.find_parts` names patches by them. `teach_parts` is the
+program `teach`.
 """
 
 from .background import Background, learn_plate, model_background

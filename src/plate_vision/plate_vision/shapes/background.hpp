@@ -1,4 +1,4 @@
-// What is behind the parts of an image: see background.py.
+// The background behind the parts of an image: see background.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,8 +9,8 @@
 
 namespace plate {
 
-// Write how far colours (n, CHANNELS) are from others: (n,) [L], 255 at most; of three channels a
-// and b have a weight.
+// Write the deviations (n,) [L] of colours (n, CHANNELS) from others, clipped to 255. With three
+// channels, the squared differences in a and b are multiplied by `weight`.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void deviation_of(const uint8_t* __restrict lab,
                                                 const uint8_t* __restrict bare, float weight,
@@ -37,7 +37,7 @@ PLATE_WIDE inline void deviation_of_colours(const uint8_t* lab, const uint8_t* b
     deviation_of<3>(lab, bare, weight, out, count);
 }
 
-// L + 41 is a cube root of the light: 16 of 100 in CIE's L.
+// L + 41 is proportional to the cube root of the light: the offset 16 of CIE's L (0 to 100).
 constexpr float LIGHTNESS_0 = 40.8f;
 
 // Part of an image: columns and rows from (x0, y0) to just before (x1, y1).
@@ -45,8 +45,8 @@ struct ImageBox {
     int x0, y0, x1, y1;
 };
 
-// Write one row of colours of the bare plate in another light: `along` has the terms of the factor,
-// and of the shifts of a and b, for 1, u, u2; u = `first` + x * `step`.
+// Write one row of colours of the bare plate in another light. `along` has the coefficients of
+// 1, u, u2 for the factor and for the shifts of a and b; u = `first` + x * `step`.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void relight_row(const uint8_t* __restrict bare,
                                                uint8_t* __restrict out, int count, float first,
@@ -77,9 +77,9 @@ PLATE_WIDE inline void relight_colours(const uint8_t* bare, uint8_t* out, int co
     relight_row<3>(bare, out, count, first, step, along);
 }
 
-// Write the bare plate (h, w, c) in another light within a box: the terms (6, c) of the factor and
-// of the shifts of a and b are those of 1, u, v, u2, u v, v2; u = v = 0 at the image point `place`
-// [px], whose third number is one over the length of a unit [px].
+// Write the bare plate (h, w, c) in another light within a box. `surface` (6, c) has the
+// coefficients of 1, u, v, u2, u v, v2 for the factor and for the shifts of a and b. u = v = 0 at
+// the image point `place` [px], whose third number is the reciprocal of the length of a unit [px].
 inline void relight(View<const uint8_t, 3> bare, View<const float, 2> surface, const float* place,
                     const ImageBox& box, View<uint8_t, 3> out) {
     const int channels = bare.size(2);

@@ -1,7 +1,9 @@
-"""What is behind the parts of an image: a bare plate that was learned, or a model of a photograph.
+"""The background behind the parts: a bare plate learned from images, or a model of a photograph.
 
-Both give colour and noise of the background at each pixel. Colours are Lab as OpenCV scales it to 8
-bits (L 0 to 255, a and b about 128); an image in grey levels has one channel.
+`learn_plate` takes the median of images and their noise. `model_background` fits a smooth surface
+in Lab to the most frequent colour of one image. Both give the colour of each pixel, and the
+deviation up to which it counts as background. Colours are Lab as OpenCV scales it to 8 bits (L 0 to
+255, a and b about 128); an image in grey levels has one channel.
 """
 
 from __future__ import annotations
@@ -18,32 +20,32 @@ from ..plate.region import Region, make_region, quadratic
 from .lighting import Light, Lit, fit_light, relit
 
 CHROMA = (0.5, 2.0)
-"""Weight of a and b beside L in the deviation of a colour: what makes their noise like that of L,
-within these bounds. In CIE's deviation it is 2.55, as L ends at 100 there in place of 255."""
+"""Range of the weight of a and b relative to L in a deviation. The weight equalises their noise. In
+CIE's colour difference it is 2.55, because L ends at 100 there instead of 255."""
 
 SIGMAS = 3.5
-"""Deviation, in standard deviations of the background's noise, up to which a pixel shows it."""
+"""Maximum deviation of a background pixel, in standard deviations of the background's noise."""
 
 LEAST_NOISE = 2.5
-"""Least standard deviation that a background is thought to have: quantisation and JPEG [L]."""
+"""Minimum assumed standard deviation of a background, by quantisation and JPEG [L]."""
 
 NEAR_PX = 16
-"""Half the side of the window over which the noise of the bare plate is averaged [px]."""
+"""Half the side of the window in which the noise of the bare plate is averaged [px]."""
 
 SHIFT_PX = 0.2
-"""The plate comes home to so much [px]: by that its texture moves."""
+"""Error with which the plate returns home, so its texture is displaced by it [px]."""
 
 MOST_PIXELS = 30_000
-"""Of a photograph so many are looked at for its background."""
+"""Maximum number of pixels of a photograph that are evaluated for its background."""
 
 MODES = 5
-"""Colours of a photograph that are tried as its background."""
+"""Number of frequent colours of a photograph that are tried as its background."""
 
 NEAR_MODE = 18.0
-"""How near to a mode's colour its pixels are at first [L]."""
+"""Initial maximum deviation of pixels from the colour of a mode [L]."""
 
 TERMS = (1, 3, 6, 6, 6)
-"""Of the surface that is fitted to the background: flat, tilted, bent."""
+"""Numbers of terms of the surface in successive fits: constant, linear, quadratic."""
 
 BORDER = 0.03
 """Width of the border of a photograph, relative to its shorter side."""
@@ -52,17 +54,18 @@ BORDER_WEIGHT = 0.5
 """Weight of the border in the choice of a background."""
 
 LOCAL = 0.12
-"""How far the background's colour is averaged, relative to the shorter side: more than a part."""
+"""Standard deviation of the average of the background's colour, relative to the shorter side:
+larger than a part."""
 
 LOCAL_PASSES = 3
-"""Times that it is, with those pixels that are like it."""
+"""Number of such averages, each over the pixels that agree with the previous one."""
 
 LEAST_SHARE = 0.05
-"""Share of the background around a pixel from which on it follows that."""
+"""Fraction of background around a pixel above which the average follows it completely."""
 
 TEXTURE_PERCENT, TEXTURE = 98, 1.25
-"""Of what shows the background in a photograph so many per cent deviate less than its texture does;
-parts deviate so many times as much."""
+"""Percentage of a photograph's background pixels whose deviation is texture, and the factor between
+this deviation and that of parts."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
 """Candidates of the blur of an image, in addition to that of the bare plate's images [px]."""
@@ -75,34 +78,34 @@ SOFTER, EXPLAINED = 0.2, 0.1
 tried, and maximum fraction that differs with the right blur. With more, the plate has moved."""
 
 SPECK, SPECKS = 100.0, 0.004
-"""Deviation of a pixel from those around it that makes it a speck [L], and the share of such pixels
-from which on an image is cleaned of them."""
+"""Minimum deviation of a speck, a pixel that differs from its neighbours [L]; fraction of specks
+above which an image is cleaned."""
 
 LEAST_SCORE = 0.4
-"""Of the share of the image that the background explains, and of its border, added: what has less
-is no background."""
+"""Minimum score of a background: the fraction of the image that it explains, plus BORDER_WEIGHT
+times the fraction of the border."""
 
 BLOCK = 12.0
-"""Side of the bins in which modes are counted [L]."""
+"""Side of the bins in which frequent colours are counted [L]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What an image shows where no part lies.
+    """The background of an image: the colours that it shows where there are no parts.
 
     Attributes
     ----------
     lab : (H, W, C) uint8
         Colours: C = 3, L, a, b; or C = 1, grey levels.
     limit : (H, W) uint8
-        Deviation up to which a pixel shows the background [L], as `deviation` measures it.
+        Maximum deviation of a pixel that shows the background [L], see `deviation`.
     chroma : float
-        Weight of a and b beside L in a deviation.
+        Weight of a and b relative to L in a deviation.
     cleaned : bool
-        Whether single pixels are left out of images before they are compared with it: photographs
-        have dust and dead pixels that no bare plate shows.
+        Whether single pixels are filtered out of images before comparison. Photographs have dust
+        and dead pixels that are not on a bare plate.
     learned : bool
-        Whether it was learned from images of the bare plate.
+        Whether it was learned from images of the bare plate. If False, it is modelled.
     """
 
     lab: np.ndarray
@@ -113,7 +116,7 @@ class Background:
 
     @property
     def grey(self) -> np.ndarray:
-        """Its grey levels (H, W) uint8; of colours green's."""
+        """Grey levels (H, W) uint8; of colours the green channel."""
         if self.lab.shape[2] == 1:
             return self.lab[:, :, 0]
         return np.asarray(cv2.cvtColor(self.lab, cv2.COLOR_LAB2BGR)[:, :, 1])
@@ -121,14 +124,14 @@ class Background:
     def light_of(
         self, image: np.ndarray, region: Region | None = None, before: Light | None = None
     ) -> Light:
-        """Return the light of an image (H, W) or (H, W, 3) uint8, which shows parts as well,
-        relative to the background's own, within a region, the whole image if None. `before` is the
-        light of the image before.
+        """Return the light of an image (H, W) or (H, W, 3) uint8 with parts, relative to the
+        background's own light, within a region. Default: the whole image. `before` is the light of
+        the previous image.
 
         Raises
         ------
         ImageError
-            If the image has another shape than the background, or too little of it is seen.
+            If the image has another size than the background, or too little of it is visible.
         """
         if self.cleaned:
             image, convert = colours_like(image, self), _same
@@ -141,7 +144,7 @@ class Background:
         return fit_light(Lit(image, convert, self.lab, self.limit, self.chroma, region), before)
 
     def under(self, light: Light, region: Region | None = None) -> Background:
-        """Return the background in another light within a region, the whole image if None."""
+        """Return the background in another light within a region. Default: the whole image."""
         region = region or make_region(self.lab.shape[1::-1])
         return replace(self, lab=relit(self.lab, light, region))
 
@@ -187,7 +190,7 @@ def learn_plate(images: np.ndarray) -> Background:
         raise ImageError(f"images: shape is {images.shape}, allowed: (n, H, W) or (n, H, W, 3)")
     labs = np.stack([colours(image) for image in images])
     mean = np.median(labs, axis=0).astype(np.uint8) if len(labs) > 2 else labs[0]
-    # Of one image the noise is what differs from its own neighbourhood.
+    # Estimate the noise of a single image from its own neighbourhoods.
     bare = mean if len(labs) > 1 else cv2.medianBlur(mean, 5).reshape(mean.shape)
     chroma = _chroma_weight(labs, bare)
     square = np.mean([deviation(lab, bare, chroma).astype(np.float32) ** 2 for lab in labs], axis=0)
@@ -198,15 +201,15 @@ def learn_plate(images: np.ndarray) -> Background:
 
 
 def model_background(image: np.ndarray) -> Background:
-    """Model the background of one image (H, W) or (H, W, 3) uint8 that shows parts as well.
+    """Model the background of one image (H, W) or (H, W, 3) uint8 that contains parts.
 
-    It is the smooth surface in Lab on which most of the image and of its border lies, darker and
-    brighter where all around is; what is on both sides of it may be parts.
+    The background is the smooth surface in Lab that explains most of the image and of its border.
+    It follows slow changes of the image; pixels that deviate to either side may be parts.
 
     Raises
     ------
     ImageError
-        If it is not uint8, or has another shape.
+        If the image is not uint8, or has another shape.
     """
     lab = colours(image)
     clean = _cleaned(lab)
@@ -227,7 +230,7 @@ def model_background(image: np.ndarray) -> Background:
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for mode in _modes(values):
         if best is not None and best[2][mode]:
-            continue  # of the same surface
+            continue  # explained by the best surface so far
         fit = np.zeros((design.shape[1], channels), np.float32)
         fit[0] = values[mode]
         near = NEAR_MODE
@@ -262,8 +265,8 @@ def model_background(image: np.ndarray) -> Background:
 def _local(
     values: np.ndarray, surface: np.ndarray, kept: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a background (n, C) that follows an image's colours (n, C) where those pixels are like
-    it that are `kept` (n,), and which are in the end."""
+    """Let a background (n, C) follow slow changes of the colours (n, C) at the pixels that agree
+    with it (`kept` (n,)). Return it, and the pixels that agree in the end."""
     width = LOCAL * min(size)
     for _ in range(LOCAL_PASSES):
         rest = np.where(kept[:, None], values - surface, 0).reshape(size[1], size[0], -1)
@@ -277,7 +280,7 @@ def _local(
 
 
 def colours(image: np.ndarray) -> np.ndarray:
-    """Return Lab (H, W, 3) uint8 of blue, green, red (H, W, 3) uint8; grey levels as (H, W, 1)."""
+    """Return an image in Lab (H, W, 3) uint8; an image in grey levels as (H, W, 1)."""
     image = np.asarray(image)
     check_image(image)
     if image.ndim == 2:
@@ -286,8 +289,8 @@ def colours(image: np.ndarray) -> np.ndarray:
 
 
 def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
-    """Return an image's colours (H, W, C) once they can be compared with a background's: grey
-    levels with the colours of a picture file, or colours with grey levels."""
+    """Return an image's colours (H, W, C), converted to the channels of a background: grey levels
+    to colours, or colours to grey levels."""
     image = np.asarray(image)
     check_image(image)
     _check_size(image, background)
@@ -296,7 +299,7 @@ def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
 
 
 def compared(image: np.ndarray, channels: int) -> np.ndarray:
-    """Return colours (H, W, C) of pixels (H, W) or (H, W, 3) uint8, with so many channels C."""
+    """Return the colours (H, W, C) of pixels (H, W) or (H, W, 3) uint8 with `channels` channels."""
     if (image.ndim == 2) != (channels == 1):
         code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_BGR2GRAY
         image = cv2.cvtColor(np.ascontiguousarray(image), code)
@@ -313,15 +316,15 @@ def _check_size(image: np.ndarray, background: Background) -> None:
 
 
 def _cleaned(lab: np.ndarray) -> np.ndarray:
-    """Return colours (H, W, C) without single pixels that differ from those around them."""
+    """Filter single pixels that differ from their neighbours out of colours (H, W, C)."""
     return np.asarray(cv2.medianBlur(lab, 3)).reshape(lab.shape)
 
 
 def steepness(
     image: np.ndarray, weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> np.ndarray:
-    """Return how steeply an image (H, W) or (H, W, C) changes: (H, W), as Sobel's filter gives it,
-    of that channel, times its weight, which changes most."""
+    """Return the gradient (H, W) of an image (H, W) or (H, W, C) by Sobel's filter: the maximum
+    over the channels, each multiplied by its weight."""
     slopes = [
         weight * np.hypot(cv2.Sobel(one, cv2.CV_32F, 1, 0), cv2.Sobel(one, cv2.CV_32F, 0, 1))
         for one, weight in zip(cv2.split(image), weights, strict=False)
@@ -330,15 +333,16 @@ def steepness(
 
 
 def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:
-    """Return how far colours (H, W, C) uint8 are from others: (H, W) uint8 [L], 255 at most; a and
-    b weigh `chroma`."""
+    """Return the deviation (H, W) uint8 [L], clipped to 255, of colours (H, W, C) uint8 from
+    others: sqrt(dL^2 + chroma^2 (da^2 + db^2)).
+    """
     out = np.empty(lab.shape[:2], np.uint8)
     _kernels.deviation(lab, bare, chroma, out)
     return out
 
 
 def _chroma_weight(labs: np.ndarray, bare: np.ndarray) -> float:
-    """Return the weight of a and b by which their noise is like that of L."""
+    """Return the weight of a and b that equalises their noise with that of L."""
     if bare.shape[2] == 1:
         return CHROMA[1]
     noise = np.mean((labs.astype(np.float32) - bare) ** 2, axis=(0, 1, 2))
@@ -347,7 +351,7 @@ def _chroma_weight(labs: np.ndarray, bare: np.ndarray) -> float:
 
 
 def _size(change: np.ndarray, chroma: float) -> np.ndarray:
-    """Return the deviation (n,) of differences of colours (n, C)."""
+    """Return the deviations (n,) of colour differences (n, C)."""
     weights = np.array([1, chroma, chroma][: change.shape[1]], np.float32)
     return np.asarray(np.sqrt(np.sum((change * weights) ** 2, axis=1)))
 
@@ -369,7 +373,7 @@ def _as_colours(lab: np.ndarray) -> np.ndarray:
 
 
 def _modes(values: np.ndarray) -> np.ndarray:
-    """Return which (m,) of values (n, C) have the most frequent colours."""
+    """Return the indices (m,) of values (n, C) that represent the most frequent colours."""
     bins = np.floor(values / BLOCK).astype(np.int64)
     keys = bins @ (1000 ** np.arange(values.shape[1]))
     _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)

@@ -1,4 +1,5 @@
-"""The blur of an image by the rims of its patches: too much makes types look alike."""
+"""The blur of an image, measured at the contours of its patches. A large blur makes types look
+alike."""
 
 from __future__ import annotations
 
@@ -12,29 +13,29 @@ from ..camera.encodings import grey_levels
 from .patch import Patch
 
 MAX_PX, MAX_RADIUS = 0.5, 0.144
-"""Maximum blur of an image in which types are named, standard deviation: the first [px] and this
-fraction of the parts' median radius, added. In drawn images nuts were taken for washers from 2.0 px
-with parts of 10 px radius, and from 3.4 px with 19 px, but not with 1.8 and 3.1 px."""
+"""Maximum blur of an image in which types are named, a standard deviation: the sum of the first
+[px] and this fraction of the parts' median radius. In synthetic images nuts were taken for washers
+from 2.0 px with parts of 10 px radius, and from 3.4 px with 19 px, but not with 1.8 and 3.1 px."""
 
 POINTS, PERCENT = 24, 25
-"""Number of points on the rim of a patch, and percentile of the blur at these points. Shadow and
-motion blur only a part of a rim."""
+"""Number of points on the contour of a patch, and percentile of the blur at these points. Shadow
+and motion blur only a part of a contour."""
 
 FIRST, SHARP = 8, 0.6
-"""Number of patches that are measured first, and the fraction of the maximum blur below which the
-image is sharp by these alone. In images with too much blur they have shown at least 0.8 of it."""
+"""Number of patches that are measured first, and the fraction of the maximum blur below which they
+alone show that the image is sharp. In images with too much blur they have at least 0.8 of it."""
 
 BESIDE_PX, BESIDE_RADIUS, STEPS = 9.0, 0.6, 13
-"""Length of a profile on each side of the rim, the smaller of the two [px, radii]; number of
+"""Length of a profile on each side of the contour, the smaller of the two [px, radii]; number of
 samples."""
 
 SECANT = 3
-"""Distance to the two neighbours on the rim that give its direction [points of the contour]."""
+"""Distance to the two neighbours on the contour that give its direction [points of the contour]."""
 
 
 def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
-    """Whether an image (H, W) or (H, W, 3) uint8, by its patches, is so blurred that types are
-    taken for others."""
+    """Whether an image (H, W) or (H, W, 3) uint8 is so blurred, measured by its patches, that types
+    may be confused."""
     usable = [patch for patch in patches if patch.whole and not patch.group]
     if not usable:
         return False
@@ -47,8 +48,8 @@ def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
 
 
 def rim_blur_px(grey: np.ndarray, patches: Sequence[Patch], radius_px: np.ndarray) -> float:
-    """Return the blur of the rims of patches of radii (n,) [px] in an image (H, W) uint8, a
-    standard deviation [px]: contrast over slope, the median of the patches."""
+    """Return the blur of the contours of patches of radii (n,) [px] in an image (H, W) uint8, a
+    standard deviation [px]: contrast / (sqrt(2 pi) slope), the median over the patches."""
     rims, ways = [], []
     for patch in patches:
         contours, _ = cv2.findContours(

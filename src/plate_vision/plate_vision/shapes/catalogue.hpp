@@ -1,4 +1,4 @@
-// How types of parts are laid onto outlines: see catalogue.py.
+// Fits of part types to outlines: see catalogue.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -12,22 +12,22 @@
 
 namespace plate {
 
-// Angles for which spectra are compared.
+// Number of angles at which spectra are compared.
 constexpr int TURNS = 96;
 
-// Angles from which a polygon is laid onto an outline, at most.
+// Maximum number of angles from which a polygon is fitted to an outline.
 constexpr int STARTS = 4;
 
-// Least correlation of both spectra at such an angle, relative to the best one of the type.
+// Minimum correlation of the two spectra at a candidate angle, relative to the type's best.
 constexpr double LIKELY = 0.4;
 
-// Gauss-Newton steps.
+// Number of Gauss-Newton steps.
 constexpr int FIT_STEPS = 5;
 
-// Where outlines are as near to each other, no other angle is tried [px].
+// Distance of outlines below which no other angle is tried [px].
 constexpr double EXACT = 0.15;
 
-// How well spectra (HARMONICS,) agree where one is turned to the other by each of the angles.
+// Correlation of two spectra (HARMONICS,), one rotated by each of the angles.
 PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
                                  std::array<double, TURNS>& alike) {
     double turn_x[TURNS], turn_y[TURNS], wave_x[TURNS], wave_y[TURNS];
@@ -49,8 +49,9 @@ PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
     }
 }
 
-// Angles [rad] by which an outline with one spectrum (HARMONICS,) seems turned to one with another,
-// the most likely first; that one looks the same in so many directions.
+// Candidate angles [rad] by which an outline is rotated relative to another, by their spectra
+// (HARMONICS,), the most likely first. `symmetry` is the number of directions in which the second
+// looks the same.
 inline std::vector<double> likely_turns(const Complex* seen, const Complex* known, int symmetry) {
     if (symmetry == 0) return {0};
     std::array<double, TURNS> alike, sector;
@@ -73,8 +74,8 @@ inline std::vector<double> likely_turns(const Complex* seen, const Complex* know
     return found;
 }
 
-// A type of parts, as `Template` of catalogue.py has it: edges (e, 5), samples (n, 4) of its rim
-// with the unit vectors outwards, the centre and the spectrum of its outline.
+// A part type, see `Template` of catalogue.py: edges (e, 5), samples (n, 4) of its contour with the
+// outward unit vectors, centre and spectrum of its outline.
 struct TypeOutline {
     View<const double, 2> edges, samples;
     const double* centre;
@@ -82,14 +83,14 @@ struct TypeOutline {
     int symmetry;
 };
 
-// An outline that was seen: its edges, centre and spectrum.
+// A measured outline: edges, centre and spectrum.
 struct SeenOutline {
     View<const double, 2> edges;
     const double* centre;
     const Complex* spectrum;
 };
 
-// Lay a type onto an outline in every likely turn: see `lay_on` of catalogue.py.
+// Fit a type to an outline from each candidate angle: see `lay_on` of catalogue.py.
 inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double unit,
                       double hopeless) {
     constexpr double FAR = std::numeric_limits<double>::infinity();
@@ -112,7 +113,7 @@ inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double u
             best.rest = std::min(best.rest, fit.rest);
             continue;
         }
-        // What the type has and the outline has not.
+        // Distances in the other direction: from the type's contour to the outline.
         c = std::cos(fit.angle), s = std::sin(fit.angle);
         for (int i = 0; i < count; i++) {
             const double x = samples(i, 0) + fit.swell * samples(i, 2);

@@ -1,4 +1,8 @@
-"""Types of parts, ready for comparison with outlines, and how they are laid onto these."""
+"""Part types prepared for comparison with outlines, and their fit to an outline.
+
+`make_catalogue` computes edges, samples, spectrum and areas of all types. `lay_on` fits a type to
+an outline: candidate angles by correlation of the spectra, then Gauss-Newton steps.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +18,31 @@ from .. import _kernels
 from .outlines import HARMONICS, Outline, distances, make_outline
 
 ROUND_CORNERS = 96
-"""Corners of the polygon that stands for a disc where not the circle itself does."""
+"""Number of corners of the polygon that represents a disc where a polygon is required."""
 
 GRID = 13
-"""Points along each side of a box around a type at which it is sampled."""
+"""Number of points along each side of the bounding box at which a type is sampled."""
 
 CHIRAL = 0.02
-"""A part that differs from its mirror image by more of its reach, RMS, has two faces."""
+"""RMS difference of a part from its mirror image, relative to its reach, above which its two faces
+differ."""
 
 HOLE_INSIDE = 0.55
-"""Size of the part of a hole that is clear of its rim, relative to the hole."""
+"""Size of the inner area of a hole, away from its edge, relative to the hole."""
 
 SAMPLES = 64
-"""Points on a type's outline."""
+"""Number of points on a type's outline."""
 
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A part type, ready for comparison.
+    """A part type prepared for comparison.
 
     Attributes
     ----------
     part : PartType
     edges : (e, 5)
-        Of its outline and holes, see `Outline.edges`; a disc's is a circle.
+        Edges of its outline and holes, see `Outline.edges`. A disc's outline is a circle.
     outline : Outline
     """
 
@@ -47,8 +52,8 @@ class Template:
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """Points (SAMPLES, 2) on its rim, evenly spaced [m], and there the unit vectors (SAMPLES,
-        2) outwards: (SAMPLES, 4)."""
+        """Evenly spaced points [m] on its contour, with their outward unit vectors: (SAMPLES,
+        4)."""
         edges = self.outline.edges
         end = np.cumsum(edges[:, 4])
         at = (np.arange(SAMPLES) + 0.5) * end[-1] / SAMPLES
@@ -59,26 +64,26 @@ class Template:
 
     @cached_property
     def lever2(self) -> float:
-        """Mean square by which points on its rim leave it when it turns [m2/rad2]."""
+        """Mean square of the normal displacement of its contour per rotation [m2/rad2]."""
         x, y, right, up = self.samples.T
         return float(np.mean((x * up - y * right) ** 2))
 
     @cached_property
     def pole(self) -> tuple[np.ndarray, float]:
-        """The point (2,) of the part that is furthest from its rim, and how far that is [m]."""
+        """The point (2,) of the part farthest from its contour, and its distance from it [m]."""
         depth = -distances(self.edges, self._grid)[:, 0]
         return self._grid[np.argmax(depth)], float(np.max(depth))
 
     @cached_property
     def inner(self) -> np.ndarray:
-        """Points (n, 2) all over the part, clear of its rim, the outermost first [m]."""
+        """Points (n, 2) inside the part, away from its contour, the outermost first [m]."""
         depth = -distances(self.edges, self._grid)[:, 0]
         points = self._grid[depth > 0.2 * np.max(depth)]
         return points[np.argsort(-np.hypot(*(points - self.pole[0]).T))]
 
     @cached_property
     def hole_points(self) -> np.ndarray:
-        """Points (n, 2) in its holes, clear of their rims [m]."""
+        """Points (n, 2) inside its holes, away from their edges [m]."""
         found = [np.empty((0, 2))]
         for hole in self.part.holes:
             ring = np.array(hole)
@@ -101,7 +106,7 @@ class Template:
 
     @cached_property
     def mirrored(self) -> Template | None:
-        """The part turned over, if it then looks different."""
+        """The part's other face; None if it looks the same."""
         flip = np.array([-1.0, 1.0])
         outline = make_outline([flip * ring for ring in self.outline.rings])
         fit = lay_on(self, outline, 100 / outline.reach)
@@ -115,7 +120,7 @@ def make_template(part: PartType) -> Template:
     """Prepare a part type for comparison."""
     rings = _corner_rings(part)
     coarse = make_outline(rings)
-    # Its spectrum is exact only for short edges.
+    # The spectrum is exact only for short edges.
     fine = make_outline([_refined(ring, 0.05 * coarse.reach) for ring in rings])
     edges = coarse.edges
     if part.radius_m:
@@ -139,20 +144,20 @@ def _corner_rings(part: PartType) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Catalogue:
-    """All types of a rig (T), ready for comparison.
+    """All T types of a rig, prepared for comparison.
 
     Attributes
     ----------
     templates : tuple of Template
     area, filled_area, rim, reach, scatter : (T,)
-        Less the holes, and with them [m2]; length of the outer rim [m]; greatest distance from the
-        centre [m]; how far outlines of parts of the type are apart [m].
+        Area without the holes, and with them [m2]; length of the outer contour [m]; maximum
+        distance from the centre [m]; RMS difference of outlines of parts of the type [m].
     colour : (T, 3)
-        CIE L, a, b; NaN where it is not known.
+        CIE L, a, b; NaN if unknown.
     form : (T, HARMONICS - 1)
         See `Outline.form`.
     height : (T,)
-        Above the plate [m]; 0: flat, or not known.
+        Height above the plate [m]; 0: flat, or unknown.
     """
 
     templates: tuple[Template, ...]
@@ -186,8 +191,8 @@ def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
 def lay_on(
     template: Template, outline: Outline, scale: float, hopeless: float = np.inf
 ) -> np.ndarray:
-    """Lay a type onto an outline in every likely turn: (5,) as `fit_pose`; the distances are then
-    those of both from each other."""
+    """Fit a type to an outline from each likely angle. Return (5,) as `fit_pose`; the distances are
+    averaged over both directions, from outline to type and from type to outline."""
     fit: np.ndarray = _kernels.lay_on(
         template.edges,
         template.samples,
@@ -204,7 +209,7 @@ def lay_on(
 
 
 def _refined(ring: np.ndarray, length: float) -> np.ndarray:
-    """Return a ring (n, 2) with more points: none further than a length [m] from the next."""
+    """Return a ring (n, 2) with additional points, none farther than a length [m] from the next."""
     after = np.roll(ring, -1, axis=0)
     pieces = []
     for a, b in zip(ring, after, strict=True):

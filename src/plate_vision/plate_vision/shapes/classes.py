@@ -1,12 +1,13 @@
-"""Which type of part a patch is, where it lies and how it is turned.
+"""The type, position and angle of each patch.
 
-A patch's outline is compared with that of every type: turns in which the spectra of both agree are
-found by correlation, the type's polygon is then laid onto the outline by least squares. Types are
-told apart by how far outlines remain from each other, by size and by colour. A part whose mirror
-image fits better lies on its other face: that is not its type.
+A patch's outline is compared with the outline of every type. Candidate angles come from the
+correlation of both spectra; then the type's polygon is fitted to the outline by least squares. The
+score of a type is a sum of squares: remaining distance of the outlines, difference in size, colour
+and holes, each in standard deviations. A part whose mirror image fits better lies on its other
+face, which is not its type.
 
-A nearest neighbour on Hu moments, size and colour names known parts as well and faster, but gives
-no angle, and names what is of no type.
+A nearest neighbour on Hu moments, size and colour names known parts as well and faster. But it
+gives no angle, and it names things without a type.
 """
 
 from __future__ import annotations
@@ -30,80 +31,83 @@ from .patch import Patch
 from .shadows import SHORTEST_PX, Lamp
 
 UNKNOWN = "unknown"
-"""The label of a patch that is like no type."""
+"""Label of a patch that matches no type."""
 
 GROUP = "group"
-"""The label of parts that touch each other and that nothing takes apart."""
+"""Label of touching parts that could not be separated."""
 
 ASTRAY = 2.0
-"""After two steps a fit is no further from its goal than so many times what it may be."""
+"""Factor between the distance of a fit after two steps and its maximum final distance, above which
+the fit is abandoned."""
 
 FIT_PX = 0.35
-"""How far outlines of one type are apart by pixels and noise, RMS [px]."""
+"""RMS distance of outlines of one type caused by pixels and noise [px]."""
 
 FIT_REACH = 0.025
-"""The same by the view from the side, light and make, relative to the part's reach."""
+"""The same, caused by perspective, light and manufacture, relative to the part's reach."""
 
 SIZE_PX = 0.6
-"""How much larger or smaller a part's outline seems than it is: blur, shadow, threshold [px]."""
+"""Standard deviation of the apparent size of an outline caused by blur, shadow, threshold [px]."""
 
 SIZE_REACH = 0.025
-"""The same, relative to its reach."""
+"""The same, relative to the part's reach."""
 
 COLOUR_LAB = 12.0
-"""How far colours of one type are apart."""
+"""Standard deviation of the colours of one type [Lab]."""
 
 LIGHTNESS = 0.5
-"""Weight of differences of lightness, which light and highlights change."""
+"""Weight of differences in lightness, which depends on light and highlights."""
 
 HOLES = 0.06
-"""How much of a part may seem to be a hole, or not to be one: a highlight, a dark hole."""
+"""Standard deviation of the fraction of a part that is a hole in its outline: highlights may look
+like holes, dark holes like the part."""
 
 LIMIT = 3.0
-"""Of differences, in the standard deviations above: what is further from every type is unknown."""
+"""Maximum difference, in the standard deviations above. A patch farther from every type is
+unknown."""
 
 OTHER_SIZE, OTHER_SIZE_PX = 0.45, 1.0
-"""Natural logarithm of the ratio of sizes, and difference of outlines [px], from which on a patch
-is not of a type, whatever its scatter."""
+"""Natural logarithm of the size ratio, and difference of the outlines [px], beyond which a patch is
+not of a type, whatever the type's scatter."""
 
 UNLIKE = 0.4
-"""Distance of forms, see `Outline.form`, from which on a type is not tried: parts of 20 px are up
-to 0.07 from their own type, 0.14 if blurred by 1.5 px, and 0.1 (nut, washer) to 1.3 from others."""
+"""Distance of forms, see `Outline.form`, above which a type is not tried. Parts of 20 px are up to
+0.07 from their own type, 0.14 if blurred by 1.5 px, and 0.1 (nut, washer) to 1.3 from others."""
 
 SLACK_PX = 0.5
-"""How well the difference of two areas says by how much an outline is swollen [px]."""
+"""Error of the swelling of an outline that is estimated from the difference of two areas [px]."""
 
 OTHER_FACE = 1.0
-"""By how much a part's mirror image fits better, in the variance of an outline, if it lies on its
-other face: of a round, ragged part either may fit a little better."""
+"""Reduction of the squared distance by the mirror image, in variances of an outline, above which a
+part lies on its other face. For a round, ragged part either may fit slightly better."""
 
 HOPELESS = 12.0
-"""A type whose size and colour alone give so much more than the best score is not tried: its
-likelihood is 0.2 % of the other's."""
+"""Excess over the best score, from size and colour alone, above which a type is not tried: its
+likelihood is 0.2 % of the best one's."""
 
 FILLED_COLOUR = 0.5
-"""Weight of the colour of a part whose hole is seen, but not in its outline."""
+"""Weight of the colour of a part whose hole is visible, but not in its outline."""
 
 CLEAN = 1.5
-"""Score below which a type with holes is not tried without them."""
+"""Score below which a type with holes is not also tried without them."""
 
 OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
-"""Error of a place by an outline that is not the type's, relative to how far they are apart, and
-how far they are in a sharp image [px]: blur by motion, height, light."""
+"""Error of a position per distance between the outline and the type's; this distance in a sharp
+image [px], without motion blur, height or uneven light."""
 
 SWELL_ERROR, USUAL_SWELL_PX = 0.5, 0.2
-"""Error of a place relative to how much an outline is swollen, and usual swelling [px]: what makes
-a part larger on one side, as its unknown height does, moves it by more than it swells it."""
+"""Error of a position per swelling of an outline, and typical swelling [px]. A cause on one side,
+such as an unknown height, moves a part by more than it swells it."""
 
 HEIGHT_ERROR_PX = 0.1
-"""Standard deviation of a place on the plate along each axis after the correction for height: side
-faces have another shade than the top [px]."""
+"""Standard deviation of a position on the plate along each axis after the correction for height
+[px]: side faces differ in shade from the top."""
 
 FEWEST_NAMED = 3
-"""Parts of known types by which the length of shadows, and how much outlines swell, is measured."""
+"""Minimum number of parts with a type for a measurement of shadow length and swelling."""
 
 LEAST_SWELL_PX, MOST_SWELL_PX = 0.3, 1.5
-"""Swelling of most outlines that is taken into account, at least and at most [px]."""
+"""Range of the median swelling of outlines that is corrected [px]."""
 
 SIGHTING = np.dtype(
     [
@@ -124,32 +128,32 @@ SIGHTING = np.dtype(
         ("blurred", "?"),
     ]
 )
-"""One part: its centre and the radius of the disc of the same area [px]; type, `UNKNOWN` or
-`GROUP`; confidence, 0 to 1; centre [m] and angle [rad] in plate_home, and the standard deviation of
-the angle [rad]; whether all of it is in the image; how far its outline is from the type's, RMS once
-that is swollen as much as it is, and by how much that is [px]; distance of the colours; standard
-deviation of the place along each axis [m]; whether its type is unknown as the image is blurred."""
+"""One part: centre and radius of the disc of the same area [px]; type, `UNKNOWN` or `GROUP`;
+confidence, 0 to 1; centre [m] and angle [rad] in plate_home; standard deviation of the angle [rad];
+whether it is completely in the image; RMS distance of its outline from the swollen outline of its
+type [px]; swelling of its outline [px]; distance of the colours; standard deviation of the position
+along each axis [m]; whether its type is unknown because the image is blurred."""
 
 
 def is_named(seen: np.ndarray) -> np.ndarray:
-    """Which (n,) of sightings (n,) `SIGHTING` are of a type."""
+    """Whether a sighting (n,) `SIGHTING` has a type, (n,) bool."""
     return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
 
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """How the parts of an image are seen.
+    """Imaging conditions of the parts in an image.
 
     Attributes
     ----------
     lamp : Lamp, optional
-        The one that casts all shadows: patches have them, see `segment`.
+        The lamp that casts all shadows. If given, patches include shadows: see `segment`.
     background : Background, optional
-        The bare plate: what is seen through holes that an outline lacks is compared with it.
+        The bare plate, for comparison with the image in holes that an outline lacks.
     swell_px : float
-        How much larger outlines of parts are than the parts [px]: by blur, soft shadows, light.
+        Distance by which outlines are larger than the parts [px], by blur, soft shadows, light.
     settled : bool
-        Whether lamp and swelling were measured by parts of known types.
+        Whether lamp and swelling were measured with parts of known types.
     """
 
     lamp: Lamp | None = None
@@ -165,7 +169,7 @@ def recognise(
     calibration: Calibration,
     conditions: Conditions | None = None,
 ) -> np.ndarray:
-    """Say of patches which type of part they are.
+    """Return the type, position and angle of each patch.
 
     Parameters
     ----------
@@ -173,11 +177,11 @@ def recognise(
         Grey levels, or blue, green, red.
     patches : sequence of Patch
     catalogue : Catalogue
-        Of the types.
+        The types.
     calibration : Calibration
-        Between the image and plate_home, where the types' outlines are.
+        Mapping between the image and plate_home.
     conditions : Conditions, optional
-        How parts are seen; None: nothing is known.
+        Imaging conditions; None: unknown.
 
     Returns
     -------
@@ -193,10 +197,10 @@ def recognise_under(
     calibration: Calibration,
     conditions: Conditions,
 ) -> tuple[np.ndarray, Conditions]:
-    """As `recognise`; returns the conditions, too, as the parts show them.
+    """As `recognise`, but also return the conditions measured with the recognised parts.
 
-    If most parts of known types are swollen, or their shadows have another length than was
-    measured without types, all are compared once more.
+    If most parts with a type are swollen, or their shadows have another length than was measured
+    without types, all patches are compared again.
     """
     outlines, colours = measure_patches(image, patches, calibration)
     found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
@@ -217,7 +221,7 @@ def _compared(
     calibration: Calibration,
     conditions: Conditions,
 ) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of patches with these outlines and colours (n, 3)."""
+    """Return the sightings (n,) SIGHTING of patches, given their outlines and colours (n, 3)."""
     lamp, background, swell = conditions.lamp, conditions.background, conditions.swell_px
     found = np.zeros(len(outlines), SIGHTING)
     if not len(outlines):
@@ -251,7 +255,7 @@ def _compared(
         ]
         tint = np.array(tints)[which].swapaxes(0, 1)
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
-        # A hole that is filled by blur or shadow is in the colour of what is around it.
+        # A hole filled by blur or shadow has the colour of its surround.
         holed = np.array([bool(one.part.holes) for one in catalogue.templates])
         weight = np.where(holed & (look is not None), FILLED_COLOUR, 1.0)
         least = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
@@ -268,7 +272,7 @@ def _compared(
         SWELL_ERROR * np.maximum(np.abs(found["swell_px"]) - USUAL_SWELL_PX, 0),
     )
     if lamp is not None:
-        # Half of a shadow's error is the part's: of its length, and of where its edge is.
+        # Half of the shadow's error, of its length and its edge, is an error of the part.
         shadow_px = np.hypot(lamp.scatter_px, max(swell, LEAST_SWELL_PX))
         error_px = np.hypot(error_px, 0.5 * shadow_px)
     if len(levels) > 1 or levels[0] > 0:
@@ -282,8 +286,8 @@ def _compared(
 def height_levels(
     catalogue: Catalogue, calibration: Calibration
 ) -> tuple[list[float], np.ndarray, int]:
-    """Return the different heights of types [m], which of them each type (T,) has, and which most
-    of them have. All are 0 if the camera's place is not known."""
+    """Return the distinct heights of types [m], the index of each type's height (T,), and the index
+    of the most frequent one. All heights are 0 if the camera's place is unknown."""
     height = catalogue.height if calibration.place is not None else np.zeros(len(catalogue.area))
     if not np.any(height):
         return [0.0], np.zeros(len(height), int), 0
@@ -294,8 +298,9 @@ def height_levels(
 def footprints(
     outlines: Sequence[Outline], calibration: Calibration, height: float, lamp: Lamp | None = None
 ) -> list[Outline]:
-    """Return where parts of a height [m] touch the plate, of which all that is seen, with the
-    shadows of a lamp, has these outlines; those of what is not so high as they are."""
+    """Return the footprints of parts with a height [m]. The given outlines contain all that is
+    visible of the parts and of their shadows from a lamp. Outlines of lower things are
+    unchanged."""
     if height == 0 and lamp is None:
         return list(outlines)
     centre = np.array([outline.centre for outline in outlines]).reshape(-1, 2)
@@ -317,8 +322,8 @@ def top_colours(
     height: float,
     otherwise: np.ndarray,
 ) -> np.ndarray:
-    """Return the colours CIE L, a, b (n, 3) of the tops of parts of a height [m] with these
-    outlines on the plate; `otherwise` (n, 3) where they are too small."""
+    """Return the colours CIE L, a, b (n, 3) of the tops of parts with a height [m], given their
+    footprints; `otherwise` (n, 3) if they are too small."""
     found = otherwise.copy()
     below = calibration.place[:2] if calibration.place is not None else np.zeros(2)
     factor = 1.0 if calibration.place is None else magnified(calibration.place, height)
@@ -370,8 +375,8 @@ def to_lab(colour: np.ndarray) -> np.ndarray:
 
 
 def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
-    """Return how far colours (..., 3) CIE L, a, b are apart (...): lightness counts less; it alone
-    counts if the image has no colours."""
+    """Return the distances (...) of colours (..., 3) CIE L, a, b. Lightness has less weight; in an
+    image without colours only it counts."""
     gap = (np.asarray(a) - np.asarray(b)) * (LIGHTNESS, 1.0 if coloured else 0, coloured)
     return np.asarray(np.sqrt(np.sum(gap**2, axis=-1)))
 
@@ -388,9 +393,9 @@ def _judge_one(
     look: Look | None,
     swell: float,
 ) -> None:
-    """Fill in a sighting () SIGHTING. Of each type (T,): the outline if it is as high as that; its
-    least score; variances of outline and size [px2]; how far its colour is. Outlines are swollen
-    by `swell` [px]."""
+    """Fill in a sighting () SIGHTING. Given for each type (T,): the outline for its height; its
+    minimum score; variances of outline and size [px2]; distance of its colour. `swell` is the
+    swelling of all outlines [px]."""
     best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
     laid, points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(least).tolist():
@@ -444,13 +449,13 @@ def _judge_one(
 def _ways_to_lay(
     template: Template, outline: Outline, look: Look | None
 ) -> list[tuple[Template, Outline, float | None]]:
-    """Return how a type may be laid onto an outline: template, outline, and the penalty of holes in
-    standard deviations, None if that depends on what is seen in them."""
+    """Return the combinations of a type and an outline to fit: template, outline, and the penalty
+    of holes in standard deviations, None if it depends on the image in them."""
     own, seen = bool(template.part.holes), len(outline.ends) > 1
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
     if own and seen and look is not None:
-        return [plain, filled]  # of a hole that is half in a shadow the rest is seen
+        return [plain, filled]  # a hole half in shadow is only partly in the outline
     return [plain] if own == seen else [filled]
 
 
@@ -461,7 +466,7 @@ def _settled(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Conditions:
-    """Return the conditions as parts of known types (n,) SIGHTING show them."""
+    """Return the conditions measured with the parts that have a type (n,) SIGHTING."""
     named = np.flatnonzero(is_named(found) & found["whole"])
     if len(named) < FEWEST_NAMED:
         return replace(conditions, settled=True)
@@ -484,10 +489,10 @@ def _measured(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Lamp:
-    """Return a lamp with the length that shadows have by the sizes of the parts `named` (m,) of
-    sightings (n,) SIGHTING, and of all that is seen of them and their shadows.
+    """Return the lamp with the length of the shadows, from the sizes of the parts `named` (m,)
+    among sightings (n,) SIGHTING, and from the outlines of the parts with their shadows.
 
-    Blur swells outlines on all sides: it is measured across the shadows.
+    Blur swells outlines on all sides. It is measured across the shadows.
     """
     numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
     centre = np.column_stack([found["x"], found["y"]])[named]
@@ -505,7 +510,7 @@ def _measured(
         seen, body = np.ptp(outlines[i].rings[0] @ axes, axis=0), np.vstack([base, top]) @ axes
         swell = seen[1] - np.ptp(body[:, 1])
         end = np.min(body[:, 0]) + seen[0] - swell
-        if end > np.max(body[:, 0]):  # else the part hides its shadow
+        if end > np.max(body[:, 0]):  # otherwise the part hides its shadow
             lengths.append(end - np.max((base @ axes)[:, 0]))
     if len(lengths) < FEWEST_NAMED:
         return lamp
@@ -517,8 +522,8 @@ def _measured(
 
 
 def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, scale: float) -> None:
-    """Write into a sighting () SIGHTING which type it is, where that was laid: `fit` (3,) x, y [m],
-    angle [rad], with a standard deviation `scatter` [rad]."""
+    """Write a type into a sighting () SIGHTING: `fit` (3,) is its x, y [m] and angle [rad],
+    `scatter` the standard deviation of the angle [rad]."""
     row["label"] = part.name
     row["x"], row["y"] = fit[:2]
     row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), scatter
@@ -528,11 +533,12 @@ def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, sca
 def angle_sd(
     template: Template, points: np.ndarray, fit: np.ndarray, scale: float, gate: float = np.inf
 ) -> float:
-    """Return the standard deviation [rad] of the angle of a type that was laid onto points (n, 2):
-    at most that of an angle of which nothing is known.
+    """Return the standard deviation [rad] of the angle of a type fitted to points (n, 2), at most
+    that of an unknown angle.
 
-    It follows from how much worse the type lies on them when it is turned by a pixel. If they show
-    less of a turn than its own rim does, corners are blurred or hidden, and noise looks like them.
+    It follows from the growth of the squared distances when the type is rotated by about a pixel.
+    If the points show a smaller growth than the type's own contour, its corners are blurred or
+    hidden and noise looks like corners, so the deviation is increased.
     """
     period = 2 * np.pi / max(template.part.symmetry, 1)
     most = period / np.sqrt(12)
@@ -543,8 +549,8 @@ def angle_sd(
 
 
 def wrapped(angle: float, symmetry: int) -> float:
-    """Return an angle [rad] of a part that looks the same in so many directions: from 0 to the
-    angle between two of these, 0 for a disc; of a part without symmetry from -pi to pi."""
+    """Return an angle [rad] in the range of a part that looks the same in `symmetry` directions: 0
+    to 2 pi / symmetry; 0 for a disc; -pi to pi without symmetry."""
     if symmetry == 0:
         return 0.0
     if symmetry == 1:

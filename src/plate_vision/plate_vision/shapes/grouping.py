@@ -1,7 +1,8 @@
-"""Which pieces of patches are parts: those alike others in the image, or parted by a narrow neck.
+"""Decision which pieces of patches are parts: pieces like others in the image, or separated by a
+narrow neck.
 
-Most images show several parts of a kind. Where it is not clear from a patch alone whether it is one
-part or several, as of brackets that touch with a whole side, its like elsewhere decides.
+Most images show several parts of a kind. If a patch alone does not show whether it is one part or
+several, for example brackets that touch along a whole side, similar pieces elsewhere decide.
 """
 
 from __future__ import annotations
@@ -16,98 +17,101 @@ from .background import steepness
 from .splitting import split
 
 Traits = tuple[float, float, float]
-"""Area [px2], spread (second moment by squared area) and solidity of a piece."""
+"""Area [px2], spread (second moment divided by the squared area) and solidity of a piece."""
 
 Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""A patch: its pixels (h, w) bool, how much of each is part (h, w) float32, and their colours
-(h, w, C) uint8."""
+"""A patch: its pixels (h, w) bool, the fraction of each pixel that is part (h, w) float32, and the
+colours (h, w, C) uint8."""
 
 CONVEX = 0.93
-"""Patches that fill so much of their convex hull are not split by their necks."""
+"""Solidity above which patches are not split at necks."""
 
 CLEAR = 0.45
-"""Neck, relative to the narrower of both sides, up to which they are two parts in any case."""
+"""Width of a neck, relative to the narrower side, below which both sides are always two parts."""
 
 ALIKE = (0.12, 0.12, 0.06)
-"""Of two pieces alike: relative difference of area, of its spread, and difference of solidity."""
+"""Maximum differences of similar pieces: of area and spread, relative; and of solidity."""
 
 UNEQUAL = 0.5
-"""Relative size of one side of a neck that is not clear, up to which it belongs to the other."""
+"""Relative size of one side of an unclear neck below which it belongs to the other side."""
 
 COMPACT = 0.85
-"""Solidity of both sides of such a neck, if they are two parts."""
+"""Minimum solidity of both sides of an unclear neck if they are two parts."""
 
 LEAST_GOOD = 0.35
-"""Share of a patch that is compact or like others, at least, if it falls in pieces."""
+"""Minimum fraction of a split patch that is compact or similar to other pieces."""
 
 RATHER_ALIKE = (0.4, 0.3, 0.1)
-"""The same of pieces that edges part, which are ragged."""
+"""Maximum differences, as `ALIKE`, of pieces separated along inner edges, which are ragged."""
 
 MEMBERS = 3
-"""Of a kind there are so many, if a straight cut is made by it."""
+"""Minimum number of pieces of a kind that justifies a straight cut."""
 
 LEAST_DENT_PX = 1.2
-"""Depth of a concave corner from which a cut may begin [px]."""
+"""Minimum depth of a concave corner at which a cut may begin [px]."""
 
 MOST_DENTS = 6
-"""Of a piece: the deepest."""
+"""Maximum number of concave corners of a piece, the deepest first."""
 
 LARGER = 1.5
-"""A piece that may be several parts is so much larger than the smallest kind in the image."""
+"""Minimum area of a piece that may be several parts, relative to the smallest kind in the image."""
 
 DENTED = 0.9
-"""Solidity below which a large piece unlike all others is taken for a group."""
+"""Solidity below which a large piece unlike all others counts as a group."""
 
 EDGES_PERCENT = (70, 80, 90)
-"""Of the pixels inside a piece so many are no edges: what parts it best is taken."""
+"""Percentages of the inner pixels of a piece that are not edges. The one that splits it best is
+used."""
 
 SMALLER = 0.5
-"""Kinds of which a piece may consist that is parted along edges are no smaller than this, relative
-to the usual one."""
+"""Minimum area of the kinds into which a piece is split along inner edges, relative to the typical
+kind."""
 
 COLOURS = (4, 8)
-"""So many colours of a piece are told apart: where they meet, parts may touch."""
+"""Numbers of colour clusters in a piece. Parts may touch where two clusters meet."""
 
 COLOUR_WEIGHTS = (0.5, 2.0, 2.0)
-"""Of L, a and b, if so: lights and shadows change lightness."""
+"""Weights of L, a and b in these clusters. Light and shadow change the lightness."""
 
 STEEP = 4.0
-"""Least slope of an edge inside, as Sobel's filter gives it, relative to the deviation that noise
-has: an edge of twice that has it."""
+"""Minimum gradient of an inner edge (Sobel), relative to the background's noise limit. An edge of
+twice that limit has it."""
 
 LEAST_INNER = 40
-"""Pixels inside a piece, at least, if edges are looked for there."""
+"""Minimum number of inner pixels of a piece in which edges are searched."""
 
 LEAST_PARTED = 0.3
-"""Of a piece so much falls in compact pieces, at least, if it is parted along edges."""
+"""Minimum fraction of a piece that consists of compact pieces after a split along edges."""
 
 LEAST_SHARE = 0.5
-"""Least area of what is left of it, relative to the smallest of them."""
+"""Minimum area of the rest of such a split, relative to the smallest piece, for it to be a
+group."""
 
 MOSTLY = 0.5
-"""Share of the pieces that are like others, from which on one that is not may be a group."""
+"""Fraction of pieces similar to others above which a dissimilar one may be a group."""
 
 
 WORK = 12.0
-"""Pixels that cuts within pieces may visit in all, relative to those of the plate: that is half a
-second. Heaps of 80 parts need as much."""
+"""Maximum number of pixels that all cuts within pieces may visit, relative to those of the plate:
+half a second. Heaps of 80 parts need that much."""
 
 PLATE_SIZED = 0.5
-"""What covers more of the plate is not taken apart: light or a bare plate that is wrong."""
+"""Fraction of the plate above which a piece is not split: the light or the bare plate is wrong."""
 
 
 LABEL_WORK = 0.1
-"""Work for each pixel of a piece's own window, relative to that of a cut."""
+"""Work per pixel of a piece's own window, relative to that of a cut."""
 
 
 @dataclass
 class Work:
-    """Pixels that may still be visited: a count, so that a computer's speed changes no result."""
+    """Number of pixels that may still be visited. A count makes results independent of the
+    computer's speed."""
 
     left: float
 
     def take(self, pixels: float) -> bool:
-        """Take so many of them, if there are as many."""
+        """Take a number of pixels if that many are left; return whether they are."""
         enough = pixels <= self.left
         if enough:
             self.left -= pixels
@@ -116,16 +120,16 @@ class Work:
 
 @dataclass
 class Piece:
-    """What was found within one outer rim, or a part of it.
+    """The area within one outer contour, or a part of it.
 
     Attributes
     ----------
     inside : (h, w) bool
-        Its pixels, the part's own holes filled.
+        Its pixels, with the holes filled.
     rank : int
-        Number of the rim.
+        Number of the contour.
     alone : bool
-        Whether nothing was cut off.
+        Whether it is the whole area, without cuts.
     group : bool
         Whether it seems to be several parts.
     """
@@ -137,22 +141,23 @@ class Piece:
 
     @cached_property
     def traits(self) -> Traits:
-        """Of its pixels."""
+        """Area, spread and solidity of its pixels."""
         return traits(self.inside)
 
     @property
     def area(self) -> float:
-        """Its pixels [px2]."""
+        """Area [px2]."""
         return self.traits[0]
 
     @property
     def solidity(self) -> float:
-        """Fraction of its convex hull that it fills."""
+        """Fraction of its convex hull that it fills [-]."""
         return self.traits[2]
 
 
 def traits(inside: np.ndarray) -> Traits:
-    """Return area [px2], spread (second moment by squared area) and solidity of pixels (h, w)."""
+    """Return area [px2], spread (second moment divided by the squared area) and solidity of pixels
+    (h, w)."""
     pixels = inside.astype(np.uint8)
     moments = cv2.moments(pixels, binaryImage=True)
     area = moments["m00"]
@@ -161,13 +166,13 @@ def traits(inside: np.ndarray) -> Traits:
     rims = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
     rim = max(rims, key=len)
     hull = cv2.convexHull(rim)
-    # A rim runs through the middles of pixels, half a pixel inside.
+    # A contour runs through the centres of pixels, half a pixel inside the edge.
     whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
 
 
 def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
-    """Whether two pieces have like traits."""
+    """Whether two pieces have similar traits."""
     return (
         abs(one[0] - other[0]) <= spread[0] * max(one[0], other[0])
         and abs(one[1] - other[1]) <= spread[1] * max(one[1], other[1])
@@ -176,19 +181,19 @@ def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
 
 
 def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int) -> list[Piece]:
-    """Return the parts, and groups of parts, that patches consist of. Those that would take too
-    much work are groups.
+    """Return the parts, and groups of parts, of which patches consist. A patch whose analysis would
+    take too much work is returned as a group.
 
     Parameters
     ----------
     solids : list of Solid
         The patches.
     least_area : float
-        Smallest part [px2].
+        Minimum area of a part [px2].
     limit : float
-        Deviation of colours that noise or texture has [L].
+        Maximum deviation of colours that is noise or texture [L].
     pixels : int
-        Of the plate in the image.
+        Number of pixels of the plate in the image.
     """
     work = Work(WORK * pixels)
     sure: list[Piece] = []
@@ -219,8 +224,8 @@ def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int)
 
 
 def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
-    """Return pieces, those of one patch put together again if too little of it is compact or like
-    others: a jagged part; of more than two, a group."""
+    """Rejoin the pieces of a patch if too little of it is compact or similar to others, as in a
+    jagged part. More than two rejoined pieces are a group."""
     kept: list[Piece] = []
     for rank in sorted({piece.rank for piece in pieces}):
         own = [piece for piece in pieces if piece.rank == rank]
@@ -238,10 +243,11 @@ def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
 
 
 def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Traits]) -> list[Piece]:
-    """Return the pieces of a patch of which some necks are not clear.
+    """Return the pieces of a patch that has unclear necks.
 
-    Two sides of such a neck are one part if together they are like a known one, or if they are not
-    like known ones and one is far smaller, or not compact: a head, a knob, a ragged end.
+    Both sides of such a neck are one part if they are together similar to a known one. Without
+    similar ones, they are one part if one side is far smaller, or not compact: a head, a knob, a
+    ragged end.
     """
     sides = {k: traits(labels == k) for k in range(1, int(labels.max()) + 1)}
     parent = np.arange(len(sides) + 1)
@@ -257,7 +263,7 @@ def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Trait
             small, large = sorted((sides[one][0], sides[other][0]))
             compact = min(sides[one][2], sides[other][2]) > COMPACT
             joined = not all(twins) and (small < UNEQUAL * large or not compact)
-        # What is joined once is not joined again: else a chain of small ones would join large ones.
+        # Join each side only once: a chain of small sides must not join large ones.
         lesser = one if sides[one][0] < sides[other][0] else other
         if joined and np.count_nonzero(parent == parent[lesser]) == 1:
             parent[lesser] = parent[one + other - lesser]
@@ -274,8 +280,8 @@ def _cut_by_kind(
     pixels: int,
     work: Work,
 ) -> list[Piece]:
-    """Return pieces, those cut that fall in pieces like others, or along edges inside; what is far
-    larger than others, dented and unlike them all is a group."""
+    """Cut pieces into pieces similar to others, or along inner edges. A piece that is far larger
+    than the others, dented and dissimilar to all is a group."""
     kinds = [
         piece.traits
         for i, piece in enumerate(pieces)
@@ -312,8 +318,9 @@ def _along_edges(
     limit: float,
     work: Work,
 ) -> list[Piece]:
-    """Return the pieces into which edges inside part a piece, as of parts of different colours that
-    touch, and what is left of it; itself if they part nothing compact."""
+    """Return the pieces of a piece that is split along inner edges, for example where parts of
+    different colours touch, and the rest; the piece itself if the edges separate nothing
+    compact."""
     if not work.take((len(EDGES_PERCENT) + len(COLOURS)) * piece.inside.size):
         piece.group = True
         return [piece]
@@ -345,7 +352,7 @@ def _along_edges(
         if len(good) > 1 and parted > most:
             most = parted
             best = _shared_out(good, piece)
-    # What is left has edges of its own.
+    # The rest is split along its own edges.
     return [
         part
         for one in best
@@ -358,7 +365,7 @@ def _along_edges(
 
 
 def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.ndarray:
-    """Return the pixels (h, w) bool where the main colours of a piece meet, `count` of them."""
+    """Return the pixels (h, w) bool at which the `count` main colours of a piece meet."""
     lab = cv2.medianBlur(colours, 5)[inside].astype(np.float32)
     hue = np.arctan2(lab[:, 2] - 128, lab[:, 1] - 128)
     start = (count * (0.5 + hue / (2 * np.pi))).astype(np.int32) % count
@@ -375,8 +382,8 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
 
 
 def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
-    """Return the good pieces of a piece, what is left of it given to the nearest of them; what is
-    as large as they are is a group."""
+    """Return the good pieces of a piece, with the rest assigned to the nearest of them. A rest as
+    large as they are is a group."""
     nearest = _nearest([one.inside for one in good])
     rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
@@ -391,13 +398,14 @@ def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
 
 
 def _nearest(places: list[np.ndarray]) -> np.ndarray:
-    """Return which (h, w) of places (h, w) bool is nearest to each pixel, the first if several."""
+    """Return the index (h, w) of the area (h, w) bool nearest to each pixel, the first if equal."""
     gaps = [cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, 3) for one in places]
     return np.argmin(gaps, axis=0)
 
 
 def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None:
-    """Return the two pieces that a straight cut from a dent gives if both are like known kinds."""
+    """Return the two pieces of a straight cut from a concave corner if both are similar to known
+    kinds; None otherwise."""
     if piece.area * (1 - ALIKE[0]) > 2 * max(kind[0] for kind in kinds):
         return None
     pixels = piece.inside.astype(np.uint8)
@@ -439,8 +447,8 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
 
 
 def _across(points: np.ndarray, start: int) -> np.ndarray:
-    """Return the points of a rim (k, 2), near on a straight line but far along the rim, to which a
-    cut may go from one of them: the local minima of the distance."""
+    """Return the points of a contour (k, 2) to which a cut from point `start` may go: the local
+    minima of the distance that are near in a straight line, but far along the contour."""
     gap = np.hypot(*(points - points[start]).T)
     around = np.arange(len(points))
     along = np.minimum((around - start) % len(points), (start - around) % len(points))

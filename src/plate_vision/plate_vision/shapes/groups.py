@@ -1,9 +1,10 @@
-"""Parts of taught types that touch each other, and that nothing else has taken apart.
+"""Separation of touching parts of taught types.
 
-Where a type fits into a group is searched over places and turns: all of it must lie in the group,
-and much of its rim on the group's, or where colours change. The best is taken out, and so on, until
-nothing is left; if what was taken out does not cover the group, the next best are tried. A group
-that nothing covers stays one, less the parts that are sure.
+Each type is placed at all positions and angles in a group. All of it must be inside the group, and
+much of its contour must coincide with the group's contour or with edges of colour. The best part is
+removed and the search repeated until nothing is left. If the removed parts do not cover the group,
+the next best ones are tried. A group that no parts cover remains a group, without the parts that
+are certain.
 """
 
 from __future__ import annotations
@@ -47,72 +48,74 @@ from .patch import Patch
 from .shadows import Lamp
 
 NEAR_PX: float = _kernels.NEAR_PX
-"""How near the group's rim is to a part's where it is the same [px]."""
+"""Maximum distance between the contours of a group and a part where they coincide [px]."""
 
 OUTSIDE_PX: float = _kernels.OUTSIDE_PX
-"""How far outside a part may seem to be [px]."""
+"""Maximum distance outside the group at which a point of a part is still accepted [px]."""
 
 MOST_OUTSIDE: float = _kernels.MOST_OUTSIDE
-"""Largest fraction of a part outside the group."""
+"""Maximum fraction of a part that is outside the group."""
 
 RIM_POINTS = 200
-"""Points on the rim of a group."""
+"""Number of points on the contour of a group."""
 
 ENOUGH_PX = 10.0
-"""Reach of the smallest type in the picture in which parts are searched, about, at most [px]."""
+"""Approximate maximum reach of the smallest type in the image in which parts are searched [px]:
+larger images are reduced."""
 
 TOUCH_PX = 2
-"""Patches that are so near to each other may be of one part, or of one group [px]."""
+"""Maximum distance between patches that may belong to one part, or to one group [px]."""
 
 RIM_STEP_PX = 2.0
-"""By how much a rim moves from one turn that is tried to the next [px]."""
+"""Displacement of a part's contour between two angles that are tried [px]."""
 
 STRIDE = 0.15
-"""The same for its place, in its reach."""
+"""Step between positions that are tried, relative to the part's reach."""
 
 SEEN = 0.3
-"""Least fraction of a part's rim that is on the group's."""
+"""Minimum fraction of a part's contour that coincides with the group's."""
 
 CHOICES = 8
-"""Places that are kept of each type: the best ones, apart."""
+"""Number of positions that are kept for each type: the best ones, apart from each other."""
 
 FIRST, TRIES = 3, 30
-"""Choices for each part of a group, and how many of all of them are tried."""
+"""Number of choices for each part of a group, and maximum number of combinations that are tried."""
 
 MOST_PARTS = 12
-"""In a group."""
+"""Maximum number of parts in a group."""
 
 MOST_TRIES = 200
-"""Choices of parts that are tried in all groups of an image: a heap may have dozens of groups."""
+"""Maximum number of combinations tried in all groups of an image: a heap may have dozens of
+groups."""
 
 COVERED = 0.88
-"""Least intersection of parts and group over their union."""
+"""Minimum intersection of parts and group divided by their union."""
 
 SURE = 0.8
-"""Share of its rim on the group's from which on a part is taken out, whatever the rest is."""
+"""Fraction of a part's contour that coincides with the group's above which the part is certain."""
 
 TWO = 1.6
-"""Least area of a group, relative to the smallest type: of two, blurred."""
+"""Minimum area of a group, relative to the smallest type: two blurred parts."""
 
 LARGER = 1.1
-"""What is larger than the largest type by so much is no single part of a type."""
+"""Area relative to the largest type above which a patch is not a single part of a type."""
 
 LEFT = 0.4
-"""What is left of a group is no part if it is smaller than this fraction of the smallest type."""
+"""Minimum area of a rest that may be a part, relative to the smallest type."""
 
 EDGE_STEP = 5.0
-"""Slope of an edge of colour within a group [grey levels/px]."""
+"""Minimum gradient of an edge of colour inside a group [grey levels/px]."""
 
 EDGE_DEPTH_PX = 3.0
-"""How far from the group's rim it is sought [px]."""
+"""Distance from the group's contour beyond which such edges are searched [px]."""
 
 STEPS = 8
-"""Gauss-Newton steps of each part."""
+"""Number of Gauss-Newton steps for each part."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A part in a group: its template, x, y [m], angle [rad], how much of its rim is seen (0 to 1),
+    """A part in a group: template, x, y [m], angle [rad], visible fraction of its contour (0 to 1),
     distance of its colour."""
 
     template: Template
@@ -129,13 +132,13 @@ class View:
     ----------
     mask : (h, w) uint8
     pixels : (h, w, 3) or (h, w) uint8
-        The image there.
+        The image in the window.
     to_px : (2, 3)
-        From plate_home [m] to the window [px].
+        Affine transformation from plate_home [m] to the window [px].
     scale : float
-        [px/m].
+        Scale of the window [px/m].
     outline : Outline
-        Of the group [m].
+        Outline of the group [m].
     """
 
     mask: np.ndarray
@@ -145,11 +148,12 @@ class View:
     outline: Outline
 
     def seen(self, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return where points (n, 2) [m] of a part at a pose (3,) are seen [px, window]."""
+        """Return the image points (n, 2) [px, window] of points (n, 2) [m] of a part at a pose
+        (3,)."""
         return to_home(pose, points) @ self.to_px[:, :2].T + self.to_px[:, 2]
 
     def drawn(self, part: Found) -> np.ndarray:
-        """Return the pixels (h, w) uint8 of a part."""
+        """Return the mask (h, w) uint8 of a part."""
         image = np.zeros(self.mask.shape, np.uint8)
         kind = part.template.part
         for level, ring in [(1, kind.polygon), *((0, np.array(hole)) for hole in kind.holes)]:
@@ -158,7 +162,7 @@ class View:
         return image
 
     def fitted(self, template: Template, pose: np.ndarray) -> np.ndarray:
-        """Lay a part onto that of the group's rim which is near: pose (3,)."""
+        """Fit a part to the nearby points of the group's contour. Return its pose (3,)."""
         fit = fit_pose(
             template.edges,
             self.outline.points,
@@ -179,19 +183,19 @@ def explain_groups(
     calibration: Calibration,
     conditions: Conditions | None = None,
 ) -> np.ndarray:
-    """Return sightings (n,) SIGHTING in which groups, and what is of no type, are replaced by parts
-    of taught types where these explain them.
+    """Replace groups and patches without a type by parts of taught types if these explain them.
+    Return the sightings (n,) SIGHTING.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
     patches : sequence of Patch
     seen : (m,) SIGHTING
-        One for each patch.
+        The sighting of each patch.
     catalogue, calibration, conditions
         As for `recognise`.
     """
-    # Of what is cut off too little is seen; it may be the plate's edge.
+    # Patches at the border are incomplete; they may be the plate's edge.
     settled = is_named(seen) | ~seen["whole"]
     if settled.all() or not catalogue.templates:
         return seen
@@ -225,8 +229,8 @@ def _places(seen: np.ndarray) -> np.ndarray:
 def _clusters(
     patches: Sequence[Patch], settled: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
-    """Return the indices of unsettled patches that touch each other, and of the settled ones next
-    to them, by cluster."""
+    """Return the indices of patches by cluster: unsettled patches that touch each other, and the
+    settled patches next to them."""
     owner = np.full(shape, -1, np.int32)
     for i, patch in enumerate(patches):
         owner[patch.place][patch.mask] = i
@@ -245,7 +249,7 @@ def _clusters(
 
 
 def _union(patches: Sequence[Patch]) -> Patch:
-    """Return patches as one; seams between them are closed."""
+    """Return patches as one patch, with the gaps between them closed."""
     low = np.min([patch.corner for patch in patches], axis=0)
     high = np.max([np.array(patch.corner) + patch.mask.shape[::-1] for patch in patches], axis=0)
     mask = np.zeros((high - low)[::-1], np.uint8)
@@ -269,8 +273,8 @@ def _parts(
     tries: Work,
     conditions: Conditions | None,
 ) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of the parts of a group; none if it is not explained.
-    `one` (1,) is the sighting of all of it."""
+    """Return the sightings (n,) SIGHTING of the parts of a group; empty if they do not explain it.
+    `one` (1,) is the sighting of the whole group."""
     outlines, _ = measure_patches(image, [union], calibration, RIM_POINTS)
     here, mask = union.windowed(image.shape)
     corner = here[1].start, here[0].start
@@ -288,7 +292,7 @@ def _parts(
     most = LARGER * float(np.max(catalogue.filled_area))
     doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
     found = take_apart(_coarser(view, catalogue), catalogue, doubtful, tries)
-    # Laid onto the group's rim once more, as finely as that is seen.
+    # Fit again to the contour at full resolution.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
     for part in found:
@@ -307,8 +311,8 @@ def _parts(
 
 
 def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | None) -> View:
-    """Return a view of where a group of parts of a height [m] touches the plate: its top is moved
-    there."""
+    """Return a view of the footprint of a group of parts with a height [m], with the image of the
+    top shifted to the footprint."""
     (outline,) = footprints([view.outline], calibration, height, lamp)
     mask = np.zeros_like(view.mask)
     for number, ring in enumerate(outline.rings):
@@ -326,8 +330,8 @@ def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | 
 
 
 def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Patch]:
-    """Return what is left (h, w) uint8 of a group in a window with a corner [px], in pieces of at
-    least so many pixels."""
+    """Return the connected pieces of the rest (h, w) uint8 of a group, in a window with this corner
+    [px], with at least `least` pixels each."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(left, connectivity=4)
     pieces = []
     for label in range(1, len(stats)):
@@ -340,7 +344,7 @@ def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Pat
 
 
 def _coarser(view: View, catalogue: Catalogue) -> View:
-    """Return a view with fewer pixels, where parts have more than enough."""
+    """Return a view with fewer pixels if parts have more than needed."""
     factor = ENOUGH_PX / (view.scale * float(np.min(catalogue.reach)))
     height, width = view.mask.shape
     if factor > 0.7:
@@ -358,16 +362,16 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
 def take_apart(
     view: View, catalogue: Catalogue, doubtful: bool = False, tries: Work | None = None
 ) -> list[Found]:
-    """Return the parts (x, y, angle in plate_home) of which a group consists; none if it cannot be
-    told. What is doubtful, a part or a group, is one unless parts cover all of it. `tries` are
-    those that are left for it and other groups."""
+    """Return the parts (x, y, angle in plate_home) of a group; empty if they are not found. If
+    `doubtful`, it may be a single part, and is a group only if parts cover it completely. `tries`
+    is the work left for this and other groups."""
     tries = tries or Work(TRIES)
     border = _to_rims(view)
     least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
     if np.count_nonzero(view.mask) > MOST_PARTS * most:
         return []
     choices = _candidates(view, catalogue, border, border)
-    # The best of each choice first, then with one second best, and so on.
+    # Best-first search: start with the best of each choice, then with one second best, and so on.
     open_: list[tuple[int, int, int, tuple[Found, ...], np.ndarray, list[Found]]] = []
     number = itertools.count()
     heapq.heappush(open_, (0, 0, 0, (), view.mask, choices))
@@ -391,7 +395,7 @@ def take_apart(
                 heapq.heappush(open_, more)
     if doubtful:
         return []
-    # What is sure is taken out all the same.
+    # Without a complete cover, remove the parts that are certain.
     sure, free = [], border
     for part in choices:
         if part.seen > SURE and _fits(view, part, free, border):
@@ -401,7 +405,7 @@ def take_apart(
 
 
 def _covers(view: View, parts: Sequence[Found]) -> bool:
-    """Whether parts are all of a group."""
+    """Whether parts cover a group."""
     union = np.zeros_like(view.mask)
     for part in parts:
         union |= view.drawn(part)
@@ -410,8 +414,8 @@ def _covers(view: View, parts: Sequence[Found]) -> bool:
 
 
 def _to_rims(view: View) -> np.ndarray:
-    """Return the signed distance (h, w) from the group's rim and, inside, from edges of colour
-    [px]."""
+    """Return the signed distance (h, w) [px] from the group's contour, positive inside, and there
+    also from edges of colour."""
     smooth = cv2.GaussianBlur(view.pixels, (0, 0), 0.8)
     step = steepness(smooth) / 8
     border = _signed_distance(view.mask)
@@ -423,18 +427,18 @@ def _to_rims(view: View) -> np.ndarray:
 
 
 def _signed_distance(mask: np.ndarray) -> np.ndarray:
-    """Return how far pixels are inside a mask (h, w), negative outside [px]."""
+    """Return the distance of pixels from the edge of a mask (h, w) [px], negative outside."""
     inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5)
     return np.asarray(np.where(mask > 0, inside - 0.5, 0.5 - outside), np.float32)
 
 
 def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
-    """Return what is left (h, w) uint8 when a part is taken out."""
+    """Return the rest (h, w) uint8 after removal of a part."""
     own = view.drawn(part)
     rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
     small = np.ones((3, 3), np.uint8)
-    # What was cut off along the part's rim comes back.
+    # Restore pixels that were removed along the part's contour.
     grown = cv2.dilate(cv2.morphologyEx(rest, cv2.MORPH_OPEN, small), small)
     return np.asarray(grown & left & (1 - own))
 
@@ -442,8 +446,8 @@ def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
 def _candidates(
     view: View, catalogue: Catalogue, free: np.ndarray, border: np.ndarray
 ) -> list[Found]:
-    """Return parts that fit into what is free (h, w), the best first; `border` (h, w) is the signed
-    distance from the group's rim [px]."""
+    """Return parts that fit into the free area (h, w), the best first. `border` (h, w) is the
+    signed distance from the group's contour [px]."""
     room = np.count_nonzero(free > 0) / view.scale**2
     ranked = []
     for template, area, rim in zip(catalogue.templates, catalogue.area, catalogue.rim, strict=True):
@@ -464,12 +468,12 @@ def _candidates(
 
 
 def _fits(view: View, part: Found, free: np.ndarray, border: np.ndarray) -> bool:
-    """Whether a part lies in what is free (h, w)."""
+    """Whether a part is inside the free area (h, w)."""
     return _support(view, part.template, part.pose, free, border)[1] <= MOST_OUTSIDE
 
 
 def _tint(view: View, template: Template, pose: np.ndarray) -> float:
-    """Return how far the colour at a part is from its type's."""
+    """Return the distance of the image's colour at a part from the type's colour."""
     if template.part.colour_lab is None:
         return 0.0
     last = np.array(view.mask.shape[::-1]) - 1
@@ -483,7 +487,7 @@ def _tint(view: View, template: Template, pose: np.ndarray) -> float:
 def _placed(
     view: View, template: Template, free: np.ndarray, border: np.ndarray
 ) -> list[np.ndarray]:
-    """Return poses (3,) from which a type is laid onto the group, the most likely first."""
+    """Return starting poses (3,) for the fit of a type to the group, the most likely first."""
     part = template.part
     pole, depth = template.pole
     turns = np.zeros(1)
@@ -513,8 +517,8 @@ def _placed(
 def _support(
     view: View, template: Template, pose: np.ndarray, free: np.ndarray, border: np.ndarray
 ) -> tuple[float, float]:
-    """Return which fraction of a part's rim is on the group's, less that which is outside, and
-    which of its inner points is not where it is free."""
+    """Return the fraction of a part's contour on the group's contour, minus the fraction outside;
+    and the fraction of its inner points outside the free area."""
     found: tuple[float, float] = _kernels.support(
         free, border, view.to_px, template.samples, template.inner, pose
     )

@@ -1,13 +1,17 @@
-"""Parts with a height: where they touch the plate, from what a camera sees of them.
+"""Footprints of parts with a height, from their images.
 
-A camera at c, a height H above the plate, sees a point at a height z as if it were on the plate,
-further out: at c + (p - c) H / (H - z). So a part whose footprint is F covers all t F for t from 1
-to k = H / (H - height), seen from c: its top, and the side faces that are turned to the camera.
-Where t p is covered for each such t, p belongs to the footprint. Of a convex part this is exact;
-narrow notches and holes are filled up to as much as the top is shifted.
+A camera at height H above the point c of the plate sees a point p at height z as if it were on the
+plate at
 
-The same holds for a part and the shadow that one lamp casts on the plate: together they cover the
-footprint wherever it is shifted along the shadow.
+    c + (p - c) H / (H - z).
+
+A part with the footprint F therefore covers t F for all t from 1 to k = H / (H - height), scaled
+about c: its top, and the side faces that face the camera. A point p belongs to the footprint if t p
+is covered for all these t. For a convex part this is exact. Narrow notches and holes are filled up
+by as much as the top is shifted.
+
+The same holds for a part and the shadow from one lamp: together they cover the footprint shifted
+along the shadow by any fraction of it.
 """
 
 from __future__ import annotations
@@ -19,38 +23,38 @@ from .. import _kernels
 from .outlines import Outline, make_outline
 
 FINE = 8
-"""Sub-pixels along each side of a pixel, in which footprints are drawn."""
+"""Number of sub-pixels along each side of a pixel in which footprints are drawn."""
 
 STEP_PX = 1.0
-"""Shift from one height that is looked at to the next [px]."""
+"""Maximum shift between two heights that are evaluated [px]."""
 
 MOST_STEPS = 24
-"""Heights that are looked at."""
+"""Maximum number of heights that are evaluated."""
 
 FEWEST_POINTS = 12
-"""Of a hole's rim."""
+"""Minimum number of points on a hole's contour."""
 
 LEAST_SHIFT_PX = 0.02
-"""Shift of the top from which on it is corrected [px]."""
+"""Shift of the top below which no correction is needed [px]."""
 
 MARGIN_PX = 3.31
-"""Pixels around a footprint in which it is drawn: no whole number of sub-pixels, as the middles of
-these on an edge would belong to one side."""
+"""Width around a footprint in which it is drawn [px]. It is not a whole number of sub-pixels,
+because the centres of sub-pixels on an edge would belong to one side."""
 
 
 BLUR_PX = 0.7
-"""Blur of a drawn footprint [px]: its edge is then found wherever it is between two pixels."""
+"""Blur of a drawn footprint, so that its edge is found at any place between two pixels [px]."""
 
 
 def magnified(place: np.ndarray, height: float) -> float:
-    """Return by which factor points at a height [m] are further away from below a camera at a
-    place (3,) [m]."""
+    """Return the factor H / (H - height) by which points at a height [m] appear farther from the
+    point below a camera at `place` (3,) [m]."""
     return float(place[2] / (place[2] - height))
 
 
 def seen_shift(place: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
-    """Return the apparent shifts (n, 2) [m] of points at a height [m] above points (n, 2) [m] of
-    the plate."""
+    """Return the apparent shifts (n, 2) [m] of points at a height [m] above the points (n, 2) [m]
+    of the plate."""
     return np.asarray((point - place[:2]) * (magnified(place, height) - 1))
 
 
@@ -61,25 +65,25 @@ def footprint(
     scale: float,
     shadow: np.ndarray | None = None,
 ) -> Outline | None:
-    """Return the outline on the plate of a part that is seen.
+    """Return the outline of a part's footprint on the plate.
 
     Parameters
     ----------
     outline : Outline
-        All that is seen of it, and of its shadow, mapped to the plate.
+        Outline of all that is visible of the part and its shadow, mapped to the plate.
     place : (3,), optional
-        Of the camera [m, plate_home]; None: it is not known.
+        Position of the camera [m, plate_home]; None: unknown.
     height : float
-        Of the part [m].
+        Height of the part [m].
     scale : float
-        Of the image at the part [px/m].
+        Scale of the image at the part [px/m].
     shadow : (2,), optional
-        From the part to the end of its shadow [m]; None if it casts none.
+        Displacement from the part to the end of its shadow [m]; None without a shadow.
 
     Returns
     -------
     Outline or None
-        None if it is not as high, or its shadow not as long.
+        None if nothing remains: the part is lower, or its shadow shorter.
     """
     rings = outline.rings
     seen = [rings]
@@ -105,7 +109,7 @@ def footprint(
     for one in seen:
         fine[:] = 0
         for number, ring in enumerate(one):
-            # The middles of the first sub-pixel and pixel are 0.
+            # The centres of the first sub-pixel and the first pixel are 0.
             point = (ring - low) * scale
             point = np.rint(16 * (FINE * (point + 0.5) - 0.5)).astype(np.int32)
             cv2.fillPoly(fine, [point], 0 if number else 255, shift=4)
@@ -119,15 +123,15 @@ def footprint(
 
 
 def _steps(shift_px: float) -> int:
-    """Return how many places are looked at along a shift [px]: one if it is too small."""
+    """Return the number of places along a shift [px] to evaluate: one if it is too small."""
     if shift_px < LEAST_SHIFT_PX:
         return 1
     return int(min(np.ceil(shift_px / STEP_PX) + 1, MOST_STEPS))
 
 
 def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:
-    """Return the rings (k, 2) [px] at which a cover (h, w) float32 is a half: of the largest patch
-    `count` points, and around its holes as near to each other."""
+    """Return the rings (k, 2) [px] at which a cover (h, w) float32 is 0.5: `count` points for the
+    largest patch, and the same density for its holes."""
     mask = cv2.copyMakeBorder((cover >= 0.5).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     outer = [i for i in range(len(contours)) if tree[0, i, 3] < 0 and len(contours[i]) >= 4]

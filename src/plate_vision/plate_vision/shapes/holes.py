@@ -1,8 +1,8 @@
-"""Holes of parts that cannot be told by their outline: light falls short in them, or a shadow fills
+"""Holes of parts that are missing in a measured outline, because little light or a shadow is in
 them.
 
-Where a type that is laid onto a patch has a hole, the image there must look like the plate with
-less light: no brighter, and of its chroma.
+If a type with holes is fitted to a patch, the image inside each hole must look like the plate with
+less light: not brighter, and with the plate's chroma.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from .catalogue import Template
 from .heights import magnified
 
 DARKEST = 0.4
-"""Darkest hole, relative to the plate [L + 41]."""
+"""Minimum lightness of a hole, relative to the plate [L + 41]."""
 
 CHROMA_LIMIT = 1.5
-"""Deviation of a hole's chroma from the plate's, relative to that of the plate's noise, at most."""
+"""Maximum deviation of a hole's chroma from the plate's, relative to that of the plate's noise."""
 
 SEEN, UNSEEN = 0.3, 2.0
-"""Penalties of a hole that is missing in the outline, in standard deviations: if it looks like the
-plate, and unlike the part; if it looks like both."""
+"""Penalties, in standard deviations, of a hole that is missing in the outline: if it looks like the
+plate and unlike the part; if it looks like both."""
 
 SPARSE = 16
-"""Rows and columns of which one is looked at for the usual noise."""
+"""Step between rows and columns that are evaluated for the typical noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """An image, and the bare plate as it is in it."""
+    """An image and the bare plate in the light of this image."""
 
     image: np.ndarray
     background: Background
@@ -44,13 +44,13 @@ class Look:
 
     @cached_property
     def _limit(self) -> float:
-        """Usual deviation up to which a pixel shows the plate [L]."""
+        """Median of the maximum deviations of plate pixels [L]."""
         return float(np.median(self.background.limit[::SPARSE, ::SPARSE]))
 
     def penalty(self, template: Template, fit: np.ndarray) -> float | None:
-        """Return the penalty of a type with holes, laid at `fit` (3,) x, y [m], angle [rad], onto a
-        patch in which they are missing; None if something else than the plate is seen there, or if
-        the type has no holes."""
+        """Return the penalty of a type with holes that is fitted at `fit` (3,) x, y [m], angle
+        [rad] to a patch without these holes. None if the image there does not look like the plate,
+        or if the type has no holes."""
         if not template.part.holes:
             return None
         holes, plate = self._colours(to_home(fit[:3], template.hole_points), 0.0)
@@ -73,8 +73,8 @@ class Look:
         return SEEN if float(np.sqrt(gap @ gap)) > limit else UNSEEN
 
     def _colours(self, point: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return colours (n, C) of the image and of the bare plate at points (m, 2) [m] of a height
-        [m]; n <= m are in the image."""
+        """Return the colours (n, C) of the image and of the bare plate at points (m, 2) [m] at a
+        height [m]; n <= m of them are in the image."""
         place = self.calibration.place
         if height and place is not None:
             point = place[:2] + (point - place[:2]) * magnified(place, height)

@@ -1,4 +1,4 @@
-// Bindings of the chapter `shapes`.
+// Python bindings of the kernels in `shapes`.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/complex.h>
 
@@ -24,7 +24,7 @@ void require_edges(const In<double, 2>& edges) {
     require(edges.shape(0) > 0 && edges.shape(1) == 5, "shape: edges (e, 5), e >= 1");
 }
 
-// Whether each ring up to one of `ends` has points, of so many.
+// Require that `ends` rises, and that each ring has points.
 void require_rings(const In<int64_t, 1>& ends, size_t points) {
     int64_t first = 0;
     for (size_t i = 0; i < ends.shape(0); first = ends(i), i++)
@@ -37,7 +37,7 @@ const Complex* as_spectrum(const In<std::complex<double>, 1>& spectrum) {
     return reinterpret_cast<const Complex*>(spectrum.data());
 }
 
-// Rows of numbers, of records that have nothing but numbers.
+// Rows of numbers from records that contain only numbers.
 template <class Record>
 auto rows_of(const std::vector<Record>& records) {
     constexpr size_t WIDE = sizeof(Record) / sizeof(double);

@@ -1,12 +1,12 @@
-"""The light of one image on a bare plate that is known.
+"""The light of one image on a known bare plate.
 
-Light and exposure multiply colours. In Lab this scales L + 41, a - 128 and b - 128 by one factor,
-because each is a difference of cube roots; a change of the light's own colour shifts a and b. The
-factor and both shifts are smooth surfaces. They are fitted to pixels of the plate's region that
-agree with them, so that neither parts nor the room count.
+Light and exposure multiply colours. In Lab this multiplies L + 41, a - 128 and b - 128 by one
+factor, because each is a difference of cube roots. A change of the light's own colour shifts a and
+b. The factor and both shifts are smooth surfaces, fitted to those pixels of the plate's region that
+agree with them, so parts have no effect.
 
-Most of the plate may be covered: the factor is a mode of the ratio of image to plate. Which mode it
-is decide the pixels that showed the plate in the image before, and the smallest change.
+Most of the plate may be covered, so the factor is a mode of the ratios of image to plate. The mode
+is chosen by the pixels that showed the plate in the previous image, and by the smallest change.
 """
 
 from __future__ import annotations
@@ -22,58 +22,60 @@ from ..errors import ImageError
 from ..plate.region import Region
 
 LIGHTNESS_0: float = _kernels.LIGHTNESS_0
-"""L + 41 is a cube root of the light: 16 of 100 in CIE's L."""
+"""L + 41 is proportional to the cube root of the light: the offset 16 of CIE's L (0 to 100)."""
 
 FACTORS = (0.2, 5.0)
-"""Light relative to that of the known plate, at least and at most: with less, parts are as dark as
-the plate; with more, it is burnt out."""
+"""Range of the light relative to that of the known plate. Below it parts are as dark as the plate;
+above it the image is overexposed."""
 
 LEAST_SHOWN = 0.15
-"""Fraction of the plate that is seen, at least: parts may cover 60 %, shadows some of the rest."""
+"""Minimum visible fraction of the plate. Parts may cover 60 %, shadows some of the rest."""
 
 COVERED_WEIGHT = 0.25
-"""Weight of pixels that did not show the plate in the image before."""
+"""Weight of pixels that did not show the plate in the previous image."""
 
 BIN = 0.02
-"""Width of the bins in which ratios are counted, in their natural logarithm."""
+"""Width of the bins of the ratios' histogram, in their natural logarithm."""
 
 SMOOTH = np.array([1, 2, 3, 2, 1]) / 9
-"""Weights by which neighbouring bins are averaged."""
+"""Weights of the average over neighbouring bins."""
 
 MODES, LEAST_MODE, APART = 4, 0.1, 3
-"""Modes that are tried, the least of them relative to the largest, and bins between two of them."""
+"""Maximum number of modes; minimum height relative to the largest; minimum distance [bins]."""
 
 PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
-"""Terms of the surfaces in each pass of the fit, and deviation of the pixels that count [L]: 0 is
-the limit of the plate's noise. The first two bridge a light that falls from one side."""
+"""Number of terms of the surfaces in each pass of the fit, and minimum of the deviation limit of
+its pixels [L]; 0: the limit of the plate's noise. The first two passes cover a light from one
+side."""
 
 STEADY, STEADY_LIMIT = 0.6, 0.6
-"""Fraction of the plate that looks as in the last light, from which on no other light is sought: no
-other can be that of more. So do pixels with less than this fraction of the deviation that the
-plate's noise has at most: else the light has changed a little, and half of the noise is cut off."""
+"""Fraction of the plate that agrees with the last light, above which no other light is searched: no
+other light can explain more. A pixel agrees below this fraction of the plate's noise limit. If the
+light has changed slightly, the full limit would cut off half of the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
-"""Surfaces of a light that is that of the background."""
+"""Surfaces of a light equal to that of the background."""
 EVEN[0, 0] = 1
 EVEN.setflags(write=False)
 
 RIDGE = 0.002
-"""Weight of a surface that is even, relative to that of all pixels: where pixels of the plate are
-seen in one corner only."""
+"""Weight of a constant surface, relative to that of all pixels, in case the plate is visible in one
+corner only."""
 
 
 AMBIGUOUS = 0.3
-"""Value of a second light relative to the best one from which on the pixels that agree with each
-are looked at: those of the plate hang together, those of parts are many islands."""
+"""Value of a second light, relative to the best, above which the pixels that agree with each are
+compared. Pixels of the plate are connected; pixels of parts are many islands."""
 
 EVERY = 2
-"""Rows and columns of which one is looked at for that."""
+"""Step between rows and columns in that comparison."""
 
 UNSEEN_L = 0.5
-"""Largest change of colours that is left out [L]: they are whole numbers."""
+"""Maximum change of colours that is ignored [L]; colours are integers."""
 
 LIGHT_POWER = 3 / 2.2
-"""Lab's factor has the third root of the light; grey levels have its root by a gamma of 2.2."""
+"""Exponent of the light for a factor in Lab: Lab uses the cube root of the light, and grey levels
+its root by a gamma of 2.2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +85,10 @@ class Light:
     Attributes
     ----------
     surface : (6, C) float32
-        Terms (`region.quadratic`) of the factor, and of the shifts of a and b [L]; C = 1, grey
-        levels, or 3.
+        Coefficients (`region.quadratic`) of the factor, and of the shifts of a and b [L]; C = 1 for
+        grey levels, else 3.
     shown : (K,) bool
-        Which of `Region.samples` show the plate.
+        Whether each of `Region.samples` shows the plate.
     """
 
     surface: np.ndarray
@@ -101,22 +103,22 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """What is compared: colours of an image and of the bare plate in a region.
+    """Colours of an image and of the bare plate in a region, for comparison.
 
     Attributes
     ----------
     image : (H, W) or (H, W, 3) uint8
         The image.
     convert : callable
-        Gives colours (h, w, C) uint8 of pixels (h, w) or (h, w, 3) uint8 as the bare plate has.
+        Converts pixels (h, w) or (h, w, 3) uint8 to colours (h, w, C) uint8 like the bare plate's.
     bare : (H, W, C) uint8
         Colours of the bare plate, C = 1 or 3.
     limit : (H, W) uint8
-        Deviation up to which a pixel shows the plate [L].
+        Maximum deviation of a pixel that shows the plate [L].
     chroma : float
-        Weight of a and b beside L.
+        Weight of a and b relative to L.
     region : Region
-        Where the plate is.
+        Region of the plate in the image.
     """
 
     image: np.ndarray
@@ -127,7 +129,7 @@ class Lit:
     region: Region
 
     def connected(self, surface: np.ndarray) -> float:
-        """Return the fraction of the pixels that agree with a light (6, C) which hang together."""
+        """Return the largest connected fraction of the pixels that agree with a light (6, C)."""
         every = np.s_[::EVERY, ::EVERY]
         lab, bare = self.convert(self.image[every]), np.ascontiguousarray(self.bare[every])
         x, y, unit = self.region.samples.place
@@ -142,13 +144,13 @@ class Lit:
 
 
 def fit_light(lit: Lit, before: Light | None = None) -> Light:
-    """Fit the light of an image that shows parts as well; `before` is that of the image before,
-    None if nothing is known.
+    """Fit the light of an image that also shows parts. `before` is the light of the previous image;
+    None: unknown.
 
     Raises
     ------
     ImageError
-        If too little of the plate is seen in any light.
+        If too little of the plate agrees with any light.
     """
     samples = lit.region.samples
     rows, columns, design = samples.rows, samples.columns, samples.design.T
@@ -157,7 +159,7 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     limit = lit.limit[rows, columns].astype(np.float32)
     origin = np.array([0.0] if seen.shape[1] == 1 else [-LIGHTNESS_0, 128, 128], np.float32)
     weight = np.ones(len(rows))
-    if before is not None and len(before.shown) == len(rows):  # else the plate has moved
+    if before is not None and len(before.shown) == len(rows):  # otherwise the plate has moved
         weight[~before.shown] = COVERED_WEIGHT
     last = EVEN[:, : seen.shape[1]] if before is None else before.surface
     colours = seen - origin, known - origin, origin
@@ -170,7 +172,7 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     modes = _modes(ratio, weight, seen.shape[1])
     level = float(np.median(seen[:, 0])) - origin[0]
     for mode in modes:
-        # Parts nearly as bright as the plate are kept out of its fit.
+        # Exclude parts that are nearly as bright as the plate.
         gap = min((abs(mode - other) for other in modes if other != mode), default=np.inf)
         surface, kept = _fitted(
             *colours,
@@ -199,8 +201,8 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
 
 
 def relit(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
-    """Return the colours (H, W, C) uint8 of the bare plate in a light: themselves if they are the
-    same."""
+    """Return the colours (H, W, C) uint8 of the bare plate in a light; unchanged if the light is
+    the same."""
     change = region.samples.design.T @ light.surface
     if (
         np.max(np.abs(255 * (change[:, 0] - 1))) + np.max(np.abs(change[:, 1:]), initial=0)
@@ -213,7 +215,7 @@ def relit(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
 
 
 def _modes(ratio: np.ndarray, weight: np.ndarray, channels: int) -> list[float]:
-    """Return the most frequent values of logarithms of ratios (K,), within the allowed ones."""
+    """Return the most frequent values of the logarithms of ratios (K,) in the allowed range."""
     power = 1.0 if channels == 1 else LIGHT_POWER
     low, high = np.log(FACTORS) / power
     count = int((high - low) / BIN) + 1
@@ -241,9 +243,9 @@ def _fitted(
     start: np.ndarray,
     passes: tuple[tuple[int, float], ...],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the surfaces (6, C) by which known colours (K, C) become those that are seen (K, C),
-    both less their `origin` (C,); and which pixels (K,) agree. They begin with `start` (6, C);
-    `passes` are as `PASSES`."""
+    """Return the surfaces (6, C) that map known colours (K, C) to seen ones (K, C), both minus
+    their `origin` (C,), and which pixels (K,) agree. The iteration starts from `start` (6, C);
+    `passes` as `PASSES`."""
     channels = seen.shape[1]
     surface = start.copy()
     mean = max(float(np.mean(known[:, 0])), 1.0)
@@ -273,7 +275,7 @@ def _away(
     design: np.ndarray,
     surface: np.ndarray,
 ) -> np.ndarray:
-    """Return the deviation (K,) of what is seen from what is known in a light [L]."""
+    """Return the deviation (K,) [L] of the seen colours from the known ones in a light."""
     change = design @ surface
     lit = known * change[:, :1]
     lit[:, 1:] += change[:, 1:]

@@ -1,4 +1,4 @@
-// Outlines of patches to a fraction of a pixel, and fits of polygons: see outlines.py.
+// Outlines of patches to a fraction of a pixel, and fits of polygons to them: see outlines.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -15,33 +15,33 @@
 
 namespace plate {
 
-// Of an outline's spectrum that are compared, from 0: a hexagon differs from a disc in the 6th and
-// 12th, a square in the 4th, 8th, 12th and 16th.
+// Number of harmonics of an outline's spectrum that are compared, from 0. A hexagon differs from a
+// disc in the 6th and 12th, a square in the 4th, 8th, 12th and 16th.
 constexpr int HARMONICS = 17;
 
-// How far to both sides of a patch's rim the image is looked at for its edge [px], and at how many
-// places along that way.
+// Distance to both sides of a patch's contour in which its edge is searched [px], and number of
+// samples there.
 constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
 
-// Least difference of both ends of that way, relative to part and surroundings, that is an edge:
-// where parts touch there is none, and the patch's rim counts.
+// Minimum difference between both ends of these samples for an edge, relative to the difference of
+// part and surround. Where parts touch there is no edge, and the patch's contour is used.
 constexpr double LEAST_STEP = 0.25;
 
-// Most that a point adds to the square of a distance [squares of the unit, and of a tenth of the
-// part]: one that is far off counts, but not for all.
+// Maximum contribution of a point to a squared distance [squares of the unit, and of a tenth of the
+// part's reach]: outliers count, but to a limited extent.
 constexpr double CLIP = 16.0;
 
-// A fit that moves less than that is done [units of the fit, pixels mostly].
+// Change below which a fit has converged [units of the fit, mostly pixels].
 constexpr double STILL = 0.003;
 
-// Least deviation of a point from a type's outline, RMS [units].
+// Minimum assumed RMS deviation of points from a type's outline [units].
 constexpr double LEAST_ERROR = 0.1;
 
-// Neighbours on a rim that are off together.
+// Number of neighbouring points with correlated errors.
 constexpr double TOGETHER = 2.0;
 
-// Points that are looked at together.
+// Number of points that are processed together.
 constexpr int POINTS = 8;
 
 struct Complex {
@@ -53,11 +53,11 @@ struct Complex {
     void operator+=(const Complex& more) { real += more.real, imag += more.imag; }
 };
 
-// Write how much pixels (h, w, c) are like a patch, 1, and unlike what is around it, 0, into
-// `field` (h, w), and the patch's colour, the median, into `colour` (c,).
+// Write the similarity of pixels (h, w, c) to a patch, 1 for the patch and 0 for its surround, into
+// `field` (h, w), and the patch's median colour into `colour` (c,).
 //
-// In `mask`, `inner` and `around` (h + 2, w + 2), which have a frame of one pixel, is 1 what is of
-// the patch, what is so for sure, and what may be.
+// `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. They are 1 in the patch,
+// in its certain part, and in the area that may belong to it.
 inline void contrast(View<const uint8_t, 3> pixels, View<const uint8_t, 2> mask,
                      View<const uint8_t, 2> inner, View<const uint8_t, 2> around,
                      View<float, 2> field, double* colour) {
@@ -101,7 +101,7 @@ inline void contrast(View<const uint8_t, 3> pixels, View<const uint8_t, 2> mask,
     }
 }
 
-// A field (h, w) at a place between its pixels.
+// Bilinear interpolation of a field (h, w).
 inline double sample(View<const float, 2> field, double x, double y) {
     x = std::min(std::max(x, 0.0), field.size(1) - 1.001);
     y = std::min(std::max(y, 0.0), field.size(0) - 1.001);
@@ -111,8 +111,9 @@ inline double sample(View<const float, 2> field, double x, double y) {
            v * ((1 - u) * field(j + 1, i) + u * field(j + 1, i + 1));
 }
 
-// Write points (count, 2), evenly spaced, where a field crosses half its way near a ring (k, 2) of
-// the outermost pixels of a patch, or of the pixels around a hole, in a frame of one pixel.
+// Write points (count, 2), evenly spaced, at which a field crosses half of its step near a ring (k,
+// 2). The ring consists of the outermost pixels of a patch, or of the pixels around a hole, in a
+// frame of one pixel.
 inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, bool hole,
                       View<double, 2> thinned) {
     struct Point {
@@ -135,7 +136,7 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
         moved[i] = here;
         if (length == 0) continue;
         x /= length, y /= length;
-        // The patch ends between the middles of two pixels.
+        // The edge of the patch is between the centres of two pixels.
         const double step = 0.5 / std::max(std::abs(x), std::abs(y));
         const auto level = [&](double way) {
             return sample(field, here.x + way * x, here.y + way * y);
@@ -176,14 +177,14 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
     }
 }
 
-// What is measured of an outline: see `Outline` of outlines.py.
+// Measures of an outline: see `Outline` of outlines.py.
 struct OutlineMeasures {
     double area, x, y;
     std::array<Complex, HARMONICS> spectrum;
 };
 
-// Turn rings of points (n, 2) to their sense, in place, and measure them; a ring goes up to each of
-// `ends` (k,).
+// Bring rings of points (n, 2) into their sense of rotation, in place, and measure them. `ends`
+// (k,) are the ends of the rings.
 inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_t, 1> ends) {
     double whole = 0, x = 0, y = 0;
     const double x0 = points(0, 0), y0 = points(0, 1);
@@ -219,7 +220,7 @@ inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_
             if (square == 0) continue;
             const double radius = std::sqrt(square);
             const Complex turn{mx / radius, -my / radius};
-            // r4 / 4 d(phi), and r2 d(phi) is twice the area of the triangle.
+            // r^4 / 4 d(phi); r^2 d(phi) is twice the area of the triangle.
             Complex term{0.25 * square * (ax * by - bx * ay), 0};
             for (Complex& wave : found.spectrum) {
                 wave += term;
@@ -250,7 +251,7 @@ inline std::vector<double> outline_edges(View<const double, 2> points,
     return edges;
 }
 
-// Points, and how far they are from edges: filled up to a multiple of POINTS.
+// Points and their distances from edges, padded to a multiple of POINTS.
 struct Places {
     int size;
     std::vector<double> x, y;
@@ -263,7 +264,7 @@ struct Places {
     int padded() const { return x.size(); }
 };
 
-// Of points, the nearest edge so far: the square of the distance, which edge, the way from it.
+// The nearest edge so far for each point: squared distance, index, vector from the edge.
 struct Nearest {
     double least[POINTS], edge[POINTS] = {}, right[POINTS] = {}, down[POINTS] = {};
 
@@ -278,8 +279,8 @@ struct Nearest {
     }
 };
 
-// Find the signed distances of points from edges (e, 5), positive outside, and the unit vectors
-// along which they grow. An edge of negative length is a circle of that radius about its start.
+// Compute the signed distances of points from edges (e, 5), positive outside, and their gradients
+// (unit vectors). An edge of negative length is a circle of that radius around its start.
 PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& places) {
     for (int first = 0; first < places.padded(); first += POINTS) {
         const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];
@@ -302,8 +303,8 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
                 const double vx = x[i] - x0, vy = y[i] - y0, across = ux * vy - uy * vx;
                 const double along = std::min(std::max(vx * ux + vy * uy, 0.0), length);
                 const double dx = vx - along * ux, dy = vy - along * uy;
-                // Of two edges that meet where it is nearest, the one further to its side tells
-                // which.
+                // If two edges meet at the nearest point, the one with the larger distance from its
+                // line determines the sign.
                 nearest.keep(i, dx * dx + dy * dy - 1e-6 * across * across, e, dx, dy);
             }
         }
@@ -312,7 +313,7 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
             const double vx = x[i] - edge[0], vy = y[i] - edge[1];
             double ux = edge[2], uy = edge[3], side;
             if (edge[4] < 0) {
-                // The way out, and a right angle from it.
+                // The outward direction, and the direction perpendicular to it.
                 const double size = std::max(std::sqrt(vx * vx + vy * vy), 1e-12);
                 ux = -vy / size, uy = vx / size;
                 side = size > -edge[4] ? 1 : -1;
@@ -330,7 +331,7 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
     }
 }
 
-// Find the distances of points from edges (e, 5) of positive length.
+// Compute the distances of points from edges (e, 5) of positive length.
 PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places) {
     for (int first = 0; first < places.padded(); first += POINTS) {
         const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];
@@ -351,13 +352,13 @@ PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places
     }
 }
 
-// What `fit_pose` returns: x, y [m], angle [rad]; how far the points are outside on average [m];
-// root mean square of the rest [m].
+// Result of `fit_pose`: x, y [m], angle [rad]; mean distance of the points outside the polygon [m];
+// root mean square residual [m].
 struct PoseFit {
     double x, y, angle, swell, rest;
 };
 
-// Lay a polygon, edges (e, 5), onto points (n, 2) by Gauss-Newton steps: see `fit_pose` of
+// Fit a polygon, edges (e, 5), to points (n, 2) by Gauss-Newton steps: see `fit_pose` of
 // outlines.py.
 inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> points,
                         const double* pose, double unit, bool turns, int steps, double hopeless,
@@ -411,7 +412,7 @@ inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> point
     return {x, y, angle, swell, std::sqrt(rest / number)};
 }
 
-// How sure a fitted angle is, as a standard deviation [rad]: see `angle_sd` of classes.py.
+// Standard deviation of a fitted angle [rad]: see `angle_sd` of classes.py.
 inline double turn_scatter(View<const double, 2> edges, View<const double, 2> points,
                            const double* fit, double full, double unit, double gate) {
     const int count = points.size(0);

@@ -1,7 +1,7 @@
-"""Outlines of patches to a fraction of a pixel, what is compared of them, and fits of polygons.
+"""Outlines of patches to a fraction of a pixel, their spectra, and fits of polygons to them.
 
-An outline's rings run with the part on their left: around it counter-clockwise, around its holes
-clockwise, as seen in plate_home, where y points to the left of x.
+The rings of an outline run with the part on their left: counter-clockwise around the part,
+clockwise around its holes, as seen in plate_home, where y points to the left of x.
 """
 
 from __future__ import annotations
@@ -16,38 +16,38 @@ import numpy as np
 from .. import _kernels
 
 HARMONICS: int = _kernels.HARMONICS
-"""Of an outline's spectrum that are compared, from 0: a hexagon differs from a disc in the 6th and
-12th, a square in the 4th, 8th, 12th and 16th."""
+"""Number of harmonics of an outline's spectrum that are compared, from 0. A hexagon differs from a
+disc in the 6th and 12th, a square in the 4th, 8th, 12th and 16th."""
 
 POINTS = 64
-"""To which the rim of a patch is thinned out: 1 px apart for a part of 20 px."""
+"""Number of points on the contour of a patch: 1 px apart for a part of 20 px."""
 
 LEAST_HOLE = 0.02
-"""Smallest hole, relative to the part: a highlight may seem to be one."""
+"""Minimum area of a hole, relative to the part. A highlight may look like a smaller one."""
 
 FEWEST_POINTS = 12
-"""Of a hole's rim."""
+"""Minimum number of points on a hole's contour."""
 
 THREE, FIVE = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
-"""By which masks shrink and grow."""
+"""Kernels with which masks are eroded and dilated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """The measured rim of a patch, or of a part.
+    """The measured contour of a patch or a part.
 
     Attributes
     ----------
     points : (n, 2)
-        On its rim, holes included [m], plate_home.
+        Points on the contour, holes included [m, plate_home].
     ends : (k,) int
-        How many points there are up to the end of each ring.
+        End index of each ring in `points`.
     area : float
-        Less the holes [m2].
+        Area without the holes [m2].
     centre : (2,)
-        Of that area [m].
+        Centroid of that area [m].
     spectrum : (HARMONICS,) complex
-        Second moments of area about the centre, by direction: the integral of r2 exp(-i k phi).
+        Moments about the centroid by direction: the integral of r^2 exp(-i k phi) over the area.
     """
 
     points: np.ndarray
@@ -58,7 +58,7 @@ class Outline:
 
     @property
     def rings(self) -> list[np.ndarray]:
-        """The rings (k, 2) [m], the one around it first."""
+        """The rings (k, 2) [m], the outer one first."""
         return np.split(self.points, self.ends[:-1])
 
     @cached_property
@@ -68,30 +68,30 @@ class Outline:
 
     @cached_property
     def filled(self) -> Outline:
-        """The same without holes."""
+        """The outline without holes."""
         return self if len(self.ends) == 1 else make_outline([self.points[: self.ends[0]]])
 
     @cached_property
     def form(self) -> np.ndarray:
-        """Its spectrum without holes, from 1, relative to the 0th: (HARMONICS - 1,), the same
-        however it is turned, and whatever its size."""
+        """Magnitudes of its spectrum without holes, harmonics 1 and up relative to the 0th:
+        (HARMONICS - 1,). Invariant to rotation and size."""
         size = np.abs(self.filled.spectrum)
         return np.asarray(size[1:] / size[0])
 
     @property
     def hole_share(self) -> float:
-        """Area of its holes, relative to that without them."""
+        """Area of the holes, relative to the area without holes [-]."""
         return 1 - self.area / self.filled.area
 
     @property
     def reach(self) -> float:
-        """Greatest distance of its rim from its centre [m]."""
+        """Maximum distance of the contour from the centre [m]."""
         return float(np.max(np.hypot(*(self.points - self.centre).T)))
 
 
 def make_outline(rings: Sequence[np.ndarray]) -> Outline:
-    """Measure rings (k, 2) [m]: the first around the part, the others around its holes, any sense
-    of rotation."""
+    """Measure rings (k, 2) [m] with any sense of rotation: the first one around the part, the
+    others around its holes."""
     points = np.concatenate(rings).astype(float)
     ends = np.cumsum([len(ring) for ring in rings])
     spectrum = np.empty(HARMONICS, complex)
@@ -102,19 +102,19 @@ def make_outline(rings: Sequence[np.ndarray]) -> Outline:
 def patch_rings(
     mask: np.ndarray, window: np.ndarray, count: int = POINTS
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the rings (k, 2) [px, of the window] around a patch and its holes, and its colour:
+    """Return the rings (k, 2) [px of the window] around a patch and its holes, and its colour:
     medians of blue, green, red (3,).
 
-    Each point lies where the image is halfway between the part and what is beside it there.
+    Each point is at the place where the image is halfway between the part and its surround.
 
     Parameters
     ----------
     mask : (h + 2, w + 2) uint8
-        1 in the patch, with a frame of 0.
+        1 in the patch, 0 elsewhere, with a frame of 0.
     window : (h, w, 3) or (h, w) uint8
-        The image there.
+        The image in the window.
     count : int
-        Points of the outer ring; those of holes are as near to each other.
+        Number of points of the outer ring. Rings of holes have the same density.
     """
     contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     inner = cv2.erode(mask, THREE)
@@ -139,8 +139,8 @@ def patch_rings(
 
 
 def distances(edges: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the signed distances of points (n, 2) from a polygon's edges (e, 5), and the unit
-    vectors along which they grow: (n, 3)."""
+    """Return the signed distances of points (n, 2) from a polygon's edges (e, 5), and their
+    gradients (unit vectors): (n, 3)."""
     found: np.ndarray = _kernels.distances(edges, points)
     return found
 
@@ -154,30 +154,30 @@ def fit_pose(
     steps: int,
     gate: float = np.inf,
 ) -> np.ndarray:
-    """Lay a polygon onto points by Gauss-Newton steps, and say how far they are from it.
+    """Fit a polygon to points by Gauss-Newton steps, with a swelling of its outline.
 
     Parameters
     ----------
     edges : (e, 5)
-        Of the polygon, in its own frame [m], see `Outline.edges`.
+        Edges of the polygon in its own frame [m], see `Outline.edges`.
     points : (n, 2)
-        On a rim [m].
+        Points on a contour [m].
     pose : (3,)
-        Where to begin: x, y [m], angle [rad].
+        Starting pose: x, y [m], angle [rad].
     unit : float
-        Distance [m] from which on points count less: that of a pixel or two.
+        Distance above which a point has less weight [m]: about one or two pixels.
     turns : bool
-        Whether its angle matters: not that of a disc.
+        Whether the angle is fitted. It is not for a disc.
     steps : int
-        Most Gauss-Newton steps.
+        Maximum number of Gauss-Newton steps.
     gate : float
-        Points further away than that are of something else [m]; it is then not swollen.
+        Distance above which points are ignored [m]. If finite, no swelling is fitted.
 
     Returns
     -------
     (5,)
-        x, y [m], angle [rad]; how far the points are outside on average [m]; root mean square of
-        the rest [m].
+        x, y [m], angle [rad]; swelling, the mean distance of the points outside the polygon [m];
+        root mean square residual [m].
     """
     fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, turns, steps, np.inf, gate)
     return fit

@@ -1,4 +1,4 @@
-"""Files of part types: written, and added to."""
+"""Files of part types: write them, and add types to them."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from .background import Background, learn_plate
 from .teaching import Example, Lesson, check_alike, learn_type
 
 OUT = Path("parts.yaml")
-"""The file of types, if no other is named."""
+"""Default file of part types."""
 
 MICRON = 6
-"""Decimal digits of lengths in files [m]."""
+"""Number of decimal digits of lengths in these files [m]."""
 
 
 def save_part_types(path: Path, types: Mapping[str, PartType]) -> None:
-    """Write a file of part types, as `plate_core.rig.load_part_types` reads it.
+    """Write a file of part types in the format of `plate_core.rig.load_part_types`.
 
     Raises
     ------
     PlateError
-        If that would refuse it, or it cannot be written: what was there stays.
+        If a type is not valid, or the file cannot be written. An existing file is then unchanged.
     """
     data = {name: _as_data(part) for name, part in types.items()}
     read_part_types(Fields(data, path.name, TeachError))
@@ -73,8 +73,8 @@ def add_type(
     region: Region | None,
     height: float | None = None,
 ) -> Lesson:
-    """Learn a type, and write it and its picture into a file of types. It replaces a type of the
-    same name but keeps its mass, friction and height. Another height [m] may be given.
+    """Learn a type, and write it and its picture into a file of types. A type of the same name is
+    replaced, but its mass, friction and height are kept unless another height [m] is given.
 
     Raises
     ------
@@ -99,12 +99,12 @@ def add_type(
 def load_bare(
     path: Path, size_px: tuple[int, int], location: PlateLocation | None = None
 ) -> Background:
-    """Learn the bare plate from pictures of it; of one with markers, without them.
+    """Learn the bare plate from pictures of it. Markers on the plate are hidden.
 
     Raises
     ------
     TeachError
-        If they are not of a size (width, height), or do not show all markers.
+        If the pictures do not have the given size (width, height), or do not show all markers.
     """
     pictures = []
     for name, picture in read_pictures(path):
@@ -120,7 +120,7 @@ def load_bare(
 
 
 def told(lesson: Lesson) -> str:
-    """Say what was learned, in one line."""
+    """Return a one-line summary of what was learned."""
     part = lesson.part
     corners = "a disc" if part.radius_m else f"{len(part.outline)} corners"
     holes = f", {len(part.holes)} hole{'s' if len(part.holes) > 1 else ''}" if part.holes else ""
@@ -136,7 +136,7 @@ def told(lesson: Lesson) -> str:
 
 
 def colour_text(part: PartType) -> str:
-    """Say what colour a type has."""
+    """Return the colour of a type as text."""
     if part.colour_lab is None:
         return "not known"
     return "Lab " + " ".join(f"{value:.0f}" for value in part.colour_lab)

@@ -1,4 +1,4 @@
-"""A patch of an image that is not plate: one part, or several that could not be told apart."""
+"""A patch of an image in front of the background: one part, or several that were not separated."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ import cv2
 import numpy as np
 
 HALF = 0.5
-"""The outline of a part runs where half of a pixel is part."""
+"""Fraction of a pixel covered by the part at which the outline runs."""
 
 MOST_SHIFT_PX = 1.5
-"""Furthest from the edge of the mask at which the outline is looked for [px]."""
+"""Maximum distance between the edge of the mask and the outline [px]."""
 
 SMOOTH_PX = 0.8
-"""Blur [px] before the outline is looked for: the edge of a sharp part is then as steep as it seems
+"""Blur applied before the outline is located [px]. The slope of a sharp part's edge is then that
 between neighbouring pixels."""
 
 MARGIN_PX = 4
-"""Pixels around a patch that belong to its window."""
+"""Width of the margin around a patch in its window [px]."""
 
 LEAST_HOLE_PX2 = 6.0
-"""Smallest hole that is reported [px2]: less are noise."""
+"""Minimum area of a hole that is reported [px2]. Smaller ones are noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """What was found in one place of an image.
+    """One patch of an image.
 
     Image coordinates: x_px to the right, y_px down, the centre of the first pixel is (0, 0).
 
     Attributes
     ----------
     mask : (h, w) bool
-        Its pixels in a window of the image, holes left out.
+        Pixels of the patch in a window of the image, without holes.
     corner : (int, int)
         Image column and row x0, y0 of the window's first pixel [px].
     cover : (h, w) float32
-        How much of each pixel is part, 0 to 1: finer than the mask at the rim.
+        Fraction of each pixel that is part, 0 to 1; finer than the mask at the contour.
     whole : bool
-        Whether all of it is seen: not cut by the border of the image or region.
+        Whether the patch is complete: not cut by the border of the image or region.
     group : bool
-        Whether it seems to hold several parts that could not be split.
+        Whether it seems to consist of several parts that were not separated.
     """
 
     mask: np.ndarray
@@ -53,12 +53,12 @@ class Patch:
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Rows and columns of the image that its window shows."""
+        """Rows and columns of the image in its window."""
         (x0, y0), (height, width) = self.corner, self.mask.shape
         return np.s_[y0 : y0 + height, x0 : x0 + width]
 
     def overlaps(self, other: Patch) -> bool:
-        """Whether it has pixels in common with another."""
+        """Whether it shares pixels with another patch."""
         ends = [np.add(one.corner, one.mask.shape[::-1]) for one in (self, other)]
         low, high = np.maximum(self.corner, other.corner), np.minimum(*ends)
         if np.any(high <= low):
@@ -107,7 +107,7 @@ class Patch:
 
     @cached_property
     def outline(self) -> np.ndarray:
-        """Points (k, 2) around it [px], one for each pixel of the rim, to a fraction of a pixel."""
+        """Points (k, 2) around the patch [px], one per pixel of the contour, to sub-pixels."""
         return self._rims[0]
 
     @cached_property
@@ -140,8 +140,8 @@ class Patch:
 def _to_the_edge(
     rim: np.ndarray, cover: np.ndarray, slope: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return points (k, 2) where the cover (h, w) is a half, next to those of a rim (k, 1, 2);
-    `slope` is that of the cover along x and y [1/px]."""
+    """Return the points (k, 2) nearest to those of a contour (k, 1, 2) at which the cover (h, w) is
+    0.5, by one Newton step. `slope` is the gradient of the cover along x and y [1/px]."""
     x, y = rim[:, 0].T
     steep = np.stack([slope[0][y, x], slope[1][y, x]], axis=1)
     square = np.sum(steep**2, axis=1, keepdims=True)

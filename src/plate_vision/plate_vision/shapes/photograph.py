@@ -1,4 +1,7 @@
-"""Patches of a photograph in numbers: centre, size, direction and contrast of each."""
+"""Patches of a photograph as numbers: centre, size, direction and contrast of each.
+
+`find_outlines` needs no description of the parts. It models the background from the photograph.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,18 @@ from .background import Background, colours_like, model_background, steepness
 from .segmentation import find_patches
 
 MOST_PIXELS = 1_000_000
-"""Larger images are made smaller first: a part is then still more than large enough."""
+"""Maximum number of pixels; larger images are reduced first. Parts remain large enough."""
 
 ROUND = 0.95
-"""From this 4 pi area / length2 of its hull on a patch is a disc: a regular octagon has 0.948."""
+"""Minimum 4 pi area / length^2 of the hull of a disc. A regular octagon has 0.948."""
 
 SURE = 60.0
-"""Contrast from which on a patch is sure [grey levels]."""
+"""Contrast above which the confidence is not reduced [grey levels]."""
 
 SOFT, FRAYED = 0.3, 0.85
-"""A part ends at an edge: a patch is none if along a quarter of its rim the colours change by less
-in a pixel, relative to the deviation that the background has, and it fills less of its hull."""
+"""A patch is rejected as no part if the lower quartile of the gradient at its contour, relative to
+the background's limit, is at most the first value [1/px], and it fills at most the second fraction
+of its hull."""
 
 OUTLINE = np.dtype(
     [
@@ -34,15 +38,15 @@ OUTLINE = np.dtype(
         ("confidence", "f8"),
     ]
 )
-"""A patch: centre of its area [px]; radius of the disc of the same area [px]; direction of the
-longest side, 0 to pi, counter-clockwise as seen, 0 for discs; difference from the background [grey
-levels], negative if darker; grey levels of that; whether it is a disc; whether it is several parts;
-confidence, 0 to 1: how much of the hull is filled, less for little contrast."""
+"""A patch: centroid [px]; radius of the disc of the same area [px]; direction of the longest side,
+0 to pi, counter-clockwise as seen, 0 for discs; difference from the background [grey levels],
+negative if darker; grey level of the background; whether it is a disc; whether it is several parts;
+confidence, 0 to 1: the filled fraction of the hull, less for low contrast."""
 
 
 def find_outlines(image: np.ndarray) -> np.ndarray:
-    """Return what is seen whole (n,) OUTLINE in an image (H, W) or (H, W, 3) uint8, of which
-    nothing is known."""
+    """Return the complete patches (n,) OUTLINE of an image (H, W) or (H, W, 3) uint8 without any
+    description of the parts."""
     full = np.array(image.shape[1::-1])
     factor = int(np.ceil(np.sqrt(full[0] * full[1] / MOST_PIXELS)))
     if factor > 1:
@@ -61,7 +65,7 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
         hull = cv2.convexHull(outline)
         filled = cv2.contourArea(outline) / max(cv2.contourArea(hull), 1)
         compact = 4 * np.pi * cv2.contourArea(hull) / max(cv2.arcLength(hull, True), 1) ** 2
-        # The middle of the first pixel is 0 in both images, that of the large one is smaller.
+        # The centre of the first pixel is 0 in both images, but their pixels differ in size.
         one["x_px"], one["y_px"] = scale * (patch.centre_px + 0.5) - 0.5
         one["radius_px"] = np.mean(scale) * patch.radius_px
         one["round"] = compact > ROUND and filled > ROUND
@@ -77,8 +81,8 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
 
 
 def _slope(image: np.ndarray, background: Background) -> np.ndarray:
-    """Return how steeply the colours change (H, W) [1/px], within a pixel, relative to the
-    deviation up to which a pixel shows the background."""
+    """Return the maximum gradient of the colours within a pixel (H, W) [1/px], relative to the
+    maximum deviation of the background."""
     lab = colours_like(image, background)
     smooth = cv2.GaussianBlur(lab, (0, 0), 1.0).reshape(lab.shape)
     weights = (1.0, background.chroma, background.chroma)
@@ -87,7 +91,7 @@ def _slope(image: np.ndarray, background: Background) -> np.ndarray:
 
 
 def _angle(outline: np.ndarray) -> float:
-    """Return the direction [rad] of the longest side of the tightest rectangle around it."""
+    """Return the direction [rad] of the longest side of the minimum-area rectangle around it."""
     corners = cv2.boxPoints(cv2.minAreaRect(outline))
     sides = np.diff(corners[:3], axis=0)
     x, y = sides[np.argmax(np.hypot(*sides.T))]

@@ -1,4 +1,4 @@
-// Where a part may lie in a group, all places and turns are tried: see groups.py.
+// Search for a part in a group over all positions and angles: see groups.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,34 +13,34 @@
 
 namespace plate {
 
-// How near the group's rim is to a part's where it is the same [px].
+// Maximum distance between the contours of group and part where they coincide [px].
 constexpr double NEAR_PX = 1.3;
 
-// How far outside a part may seem to be [px].
+// Maximum distance outside the group at which a point of a part is still accepted [px].
 constexpr double OUTSIDE_PX = 1.6;
 
-// Largest fraction of a part outside the group.
+// Maximum fraction of a part that is outside the group.
 constexpr double MOST_OUTSIDE = 0.06;
 
-// Less than any number of points on a rim.
+// A value below any count of contour points, for places that are excluded.
 constexpr int16_t BARRED = -30'000;
 
-// Places along a row that are looked at together.
+// Number of places along a row that are processed together.
 constexpr int PLACES = 16;
 
-// Most pixels of a frame around the group.
+// Maximum width of a frame around the group [px].
 constexpr double MOST_MARGIN = 1e4;
 
-// 1 for a point of a part that is not where it is free, else 0.
+// 1 if a point of a part is outside the free area, else 0.
 inline int is_outside(double free) { return free < -OUTSIDE_PX; }
 
-// 1 for a point of a part's rim that is on the group's, -1 if it is outside, else 0.
+// 1 if a point of a part's contour is on the group's contour, -1 if it is outside, else 0.
 inline int is_on_rim(double border) {
     if (border < -OUTSIDE_PX) return -1;
     return border < NEAR_PX;
 }
 
-// A field (h, w) at the pixel nearest to a place of a part at a pose; far outside it beside the
+// Value of a field (h, w) at the pixel nearest to a point of a part at a pose; -99 outside the
 // window. `to_px` is (2, 3).
 inline double level(View<const float, 2> field, View<const double, 2> to_px, const double* place,
                     const double* pose, double c, double s) {
@@ -52,13 +52,13 @@ inline double level(View<const float, 2> field, View<const double, 2> to_px, con
     return inside ? field(j, i) : -99;
 }
 
-// Which fraction of a part's rim is on the group's, and which of its inner points is outside.
+// Fraction of a part's contour on the group's contour, and fraction of its inner points outside.
 struct Support {
     double seen, outside;
 };
 
-// Return which fraction of a part's rim (n, 2) is on the group's, less that which is outside, and
-// which of its inner points (m, 2) is not where it is free.
+// Return the fraction of a part's contour points (n, 2) on the group's contour, minus the fraction
+// outside; and the fraction of its inner points (m, 2) outside the free area.
 inline Support support(View<const float, 2> free, View<const float, 2> border,
                        View<const double, 2> to_px, View<const double, 2> rim,
                        View<const double, 2> inner, const double* pose) {
@@ -71,7 +71,7 @@ inline Support support(View<const float, 2> free, View<const float, 2> border,
     return {static_cast<double>(seen) / rim.size(0), static_cast<double>(out) / inner.size(0)};
 }
 
-// How far the farthest of points (n, 2) is from a place (2,).
+// Maximum distance of points (n, 2) from a place (2,).
 inline double farthest(View<const double, 2> points, const double* place) {
     double most = 0;
     for (int k = 0; k < points.size(0); k++)
@@ -79,7 +79,7 @@ inline double farthest(View<const double, 2> points, const double* place) {
     return most;
 }
 
-// Write where points (n, 2) of a part at a turn are from its pole, as offsets in a framed field.
+// Write the offsets of points (n, 2) of a rotated part from its pole, as indices in a framed field.
 inline void find_offsets(View<const double, 2> points, View<const double, 2> to_px,
                          const double* pole, double angle, int margin, int width,
                          std::vector<int>& offsets) {
@@ -95,8 +95,8 @@ inline void find_offsets(View<const double, 2> points, View<const double, 2> to_
     }
 }
 
-// Add to `total` (count,), for places along a row of a field that begins at `row`, what it is at
-// all points of a part that lies there; also to numbers that follow, up to a multiple of PLACES.
+// For places along a row of a field, which begins at `row`, add the field's values at all points of
+// a part there to `total` (count,). Numbers behind it are also changed, up to a multiple of PLACES.
 PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offsets,
                                 int16_t* __restrict total, int count) {
     for (int first = 0; first < count; first += PLACES) {
@@ -110,16 +110,16 @@ PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offs
     }
 }
 
-// A place where a part may be: x, y [m], the angle [rad] at which most of its rim is seen, and how
-// much.
+// A place of a part: x, y [m], the angle [rad] at which the largest fraction of its contour is
+// seen, and that fraction.
 struct PlaceFound {
     double x, y, angle, seen;
 };
 
-// Return each place where a part's widest place may be: see groups.py.
+// Return all places at which a part's pole may be: see groups.py.
 //
-// A part at a turn is a set of offsets in pixels, the same at all places, so that what it covers is
-// counted for a whole row of places at once.
+// A part at an angle is a set of pixel offsets, the same at all places. The pixels that it covers
+// are therefore counted for a whole row of places at once.
 inline std::vector<PlaceFound> search(View<const float, 2> free, View<const float, 2> border,
                                       View<const double, 2> to_px, View<const double, 2> rim,
                                       View<const double, 2> inner, const double* pole, double depth,
@@ -129,12 +129,12 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
                                   length_of(to_px(1, 0), to_px(1, 1)));
     const double reach = scale * std::max(farthest(rim, pole), farthest(inner, pole));
     if (!(reach < MOST_MARGIN)) throw std::invalid_argument("the part is too large");
-    const int margin = 2 + static_cast<int>(reach);  // no part leaves it
+    const int margin = 2 + static_cast<int>(reach);  // the frame contains every placed part
     constexpr double FAR = -std::numeric_limits<double>::infinity();
     const int framed = width + 2 * margin;
     const size_t all = static_cast<size_t>(height + 2 * margin) * framed + PLACES;
     std::vector<int16_t> outside(all, is_outside(FAR)), on_rim(all, is_on_rim(FAR));
-    std::vector<int> begin(height, width), end(height);  // of each row's places
+    std::vector<int> begin(height, width), end(height);  // range of places in each row
     for (int j = 0; j < height; j++)
         for (int i = 0; i < width; i++) {
             const int at = (margin + j) * framed + margin + i;

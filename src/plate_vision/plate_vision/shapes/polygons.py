@@ -1,4 +1,8 @@
-"""A measured outline as a polygon of few corners."""
+"""A measured outline simplified to a polygon with few corners.
+
+Douglas-Peucker gives a first polygon; its corners are fitted by least squares, and corners are
+removed as long as the fit remains good.
+"""
 
 from __future__ import annotations
 
@@ -14,34 +18,36 @@ from ..errors import TeachError
 from .outlines import distances, make_outline
 
 COARSE = 0.03
-"""How far the simplified outline may be from the measured one, RMS, in its reach."""
+"""Maximum RMS distance of the polygon from the measured outline, relative to the reach."""
 
 FINE_PX, FINE = 0.5, 0.012
-"""How far it is at first: in pixels, and in its reach."""
+"""Tolerance of the first polygon: in pixels, and relative to the reach; the larger counts."""
 
 PLAIN_PX, PLAIN = 0.14, 0.006
-"""RMS deviation up to which a polygon with fewer corners is preferred: in pixels, in its reach."""
+"""RMS deviation up to which a polygon with fewer corners is preferred: in pixels, and relative to
+the reach."""
 
 WORSE = 1.1
-"""By how much it may be further from the outline than the first guess [-]."""
+"""Maximum deviation of a polygon with fewer corners, relative to that of the first polygon [-]."""
 
 BULGE_PX, CLEAR_PX = 0.35, 2.0
-"""Largest distance of the outline from its edges, further than that from corners, which blur rounds
-[px]."""
+"""Maximum distance of the outline from the polygon's edges [px], and distance from corners within
+which it is ignored, because blur rounds them [px]."""
 
 STAY = 0.05
-"""Weight of a corner's shift against the outline's distance from the ring."""
+"""Weight of a corner's shift relative to the distance of the outline, for regularisation."""
 
 
 def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: float) -> np.ndarray:
-    """Return a polygon (n, 2) [m] of at most `MOST_CORNERS` corners along a ring (k, 2) [m].
+    """Return a polygon (n, 2) [m] with at most `MOST_CORNERS` corners along a ring (k, 2) [m].
 
-    `reach` is the part's [m], `scale` that of the picture [px/m].
+    `reach` is the part's [m], `scale` the picture's [px/m].
 
     Raises
     ------
     TeachError
-        If so few corners do not do; it says of which type, and of what of it.
+        If that many corners do not suffice. `name` and `what` are the type and its ring, for the
+        message.
     """
     fine = max(FINE_PX / scale, FINE * reach)
     contour = (ring / fine).astype(np.float32)[:, None]
@@ -55,7 +61,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         loose *= 1.1
     corner, rms = _fitted(corner, ring)
     most = max(WORSE * rms, PLAIN_PX / scale, PLAIN * reach)
-    # Two corners of the first guess often stand for one that blur has rounded.
+    # Two corners of the first polygon often represent one corner rounded by blur.
     while len(corner) > 3:
         side = np.hypot(*(np.roll(corner, -1, axis=0) - corner).T)
         i = int(np.argmin(side))
@@ -80,12 +86,12 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
 
 
 def _fitted(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the corners (n, 2) of a polygon moved so that it is nearest to a ring (k, 2), and how
-    far that is from it, RMS [m]."""
+    """Move the corners (n, 2) of a polygon to fit a ring (k, 2). Return them, and the RMS distance
+    of the ring from the polygon [m]."""
     size = float(np.max(np.ptp(ring, axis=0)))
 
     def errors(flat: np.ndarray) -> np.ndarray:
-        # Corners stay in place where the ring does not say where they belong.
+        # Regularisation: corners that the ring does not determine stay in place.
         keep = STAY * (flat - corner.ravel() / size)
         return np.concatenate([_errors(size * flat.reshape(-1, 2), ring) / size, keep])
 
@@ -97,8 +103,8 @@ def _fitted(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _bulge(corner: np.ndarray, ring: np.ndarray, clear: float) -> float:
-    """Return the largest distance of a ring's points (k, 2) from a polygon (n, 2), of those that
-    are clear of its corners [m]."""
+    """Return the maximum distance of a ring's points (k, 2) from a polygon (n, 2), without the
+    points near its corners [m]."""
     gap = np.hypot(*(ring[:, None] - corner).transpose(2, 0, 1)).min(axis=1)
     return float(np.max(np.abs(_errors(corner, ring)[gap > clear]), initial=0.0))
 

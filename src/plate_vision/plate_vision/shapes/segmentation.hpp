@@ -1,4 +1,4 @@
-// Parts of any outline, size and colour: see segmentation.py.
+// Segmentation of parts of any outline, size and colour: see segmentation.py.
 #pragma once
 #include <algorithm>
 #include <cstdint>
@@ -9,30 +9,30 @@
 
 namespace plate {
 
-// Smallest part: a disc of 3 px radius.
+// Minimum area of a part: a disc of 3 px radius.
 constexpr double LEAST_AREA_PX2 = 30;
 
-// Contrast of a part, relative to the deviation up to which a pixel may show the background.
+// Minimum contrast of a part, relative to the maximum deviation of the background.
 constexpr double STRONG = 1.2;
 
-// Least contrast of another colour of a part, relative to that of its main one.
+// Minimum contrast of a part's second colour, relative to that of its main colour.
 constexpr double WEAKER = 0.35;
 
-// The same of one on the other side of the plate's lightness: the halo of a sharpened edge has
-// less.
+// The same for a colour on the other side of the plate's lightness. The halo of a sharpened edge
+// has less.
 constexpr double BRIGHTER = 0.25;
 
-// Steepest slope of what is even, relative to the steepest of the patch.
+// Maximum slope of an even area, relative to the maximum slope of the patch.
 constexpr double EVEN = 0.3;
 
-// Least cover of a line of one pixel between two colours of a part.
+// Minimum cover of a line of one pixel between two colours of a part.
 constexpr double BRIDGE = 0.3;
 
-// Least step in L from one colour of a part to another on the other side of the plate's, relative
-// to the larger of their contrasts.
+// Minimum step in L between colours of a part on both sides of the plate's lightness, relative to
+// the larger of their contrasts.
 constexpr double LEAP = 1.2;
 
-// Call `visit(i)` for each pixel that is not 0: most are.
+// Call `visit(i)` for each pixel that is not 0. Blocks without any are skipped.
 template <class T, class Visit>
 [[gnu::always_inline]] inline void each_set(const T* pixels, int count, Visit visit) {
     constexpr int BLOCK = 16;
@@ -48,7 +48,7 @@ template <class T, class Visit>
     }
 }
 
-// Call `visit(i, k)` for each pixel i of a patch: its number k is below `patches`, 0 outside.
+// Call `visit(i, k)` for each pixel i of a patch k. Labels must be below `patches`; 0 is outside.
 template <class Visit>
 [[gnu::always_inline]] inline void each_labelled(const int32_t* labels, int count, int patches,
                                                  Visit visit) {
@@ -59,7 +59,7 @@ template <class Visit>
     });
 }
 
-// How many pixels of a patch have each of 256 levels.
+// Histogram of 256 levels for each patch.
 struct Histograms {
     std::vector<int> counts;
 
@@ -67,8 +67,8 @@ struct Histograms {
     int* operator[](int patch) { return &counts[256 * static_cast<size_t>(patch)]; }
 };
 
-// Find of each patch (count,) the deviation that most of its inside has, the median of its upper
-// half, 0 if it is too small; its steepest slope; whether most of it is brighter than the
+// For each patch (count,) compute: its contrast, the median of the upper half of its deviations, 0
+// if the patch is too small; its maximum slope; and whether most of it is brighter than the
 // background. Images are (h, w).
 inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2> away,
                            View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
@@ -90,7 +90,7 @@ inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2>
         int total = 0, above = 0;
         for (int level = 1; level < 256; level++) total += histogram[level];
         if (total < LEAST_AREA_PX2) continue;
-        // The upper half of the range below the brightest tenth.
+        // The upper half is that of the range below the largest tenth of the deviations.
         int high = 255, middle = 255;
         for (int passed = 0; high > 0 && passed + histogram[high] < 0.1 * total; high--)
             passed += histogram[high];
@@ -102,15 +102,15 @@ inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2>
     }
 }
 
-// What is known of patches (count,): as `find_contrasts` finds it.
+// Properties of patches (count,), from `find_contrasts`.
 struct PatchContrasts {
     int count;
     const float *contrast, *steepest;
     const bool* bright;
 };
 
-// Write how much of each pixel is part into `cover` (h, w): its deviation relative to that of the
-// part around it; 0 where there is none.
+// Write the fraction of each pixel that is part into `cover` (h, w): its deviation relative to that
+// of the part around it; 0 outside of parts.
 inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                        View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
                        View<const int32_t, 2> labels, const PatchContrasts& patches,
@@ -122,17 +122,17 @@ inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> aroun
         const float full = std::min<float>(contrast, around.data[i]);
         const double strong = STRONG * limit.data[i];
         if (full <= strong) return;
-        // A highlight on a dark part may differ less from the plate than the part.
+        // A highlight on a dark part may differ less from the plate than the part does.
         const bool highlight = (brighter.data[i] > 0) != patches.bright[k] &&
                                here > std::max(BRIGHTER * contrast, strong);
-        // Of several colours the weaker: far from the background, but even.
+        // A second colour with less contrast: far from the background, and even.
         const bool weaker = here > WEAKER * contrast && slope.data[i] < EVEN * patches.steepest[k];
         cover.data[i] = highlight || weaker ? 1 : std::min(here / full, 1.f);
     });
 }
 
-// Add to a mask (h, w), and to the cover, what is between two colours of a part: where it is closed
-// by `near` or `far` and there is a step in the light, or cover.
+// Add the pixels between two colours of a part to a mask (h, w) and to the cover: pixels closed by
+// `near` or `far` at which there is a step in lightness, or cover.
 inline void bridge(View<uint8_t, 2> mask, View<float, 2> cover, View<const uint8_t, 2> near,
                    View<const uint8_t, 2> far, View<const uint8_t, 2> step,
                    View<const uint8_t, 2> around) {

@@ -1,7 +1,8 @@
-"""Parts of any outline, size and colour: what an image shows beside its background.
+"""Segmentation of an image into patches that differ from its background, of any outline and colour.
 
-The way of an image: its deviation from the background in Lab; shadows taken out; each patch cut off
-at half of its own contrast; holes told from highlights; patches split where parts touch.
+Steps: deviation from the background in Lab; removal of shadows, or detection of the lamp that casts
+all of them; contour of each patch at half of its own contrast; distinction of holes and highlights;
+split of patches where parts touch.
 """
 
 from __future__ import annotations
@@ -21,73 +22,75 @@ from .patch import HALF, Patch
 from .shadows import Lamp, find_faces, find_lamp, find_sides, take_out_shadows
 
 LEAST_AREA_PX2: float = _kernels.LEAST_AREA_PX2
-"""Smallest part: a disc of 3 px radius."""
+"""Minimum area of a part: a disc of 3 px radius."""
 
 MOST_PATCHES = 250
-"""Patches that are looked at, the largest ones: more are noise, or texture that has moved."""
+"""Maximum number of patches that are evaluated, the largest ones. More are noise, or texture that
+has moved."""
 
 LEAST_DEPTH_PX = 1.8
-"""How far the inside of a part is from its rim at least [px]: a scratch is thinner."""
+"""Minimum distance of the inside of a part from its contour [px]. A scratch is thinner."""
 
 LEAST_HOLE_PX2 = 6
-"""Smallest hole: less is a speck on the part."""
+"""Minimum area of a hole. A smaller one is a speck on the part."""
 
 NEAR_PX = 12
-"""How far the level of a part's inside reaches to its rim [px]."""
+"""Distance over which the level of a part's inside is extended to its contour [px]."""
 
 HOLE = 0.35
-"""Deviation of a hole from the plate relative to the part's contrast: a highlight has more."""
+"""Maximum deviation of a hole from the plate, relative to the part's contrast. A highlight has
+more."""
 
 NOISE_STEP = 16
-"""Of so many rows and columns one is looked at for the usual noise."""
+"""Step between rows and columns that are evaluated for the typical noise."""
 
 REMNANT, LEFT = 0.35, 0.25
-"""A patch smaller than so much of a usual part, around which a shadow of so much of its own area
-was taken out, is left of that."""
+"""A patch is the rest of a shadow if its area is below the first fraction of a typical part's, and
+the removed shadow around it exceeds the second fraction of its own area."""
 
 FILLED = 0.3
-"""Of what a ring encloses so much belongs to it that it is one part with it."""
+"""Fraction of the area enclosed by a ring that things inside must fill to be one part with it."""
 
 DUST = 0.04
-"""Area of dust, relative to that of a usual part."""
+"""Area of dust, relative to that of a typical part."""
 
 LEAST_SIDE_PX = 8
-"""Smaller images show no part as a whole."""
+"""Minimum side of an image [px]. Smaller images show no complete part."""
 
 LEAST_RIM_PX = 12
-"""Shortest rim of a part [px]."""
+"""Minimum length of a part's contour [px]."""
 
 ROUND = 0.8
-"""4 pi area / length2 from which on what is enclosed is a part's hole, not a gap between parts."""
+"""4 pi area / length^2 above which an enclosed area is a part's hole, not a gap between parts."""
 
 CONVEX_HOLE, LARGE_HOLE_PX2 = 0.75, 40.0
-"""So is what fills so much of its convex hull: a gap has thin corners, which are seen if it is not
-small [px2]."""
+"""Fraction of its convex hull above which an enclosed area is a hole. A gap has thin corners, which
+are visible above this area [px2]."""
 
 
 def find_patches(
     image: np.ndarray, background: Background, region: Region | None = None
 ) -> list[Patch]:
-    """Find what lies on the background.
+    """Find the patches in front of a background.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
         Grey levels, or blue, green, red.
     background : Background
-        As `learn_plate` or `model_background` give it, of images of the same shape.
+        A background of the same image size, from `learn_plate` or `model_background`.
     region : Region, optional
-        Where the plate is; the whole image if None.
+        Region of the plate; None: the whole image.
 
     Returns
     -------
     list of Patch
-        One for each part; one for all parts of a group that could not be split.
+        One patch for each part, or for a group of parts that were not separated.
 
     Raises
     ------
     ImageError
-        If the image has another shape than the background.
+        If the image has another size than the background.
     """
     return segment(image, background, region, lamps=False).patches
 
@@ -130,7 +133,7 @@ def segment(
     rise: Callable[[np.ndarray], np.ndarray] | None = None,
     whole: np.ndarray | None = None,
 ) -> Segments:
-    """Find what lies on the background, as `find_patches`, and the lamp that casts all shadows.
+    """Find patches as `find_patches` does, and the lamp that casts all shadows.
 
     If there is such a lamp, patches are parts together with their shadows. Otherwise, or if `lamps`
     is False, shadows are removed as far as they differ from parts. If `lamp` is given, no lamp is
@@ -178,8 +181,8 @@ def segment(
 def _cover(
     away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return how much of each pixel is part (H, W) float32: its deviation relative to that of the
-    part around it; 0 where there is none."""
+    """Return the fraction of each pixel that is part (H, W) float32: its deviation relative to that
+    of the part around it; 0 outside of parts."""
     slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     contrast, steepest = np.empty((2, count), np.float32)
     bright = np.empty(count, np.bool_)
@@ -196,8 +199,9 @@ def _cover(
 def _bridged(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return the pixels (H, W) uint8 of parts.
 
-    Between two colours of a part there may be one that is like the plate's, as where a highlight
-    ends on a dark part. It is crossed in a step larger than that from the part to the plate.
+    Between two colours of a part there may be pixels like the plate, for example where a highlight
+    ends on a dark part. They are included if the step between the colours is larger than that from
+    the part to the plate.
     """
     mask = (cover >= HALF).astype(np.uint8)
     narrow, wide = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
@@ -216,7 +220,7 @@ def _patches(
     noise: float,
     region: Region | None,
 ) -> list[Patch]:
-    """Return the patches of a cover (H, W), of which the pixels of parts are known (H, W)."""
+    """Return the patches of a cover (H, W); `mask` (H, W) holds the pixels of parts."""
     rims, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     windows = [
         _window(number, rims, family[0], cover, away)
@@ -234,14 +238,14 @@ def _patches(
 
 
 def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
-    """Whether a patch is what was left of a shadow that was taken out around it."""
+    """Whether a patch is the rest of a shadow that was removed around it."""
     here = patch.around(2, seen.shape)
     taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
     return bool(taken > LEFT * patch.area_px2)
 
 
 def _largest(windows: list[Window]) -> list[Window]:
-    """Return windows, the `MOST_PATCHES` with most pixels if there are more."""
+    """Return the `MOST_PATCHES` largest windows."""
     if len(windows) <= MOST_PATCHES:
         return windows
     size = [-np.count_nonzero(window.solid) for window in windows]
@@ -250,8 +254,8 @@ def _largest(windows: list[Window]) -> list[Window]:
 
 
 def _without_inner(windows: list[Window]) -> list[Window]:
-    """Return windows, those filled and left out that are a ring and what nearly fills it: the rim
-    and the inside of one part, where it is like the plate between them."""
+    """Merge each ring with the things that nearly fill it: the contour and the inside of one part
+    that is like the plate between them."""
     kept = []
     inner: set[int] = set()
     low = np.array([window.corner for window in windows]).reshape(-1, 2)
@@ -277,7 +281,7 @@ def _without_inner(windows: list[Window]) -> list[Window]:
 
 
 def _usual_area(patches: list[Patch]) -> float:
-    """Return the area of the part to which half of all parts' pixels belong, or to larger ones."""
+    """Return the area of the part at which larger ones hold half of all parts' pixels."""
     area = np.sort([patch.area_px2 for patch in patches if patch.whole and not patch.group])
     if not len(area):
         return 0.0
@@ -285,22 +289,22 @@ def _usual_area(patches: list[Patch]) -> float:
 
 
 class Window(NamedTuple):
-    """What is within one outer rim.
+    """The area within one outer contour.
 
     Attributes
     ----------
     corner : (int, int)
         First column and row in the image.
     solid : (h, w) bool
-        Pixels of parts, their holes filled; not the gaps between parts.
+        Pixels of parts with their holes filled, without the gaps between parts.
     holes : (h, w) bool
         Pixels of the parts' holes.
     amount : (h, w) float32
-        How much of each pixel is part, its holes filled.
+        Fraction of each pixel that is part, with the holes filled.
     cover : (h, w) float32
-        The same, less the holes.
+        The same, without the holes.
     enclosed : (h, w) bool
-        Pixels of holes and gaps, and of what lies in them.
+        Pixels of holes and gaps, and of things inside them.
     """
 
     corner: tuple[int, int]
@@ -312,12 +316,12 @@ class Window(NamedTuple):
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Rows and columns of the image."""
+        """Rows and columns of the image in the window."""
         (x0, y0), (height, width) = self.corner, self.solid.shape
         return np.s_[y0 : y0 + height, x0 : x0 + width]
 
     def filled(self) -> Window:
-        """Return it without holes and gaps."""
+        """Return the window with its holes and gaps filled."""
         solid = self.solid | self.enclosed
         amount = np.where(self.enclosed, np.float32(1), self.amount)
         return Window(self.corner, solid, np.zeros_like(solid), amount, amount, self.enclosed)
@@ -326,7 +330,8 @@ class Window(NamedTuple):
 def _window(
     number: int, rims: Sequence[np.ndarray], family: np.ndarray, cover: np.ndarray, away: np.ndarray
 ) -> Window:
-    """Return what is within one outer rim: what it encloses is a hole, a gap or a highlight."""
+    """Return the window of one outer contour; each enclosed area is a hole, a gap or a
+    highlight."""
     x, y, w, h = cv2.boundingRect(rims[number])
     x0, y0 = max(x - 1, 0), max(y - 1, 0)
     here = np.s_[y0 : y + h + 1, x0 : x + w + 1]
@@ -341,7 +346,7 @@ def _window(
     while child >= 0:
         rim = rims[child]
         left, top, wide, high = cv2.boundingRect(rim)
-        if (wide - 2) * (high - 2) < LEAST_HOLE_PX2:  # noise has thousands of them
+        if (wide - 2) * (high - 2) < LEAST_HOLE_PX2:  # fast rejection: noise has thousands
             child = family[child][0]
             continue
         part = np.s_[top - y0 : top - y0 + high, left - x0 : left - x0 + wide]
@@ -354,13 +359,14 @@ def _window(
             area, hull = cv2.contourArea(rim), cv2.contourArea(cv2.convexHull(rim))
             around = 4 * np.pi * area / max(cv2.arcLength(rim, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
-            # Parts that touch leave dents between them; a high part's hole is narrow from the side.
+            # Gaps between touching parts come with dents; a high part's hole looks narrow
+            # obliquely.
             if not convex and around <= ROUND and alone is None:
                 alone = traits(inside)[2] > CONVEX
             (holes if convex or around > ROUND or alone else gaps)[part][one > 0] = 1
         child = family[child][0]
     solid = inside > gaps
-    # Inside its rim a part covers all of a pixel, whatever its colours.
+    # Inside its contour a part covers each pixel completely, whatever its colours.
     amount = np.where(solid, np.maximum(own, np.float32(HALF)), own)
     amount[cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=1) > gaps] = 1
     true = np.where(holes, own, amount) if np.any(holes) else amount
@@ -368,22 +374,22 @@ def _window(
 
 
 def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
-    """Return one patch, in a window of its own; None if it is thinner than a part."""
+    """Return one patch in its own window; None if it is thinner than a part."""
     left, top, width, height = cv2.boundingRect(piece.inside.astype(np.uint8))
     x0, y0 = max(left - 1, 0), max(top - 1, 0)
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
     mask = (inside > 0) & ~window.holes[here]
-    # What is cut off around a hole is no part: others enclose it.
+    # A piece cut off around a hole is not a part if it is thin.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < LEAST_DEPTH_PX:
         return None
-    # Pixels of the rim that are less than half part belong to it if it is next to them.
+    # Pixels at the contour with less than half cover belong to the adjacent piece.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
-    # There is a pixel around it, but where the image ends.
+    # A complete patch has a free pixel on each side of its window.
     whole = not any(np.any(rim) for rim in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
     corner = window.corner[0] + x0, window.corner[1] + y0
     patch = Patch(mask, corner, cover, whole, piece.group)

@@ -1,5 +1,5 @@
-// Shadows, where the background is darker, its chroma kept, and fades into the plate: see
-// shadows.py.
+// Shadows: areas where the background is darker with unchanged chroma, and which fade into the
+// plate. See shadows.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,28 +12,28 @@
 
 namespace plate {
 
-// Darkest shadow, relative to the plate [L].
+// Minimum lightness of a shadow, relative to the plate [L].
 constexpr double DARKEST = 0.45;
 
-// Even pixels that a part and a shadow have at least.
+// Minimum number of even pixels of a part and of a shadow.
 constexpr int LEAST_EVEN = 12;
 
-// Deviation of a shadow, relative to that of the part that casts it, at most.
+// Maximum deviation of a shadow, relative to that of the part that casts it.
 constexpr double LIGHTER = 0.8;
 
-// Of the even pixels of a patch so many are darker than what is called its dark side.
+// Fraction of the even pixels of a patch that are darker than the level of its dark side.
 constexpr double DARKER = 0.3;
 
-// Where a shadow's edge is looked at: its deviation relative to that of the whole shadow.
+// Range of the deviation in which a shadow's edge is evaluated, relative to the shadow's deviation.
 constexpr double HALFWAY[] = {0.3, 0.7};
 
-// Pixels of a shadow's edge by which its width is known.
+// Minimum number of pixels of a shadow's edge for a measurement of its slope.
 constexpr int LEAST_SEEN = 4;
 
-// What is seen of an image's shadows: which pixels (h, w) are like a darker plate, which of them
-// are no darker than a shadow, and the slope of the light at each [L/px]; of each patch (count,)
-// the steepest slope and the largest deviation where it is darker, its area, and how much more of
-// it is brighter than the plate than like a darker one.
+// Shadow candidates in an image. By pixel (h, w): whether it is like a darker plate; whether it is
+// also light enough for a shadow; and the slope of the lightness [L/px]. By patch (count,): maximum
+// slope and maximum deviation where it is darker, area, and number of pixels brighter than the
+// plate minus number of pixels like a darker plate.
 struct ShadowEdges {
     int count;
     View<bool, 2> like, lit;
@@ -42,8 +42,8 @@ struct ShadowEdges {
     int64_t *total, *balance;
 };
 
-// Find shadows in colours `lab` of an image on a background `bare` (h, w, c), by patches: the rest
-// (h, w). All that is found is 0 before.
+// Find shadow candidates in the colours `lab` of an image on a background `bare` (h, w, c), by
+// patches; other images are (h, w). All results must be 0 before.
 inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3> bare,
                               double chroma, View<const uint8_t, 2> limit,
                               View<const int32_t, 2> labels, const ShadowEdges& found) {
@@ -66,7 +66,7 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
                 0.5f * std::sqrt(static_cast<float>(across * across + along * along));
             found.slope(y, x) = slope;
             if (std::max({left, right, up, down}) <= plate + limit(y, x)) {
-                // Else it is the edge of a highlight.
+                // Otherwise it is the edge of a highlight.
                 found.steepest[k] = std::max(found.steepest[k], slope);
                 found.largest[k] = std::max<float>(found.largest[k], plate - here);
             }
@@ -86,10 +86,10 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
     }
 }
 
-// Find of each patch (count,) the deviation that parts its light side from its dark one, 0 if there
-// are no two; that of the light side, and that of the dark one or of all.
+// For each patch (count,) compute the deviation that separates its light side from its dark side, 0
+// if it has only one; the deviation of the light side; and that of the dark side or of all.
 //
-// It parts the even pixels best in two, as Otsu (1979) does.
+// The even pixels are separated by the method of Otsu (1979).
 inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
                        View<const float, 2> slope, const float* steepest,
                        View<const int32_t, 2> labels, View<float, 1> bound, float* light,
@@ -127,15 +127,15 @@ inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
         for (int64_t passed = 0; level > 0 && passed < DARKER * total; level--)
             passed += histogram[level];
         dark[k] = level;
-        // What is shadow is like a darker plate.
+        // The light side is a shadow only if most of it is like a darker plate.
         int64_t under = 0, own = 0;
         for (int l = 0; l < static_cast<int>(bound(k)); l++) under += histogram[l], own += plain[l];
         if (2 * own < under) bound(k) = 0;
     }
 }
 
-// Find of each patch (count,) the slope at the outer edge of its light side [L/px], 0 if it is not
-// seen; and the direction (count, 2) from the dark side to the light one, 0 before.
+// For each patch (count,) compute the slope at the outer edge of its light side [L/px], 0 if it is
+// not visible; and the direction (count, 2) from the dark to the light side, 0 before.
 inline void find_fade(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                       View<const bool, 2> like, View<const float, 2> slope,
                       View<const int32_t, 2> labels, View<const float, 1> bound,

@@ -1,7 +1,10 @@
-"""Shadows: where the background is darker, its chroma kept, and fades into the plate.
+"""Shadows: areas where the background is darker with unchanged chroma, and which fade into the
+plate.
 
-A part ends at an edge as sharp as the image is; its shadow is lighter than the part, and its edge
-is softer. So each patch is parted in a light and a dark side, and the light one is looked at.
+The edge of a part is as sharp as the image. Its shadow is lighter than the part, and its edge is
+softer. Therefore each patch is separated into a light and a dark side (Otsu), and the light side is
+tested. `find_lamp` estimates one lamp for all shadows; `take_out_shadows` removes shadows one by
+one.
 """
 
 from __future__ import annotations
@@ -16,74 +19,74 @@ import numpy as np
 from .. import _kernels
 
 SOFT = (1.25, 0.8, 1.7)
-"""Width of the edge of a shadow, relative to that of sharp edges, at least: where several patches
-have one; also all on the same side; where only one has."""
+"""Minimum width of a shadow's edge, relative to that of sharp edges: if several patches have a
+shadow; if they also have it on the same side; if only one patch has it."""
 
 FEWEST = 3
-"""Patches that are several."""
+"""Minimum number of patches that count as several."""
 
 ALIGNED = 0.8
-"""Length of the mean of unit vectors that point to one side."""
+"""Minimum length of the mean of unit vectors that point to the same side."""
 
 DEPTHS = 0.4
-"""Relative spread of the deviations of the shadows in an image."""
+"""Maximum relative difference of the deviations of shadows in an image."""
 
 SHARP_PERCENT = 25
-"""Of the patches so many have edges that are called sharp."""
+"""Percentage of the patches whose edges count as sharp."""
 
 CLEAR_EDGE, WIDE_PERCENT = 0.5, 80
-"""Deviation of patches with clear edges, relative to the upper quartile of all; per cent of the
-edges of parts that are no wider than the width of an image's edges."""
+"""Minimum deviation of patches with clear edges, relative to the upper quartile of all; percentile
+of the parts' edge widths that is the width of an image's edges."""
 
 LIGHTER: float = _kernels.LIGHTER
-"""Deviation of a shadow, relative to that of the part that casts it, at most."""
+"""Maximum deviation of a shadow, relative to that of the part that casts it."""
 
 AGREE = 0.25
-"""Fraction of the patches that have a shadow, from which on all are thought to have one."""
+"""Fraction of patches with a shadow above which all are assumed to have one."""
 
 MOSTLY = 0.7
-"""Of a shadow that lies alone so much is like a darker plate, at least."""
+"""Minimum fraction of a separate shadow that is like a darker plate."""
 
 ALONE = 3.0
-"""Width of the edge of a shadow that lies alone, relative to sharp edges."""
+"""Minimum edge width of a separate shadow, relative to sharp edges."""
 
 WIDE_PX = 25.0
-"""Width from which on the edge of a patch is that of a shadow, whatever else is seen [px]."""
+"""Edge width above which a patch is always a shadow [px]."""
 
 THICK = 0.6
-"""Thickness of a part, relative to that of its shadow, at least: a thin dark side is a face of a
-high part, seen from beside it, and the light one its top."""
+"""Minimum thickness of a part, relative to that of its shadow. A thin dark side is a side face of a
+high part seen obliquely, and the light side is its top."""
 
 LEAST_AREA_PX2 = 30
-"""Least patch of which the edges are looked at."""
+"""Minimum area of a patch whose edges are evaluated."""
 
 
 SQUARE = np.ones((3, 3), np.uint8)
 """Kernel of the morphological operations: a pixel and its eight neighbours."""
 
 LEAST_CAST = (0.06, 0.75)
-"""Fraction of a patch that a shadow takes, at least and at most, if its length is measured."""
+"""Range of the fraction of a patch that is shadow, for a measurement of the shadow's length."""
 
 LEAST_PART = 0.2
-"""Fraction of it that the part takes, at least, of what is no shadow by its colour."""
+"""Minimum fraction of a patch whose colour shows that it is not shadow."""
 
 ONE_LAMP = 0.85
-"""Cosine of the angle between two shadows up to which one lamp may cast both; length of the mean of
-unit vectors to the shadows, from which on one lamp casts them all."""
+"""Minimum cosine of the angle between two shadows of one lamp; and minimum length of the mean of
+the unit vectors to the shadows if one lamp casts them all."""
 
 OF_ONE_LAMP = 0.6
-"""Fraction of the patches with a clear shadow that one lamp casts, at least: parts that touch have
-their light and dark sides anywhere."""
+"""Minimum fraction of the patches with a clear shadow that one lamp must cast. The light and dark
+sides of touching parts have random directions."""
 
 SPREAD = 0.35
-"""Largest spread of the shadows' lengths, relative to the usual one: median deviation."""
+"""Maximum median deviation of the shadows' lengths, relative to their median."""
 
 DEEP = 30.0
-"""Deviation of a shadow from the plate, at least, if it is taken off by its length [L]: a fifth
-of the light. A fainter or softer one is on all sides of a part: its softness tells it."""
+"""Minimum deviation of a shadow whose length is subtracted [L]: a fifth of the light. A fainter or
+softer one surrounds a part on all sides, and is recognised by its softness."""
 
 SHORTEST_PX = 1.0
-"""Shortest shadow that is taken off as such [px]."""
+"""Minimum length of a shadow that is subtracted [px]."""
 
 FACE = 0.9
 """Minimum fraction of a patch's dark side that must lie within the top's shift of the light side,
@@ -94,19 +97,20 @@ FACE_SLACK_PX = 1.5
 
 
 class Sides(NamedTuple):
-    """Where patches are like a darker background: see `ShadowEdges` in shadows.hpp.
+    """Areas where patches are like a darker background: see `ShadowEdges` in shadows.hpp.
 
     Attributes
     ----------
     like, lit : (H, W) bool
-        Pixels whose chroma is the background's, and which are darker; those of them that are not
-        too dark for a shadow.
+        Whether a pixel is darker than the background with its chroma; and whether it is also light
+        enough for a shadow.
     slope : (H, W) float32
-        Slope of the light [L/px].
+        Gradient of the lightness [L/px].
     steepest, largest : (count,) float32
-        Of each patch the steepest slope [L/px], and the largest deviation where it is darker [L].
+        For each patch: maximum slope [L/px], and maximum deviation where it is darker [L].
     total, balance : (count,) int64
-        Its pixels; how many more of them are brighter than like a darker background.
+        For each patch: number of pixels; number of brighter pixels minus number of pixels like a
+        darker background.
     """
 
     like: np.ndarray
@@ -127,9 +131,9 @@ class Lamp:
     level : float
         Deviation of a shadow from the background [L].
     shift_px : (2,)
-        From a part to the end of its shadow [px].
+        Displacement from a part to the end of its shadow [px].
     scatter_px : float
-        Standard deviation of the length from patch to patch [px].
+        Standard deviation of the shadows' lengths over the patches [px].
     """
 
     level: float
@@ -145,20 +149,20 @@ def find_sides(
     labels: np.ndarray,
     count: int,
 ) -> Sides:
-    """Find where patches are like a darker background.
+    """Find the areas where patches are like a darker background.
 
     Parameters
     ----------
     lab, bare : (H, W, C) uint8
         Colours of the image and of the background.
     chroma : float
-        Weight of a and b beside L.
+        Weight of a and b relative to L.
     limit : (H, W) uint8
-        Deviation up to which a pixel shows the background.
+        Maximum deviation of a pixel that shows the background.
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     count : int
-        How many numbers there are.
+        Number of labels, including 0.
     """
     like, lit = np.zeros((2, *labels.shape), np.bool_)
     slope = np.zeros(labels.shape, np.float32)
@@ -176,12 +180,12 @@ def find_faces(
     labels: np.ndarray,
     rise: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """Return which patches (count,) bool have no shadow: their dark side shows side faces, their
-    light side the top of a high part.
+    """Return which patches (count,) bool have no shadow, because their dark side consists of side
+    faces and their light side is the top of a high part.
 
     The camera sees the top farther outwards than the part's base. So the top is found at that shift
-    outwards from each pixel of a side face, also from the side face of a hole. Shadows of a lamp
-    point in the same direction everywhere, and parts are wider than side faces.
+    outwards from each pixel of a side face, also of the side face of a hole. In contrast, shadows
+    of a lamp have the same direction everywhere, and parts are wider than side faces.
 
     Parameters
     ----------
@@ -216,8 +220,8 @@ def find_faces(
 def _two_sides(
     sides: Sides, away: np.ndarray, labels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return of each patch (count,) the deviation that parts its light side from its dark one, 0 if
-    it has no two, and those of both."""
+    """Return for each patch (count,) the deviation that separates its light side from its dark
+    side, 0 if it has only one, and the deviations of both sides."""
     bound, light, dark = np.empty((3, len(sides.total)), np.float32)
     _kernels.part_sides(away, sides.lit, sides.slope, sides.steepest, labels, bound, light, dark)
     return bound, light, dark
@@ -226,20 +230,20 @@ def _two_sides(
 def find_lamp(
     sides: Sides, away: np.ndarray, labels: np.ndarray, faces: np.ndarray | None = None
 ) -> Lamp | None:
-    """Find the one lamp of an image, if one casts shadows on the same side of most parts.
+    """Find the one lamp of an image, if a lamp casts shadows on the same side of most parts.
 
-    A shadow ends as far from its part as the part and its shadow reach further than the part, in
-    the direction of the shadow. It is measured where the part has another colour, or is darker.
+    The length of a shadow is the distance along its direction by which a part with its shadow
+    extends beyond the part. It is measured where the part has another colour, or is darker.
 
     Parameters
     ----------
     sides : Sides
     away : (H, W) uint8
-        Deviation of each pixel from the background, 0 where it shows it [L].
+        Deviation of each pixel from the background, 0 if it shows it [L].
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     faces : (count,) bool, optional
-        Patches that are known to have no shadow: see `find_faces`.
+        Whether a patch certainly has no shadow: see `find_faces`.
     """
     count = len(sides.total)
     large = sides.total >= LEAST_AREA_PX2
@@ -258,7 +262,7 @@ def find_lamp(
     if np.count_nonzero(large & (shade > LEAST_CAST[0] * sides.total)) < fewest:
         return None
     grey = np.bincount(patch[own], minlength=count) < LEAST_PART * sides.total
-    # Of a part as grey as a shadow the darker side is the part.
+    # In a part as grey as a shadow, the darker side is the part.
     bound, *_ = _two_sides(sides, away, labels)
     darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
     own |= darker
@@ -311,22 +315,22 @@ def take_out_shadows(
     plate_known: bool = False,
     faces: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Set `away` to 0 where an image deviates from the background because of a shadow. Return of
-    which patches (count,) bool a part was removed as shadow.
+    """Set `away` to 0 where an image deviates from the background because of a shadow. Return for
+    each patch (count,) bool whether a part of it was removed as shadow.
 
     Parameters
     ----------
     sides : Sides
-        Where patches are like a darker background.
+        Areas where patches are like a darker background.
     away : (H, W) uint8
-        Deviation of each pixel from the background, 0 where it shows it [L].
+        Deviation of each pixel from the background, 0 if it shows it [L].
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     plate_known : bool
-        Whether the background was learned: then what is neither like a darker plate nor faint is a
-        part, and has edges as wide as parts have in this image.
+        Whether the background was learned. Then a patch that is neither like a darker plate nor
+        faint is a part, and its edges have the width of the parts' edges in this image.
     faces : (count,) bool, optional
-        Patches that are known to have no shadow: see `find_faces`.
+        Whether a patch certainly has no shadow: see `find_faces`.
     """
     like, lit, slope, steepest, largest, total, balance = sides
     count = len(total)
@@ -366,11 +370,11 @@ def _part_width(
     balance: np.ndarray,
     large: np.ndarray,
 ) -> float:
-    """Return the width of parts' edges [px] from those of patches (count,), of which `large` (n,)
-    are looked at.
+    """Return the width of the parts' edges [px] from the widths (count,) of patches. Only the
+    patches `large` (n,) are evaluated.
 
-    An image may be out of focus, or moved in one direction: edges across that are as wide as they
-    get. Slivers and faint patches do not count.
+    The image may be out of focus, or blurred by motion in one direction. Edges across this
+    direction have the maximum width. Slivers and faint patches are ignored.
     """
     usual = np.sort(largest[large])[3 * len(large) // 4]
     clear = large[largest[large] >= CLEAR_EDGE * usual]
@@ -383,8 +387,8 @@ def _part_width(
 def _clear_bright(
     away: np.ndarray, like: np.ndarray, labels: np.ndarray, bright: np.ndarray
 ) -> None:
-    """Set the deviation to 0 in the shadows of parts brighter than the plate: all that is like a
-    darker plate and reaches it."""
+    """Set the deviation to 0 in the shadows of parts brighter than the plate: pixels like a darker
+    plate that are connected with the plate."""
     if not np.any(bright):
         return
     shadow = (like & bright[labels]).astype(np.uint8)
@@ -397,7 +401,7 @@ def _clear_bright(
 
 
 def _parts_are_thick(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
-    """Whether what casts shadows is as thick as they are, in most patches that have one."""
+    """Whether the parts are as thick as their shadows in most patches with a shadow."""
     thickness = np.zeros((2, labels.max() + 1), np.float32)
     for most, side in zip(thickness, (shadow, parts), strict=True):
         depth = cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3)
@@ -414,10 +418,10 @@ def _of_shadows(
     way: np.ndarray,
     patches: int,
 ) -> np.ndarray:
-    """Return the deviations (count,) up to which what is like a darker plate is shadow.
+    """Return the deviations (count,) below which pixels like a darker plate are shadow.
 
-    The light is the same for all parts: where many have a light side, soft or all on one side of
-    their dark one, all have a shadow, of one depth.
+    The light is the same for all parts. If many have a light side that is soft, or on the same
+    side, all parts have a shadow of one depth.
     """
     seen = (bound > 0) & (softness > 0)
     if np.count_nonzero(seen) >= max(AGREE * patches, FEWEST):

@@ -1,4 +1,4 @@
-// Parts that touch: one patch is split where it is narrow. See splitting.py.
+// Touching parts: a patch is split at narrow places. See splitting.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,19 +11,20 @@
 
 namespace plate {
 
-// Half the width of what is never parted from something wider: a wire, a ragged rim [px]; and
-// relative to that.
+// Half the width below which an area is never separated from a wider one, for example a wire or a
+// ragged edge [px]; and its width relative to the wider one.
 constexpr double THIN_PX = 2.2, THINNER = 0.3;
 
-// Necks of one patch that are kept.
+// Maximum number of necks that are kept for a patch.
 constexpr int MOST_NECKS = 200;
 
-// Two parts, numbered from 1, and the width of the neck between them relative to the narrower.
+// Two parts, numbered from 1, and the width of the neck between them, relative to the narrower
+// part.
 struct Neck {
     double one, other, width;
 };
 
-// Most steps of the distance in which pixels are sorted.
+// Maximum number of steps of the distance by which pixels are sorted.
 constexpr double MOST_STEPS = 1e6;
 
 struct Basins {
@@ -31,8 +32,8 @@ struct Basins {
     std::vector<Neck> necks;
 };
 
-// Pixels (h, w) that are deeper than 0, the deepest first, sorted by counting them in steps of
-// 1 / `levels`; of a step row by row.
+// Pixels (h, w) with a depth above 0, the deepest first, by counting sort in steps of 1 / `levels`;
+// within a step row by row.
 inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels) {
     const int size = depth.size(0) * depth.size(1);
     std::vector<int> inside(size), steps;
@@ -55,15 +56,15 @@ inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels)
     return order;
 }
 
-// Flood a distance (h, w) from its peaks downwards: labels (h, w), 0 before, how many there are,
-// and the necks between them.
+// Watershed: flood a distance (h, w) from its peaks downwards. Set the labels (h, w), 0 before, and
+// return their number and the necks between them.
 //
-// Where two floods meet they are one, unless both peaks are well above.
+// Two floods that meet are merged, unless both peaks are far enough above the saddle.
 inline Basins find_basins(View<const float, 2> depth, double neck, double least_drop, int levels,
                           View<int32_t, 2> labels) {
     const int height = depth.size(0), width = depth.size(1);
     struct Flood {
-        int parent;  // the flood that it has become part of, or itself
+        int parent;  // the flood with which it was merged, or itself
         double peak;
     };
     struct Meeting {

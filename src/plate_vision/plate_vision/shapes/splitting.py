@@ -1,7 +1,8 @@
-"""Parts that touch: one patch is split where it is narrow between two wide places.
+"""Touching parts: a patch is split where it is narrow between two wide areas.
 
-How wide it is says the distance to its rim. Where two wide places meet, the way between them has a
-narrowest point, the saddle. They are two parts if it is clearly narrower than the narrower of both.
+The width is measured by the distance to the patch's contour. Between two wide areas this distance
+has a saddle, the neck. They are two parts if the neck is clearly narrower than the narrower area (a
+watershed of the distance transform).
 """
 
 from __future__ import annotations
@@ -12,20 +13,20 @@ import numpy as np
 from .. import _kernels
 
 ZOOM = 2
-"""Finer pixels in which patches are split."""
+"""Factor of resolution for the split."""
 
 NECK = 0.78
-"""Widest neck between two parts, relative to the width of the narrower: that of a bracket or a
-screw is as wide as its arm."""
+"""Maximum width of a neck between two parts, relative to the width of the narrower one. The neck of
+a bracket or a screw is as wide as its arm."""
 
 LEAST_DROP_PX = 0.6
-"""A neck is narrower on each side by at least so much [px]: less is noise of the rim."""
+"""Minimum difference between half widths of a part and the neck [px]. Less is noise."""
 
 LEVEL = 0.8
-"""Cover from which on a pixel counts for the width: the gap between blurred parts is deeper."""
+"""Minimum cover of a pixel that counts for the width. The gap between blurred parts has less."""
 
 LEVELS_PX = 16
-"""Steps of the distance for each pixel, in which pixels are sorted."""
+"""Number of steps of the distance per pixel by which pixels are sorted."""
 
 
 def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
@@ -34,16 +35,16 @@ def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndar
     Parameters
     ----------
     cover : (h, w) float32
-        How much of each pixel is part.
+        Fraction of each pixel that is part.
     mask : (h, w) bool
-        Its pixels.
+        Pixels of the patch.
 
     Returns
     -------
     (h, w) int32, int
-        Number of the part to which each pixel belongs, from 1, 0 outside; how many parts.
+        Number of the part to which each pixel belongs, from 1, 0 outside; number of parts.
     (n, 3) float64
-        Necks between two parts: their numbers, and how wide it is relative to the narrower.
+        Necks: numbers of the two parts, and the width relative to the narrower part.
     """
     framed = _framed(np.where(mask, cover, np.float32(0)))
     size = (ZOOM * framed.shape[1], ZOOM * framed.shape[0])

@@ -1,4 +1,6 @@
-"""The program `teach`: types of parts from pictures of them, in a file. It needs no ROS.
+"""The program `teach`: learn part types from pictures, and manage files of types. It needs no ROS.
+
+Example:
 
 ros2 run plate_vision teach nut nut_1.png nut_2.png --bare plate.png --out parts.yaml
 """
@@ -24,7 +26,7 @@ from .part_files import OUT, add_type, colour_text, load_bare, save_part_types, 
 from .teaching import Example, apart, drawn_name, merged
 
 COMMANDS = ("list", "merge", "rename", "delete")
-"""Words that are no names of types, in the order of `_managing_parser`."""
+"""Words that are commands, not names of types, in the order of `_managing_parser`."""
 
 BOX = (
     "only the part in this box of the picture, from its left upper corner [px]; up to five, each "
@@ -42,12 +44,12 @@ SCALE = (
 )
 
 AROUND = 1.0
-"""What is seen around a box, in its sides: enough of the plate."""
+"""Width of the surround of a box that is also evaluated, relative to its sides."""
 
 
 @piped()
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; exit code 2, with one line, if something is wrong."""
+    """Run the command line. Errors print one line and end with exit code 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     managing = bool(words) and words[0] in COMMANDS
     args = (_managing_parser() if managing else _parser()).parse_args(words)
@@ -160,7 +162,7 @@ def _teach(args: argparse.Namespace) -> None:
         text = "its light is taken from each picture; of a part with a hole it may learn the hole"
         print(f"no bare plate (--bare): {text}, look at what is drawn", file=sys.stderr)
     if args.box:
-        cuts = args.scale is not None and bare is None  # then the place does not count
+        cuts = args.scale is not None and bare is None  # then the position is not relevant
         examples = [
             _boxed(picture, box, f"{name}, box {','.join(map(str, box))}", cuts) for box in args.box
         ]
@@ -176,7 +178,7 @@ def _teach(args: argparse.Namespace) -> None:
 
 
 def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
-    """Return the example in a box; `cuts`: of the picture only what is around the box."""
+    """Return the example in a box. If `cuts`, only the surround of the box is kept."""
     x, y, width, height = box
     if not cuts:
         return Example(picture, (x, y, x + width, y + height), name)
@@ -240,7 +242,7 @@ def _delete(args: argparse.Namespace) -> None:
     part = _known(types, args.name, args.out)
     del types[args.name]
     save_part_types(args.out, types)
-    if part.picture == drawn_name(args.name):  # others are not ours
+    if part.picture == drawn_name(args.name):  # other pictures were not drawn by this program
         args.out.with_name(part.picture).unlink(missing_ok=True)
     print(f"{args.name} is forgotten")
 

@@ -1,7 +1,8 @@
 """Part types learned from pictures of parts.
 
-Of each part its outline is measured; outlines are laid onto each other and averaged, and the mean
-is simplified to a polygon. Symmetry is found by turning the mean outline onto itself.
+The outline of each part is measured. The outlines are fitted to each other and averaged, and the
+mean is simplified to a polygon. The symmetry is the number of rotations that map the mean outline
+to itself. `check_alike` refuses types that cannot be distinguished.
 """
 
 from __future__ import annotations
@@ -38,80 +39,82 @@ from .polygons import simplified
 from .segmentation import find_patches
 
 MOST_PICTURES = 5
-"""Of one type: more change little, and are more work than they are worth."""
+"""Maximum number of pictures of one type: more have little effect."""
 
 RIM_POINTS = 256
-"""Points on the outline of an example."""
+"""Number of points on the outline of an example."""
 
 DIFFER, DIFFER_SIZE = 0.1, 0.35
-"""Examples whose outlines, or sizes, are further apart than this fraction of their reach, and than
-`DIFFER_PX`, are not of one type: seeds and coins of one sort differ in size."""
+"""Examples are not of one type if their outlines, or their sizes, differ by more than this fraction
+of their reach and by more than `DIFFER_PX`. Seeds and coins of one sort differ in size."""
 
 DIFFER_PX = 1.5
-"""See `DIFFER` [px]."""
+"""Minimum of these limits [px]."""
 
 ALIKE_SHARE = 0.66
-"""Least share of examples that are alike: the others are then not used."""
+"""Minimum fraction of examples that agree. The others are then not used."""
 
 ROUND = 0.018
-"""RMS deviation from a circle, in radii, below which a part is a disc: a regular octagon has
-0.024."""
+"""RMS deviation from a circle, relative to the radius, below which a part is a disc. A regular
+octagon has 0.024."""
 
 ROUND_PX = 0.12
-"""The same of small ones, by noise [px]."""
+"""Minimum of this limit, for the noise of small parts [px]."""
 
 UNEVEN = 2.0
-"""A mean outline that deviates from a circle by less than so many times as its examples do from it
-has no angle: of outlines of chance, laid onto each other, it is 1.5."""
+"""Factor between the deviation of the mean outline from a circle and the deviation of the examples
+from the mean, below which a part has no angle. Random outlines fitted to each other have 1.5."""
 
 ALIKE = 2.0
-"""Two types must be so far apart, in the standard deviations by which parts of one type differ, to
-be told from each other."""
+"""Minimum distance of two types that can be distinguished, in standard deviations of parts of one
+type."""
 
 TURNED = 0.015
-"""RMS deviation of a ring from itself when turned, in its reach, up to which it is the same."""
+"""RMS deviation of a ring from its rotated copy, relative to the reach, below which they are
+equal."""
 
 TURNED_PX = 0.25
-"""The same of small ones [px]."""
+"""Minimum of this limit for small parts [px]."""
 
 MOST_SYMMETRY = 12
-"""Of a part that is not round, in how many directions it may look the same."""
+"""Maximum symmetry of a part that is not round."""
 
 PICTURE_PX = 320
-"""Side of a type's picture."""
+"""Side of a type's picture [px]."""
 
 BLUR_PX, BLUR_RADIUS = 2.0, 0.1
-"""A part whose rim is blurred by more, standard deviation, in pixels and in its radii, is badly
-seen."""
+"""Maximum blur of a part's contour, standard deviation, the larger of the two: in pixels, and
+relative to its radius."""
 
 HEIGHTS = (0.25, 0.5, 0.75, 1.0, 1.5)
-"""Heights that are tried for a part that is taken for flat, relative to its reach [-]."""
+"""Heights that are tried for a part assumed flat, relative to its reach [-]."""
 
 HIGHEST = 0.5
-"""Greatest of these heights, relative to that of the camera [-]."""
+"""Maximum of these heights, relative to that of the camera [-]."""
 
 BETTER, BETTER_PX = 2.0, 0.05
-"""A part may not be flat if a height reduces the difference of its examples, at one size, by more
-than the first factor, and the difference of flat parts is above the second [px]. In drawn images
-at 0.43 m none of 48 sets of flat parts was doubted, but 6, 9 and 11 of 12 sets of four examples
-of parts 4, 6 and 8 mm high; at 0.91 m half of those of 8 mm."""
+"""A part may not be flat if a height reduces the difference of its examples, at equal size, by more
+than the first factor, and the difference of flat parts is above the second [px]. In synthetic
+images at 0.43 m none of 48 sets of flat parts caused a warning, but 6, 9 and 11 of 12 sets of four
+examples of parts 4, 6 and 8 mm high did; at 0.91 m half of those of 8 mm."""
 
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
-"""How far to both sides of its rim a part's blur is looked for, in pixels and in its radii."""
+"""Distance to both sides of a contour over which blur is measured, in pixels and relative to the
+radius; the smaller counts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A picture in which parts of one type lie.
+    """A picture with parts of one type.
 
     Attributes
     ----------
     image : (H, W) or (H, W, 3) uint8
         Grey levels, or blue, green, red.
     box_px : (4,), optional
-        x0, y0, x1, y1: only parts whose centre is in there are taken; else all must be of the type.
+        x0, y0, x1, y1: only parts with their centre in this box are used. None: all parts.
     name : str
-        For messages.
+        Name for messages.
     """
 
     image: np.ndarray
@@ -121,21 +124,21 @@ class Example:
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """What was learned of a type.
+    """Result of learning a type.
 
     Attributes
     ----------
     part : PartType
     count : int
-        Parts that it was learned from.
+        Number of parts from which it was learned.
     size_m : (2,)
         Diameter of the disc of the same area: mean and standard deviation [m].
     picture : (H, W, 3) uint8
-        The first example, with the outline, and the direction of an angle of 0.
+        The first example, with the outline and the direction of the angle 0.
     unused : tuple of str
-        What was wrong with examples that were not used.
+        Reasons why examples were not used.
     doubts : tuple of str
-        What makes the type hard to know again.
+        Warnings that the type is hard to recognise.
     """
 
     part: PartType
@@ -148,8 +151,8 @@ class Lesson:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """A part in an example: its outline, its colour (3,) CIE L, a, b, and the blur of its rim, over
-    what is too much."""
+    """A part in an example: its outline, its colour (3,) CIE L, a, b, and the blur of its contour,
+    relative to the maximum."""
 
     example: Example
     outline: Outline
@@ -163,18 +166,18 @@ def teach(
     background: Background | None = None,
     region: Region | None = None,
 ) -> dict[str, PartType]:
-    """Learn types of parts from examples of each.
+    """Learn part types from examples of each.
 
     Parameters
     ----------
     examples : mapping of str to sequence of Example
-        By the types' names.
+        Examples by the names of types.
     calibration : Calibration
-        Between the pictures and plate_home; see `calibrate_by_scale`.
+        Mapping between the pictures and plate_home; see `calibrate_by_scale`.
     background : Background, optional
-        The bare plate; None: modelled from each picture.
+        The bare plate; None: it is modelled from each picture.
     region : Region, optional
-        Where the plate is; the whole picture if None.
+        Region of the plate; None: the whole picture.
 
     Raises
     ------
@@ -197,7 +200,7 @@ def learn_type(
     region: Region | None = None,
     height: float = 0.0,
 ) -> Lesson:
-    """Learn one type of part of a height [m]; the other arguments are those of `teach`.
+    """Learn one part type with a height [m]; other parameters as in `teach`.
 
     If the camera's position is known, the outline is that of the part's base, without its side
     faces and the shift of its top.
@@ -205,8 +208,8 @@ def learn_type(
     Raises
     ------
     TeachError
-        If there is no example, none with whole parts that lie apart, examples differ too much, or
-        the outline has more corners than are allowed.
+        If there is no example, or none with complete parts that do not touch; if examples differ
+        too much; or if the outline needs more corners than are allowed.
     """
     if not 1 <= len(examples) <= MOST_PICTURES:
         count = len(examples) or "no"
@@ -247,17 +250,17 @@ def learn_type(
 
 
 def drawn_name(name: str) -> str:
-    """Return the name of the picture that is drawn of a type: `nut.png` may be what shows it."""
+    """Return the file name of a type's drawn picture. `nut.png` may be a photograph of it."""
     return f"{name}_taught.png"
 
 
 def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Calibration) -> None:
-    """Refuse a type that cannot be told from one of others.
+    """Refuse a type that cannot be distinguished from one of the others.
 
     Raises
     ------
     TeachError
-        It says from which, and how near they are.
+        With the other type, and the distance.
     """
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     for other in types.values():
@@ -267,8 +270,8 @@ def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Cali
 
 
 class Gap(NamedTuple):
-    """How far two types are apart: in all and by size, in standard deviations; how much larger one
-    is [px]; and that in words."""
+    """Distance between two types: in total and by size [standard deviations]; difference in size
+    [px]; and a text of it."""
 
     far: float
     size: float
@@ -277,7 +280,7 @@ class Gap(NamedTuple):
 
 
 def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
-    """Return how far two types are apart in an image [px/m]."""
+    """Return the distance between two types in an image of a scale [px/m]."""
     rest_px, swell_px, colour = apart(a, b, scale)
     reach_px = scale * max(a.reach_m, b.reach_m)
     size = swell_px / math.hypot(SIZE_PX, SIZE_REACH * reach_px)
@@ -294,8 +297,8 @@ def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
 
 
 def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
-    """Return how far two types are apart: their outlines, RMS after one is swollen; by how much it
-    is [px at `scale` px/m]; and their colours in Lab, 0 if not known."""
+    """Return the differences between two types: RMS distance of their outlines after one is swollen
+    [px at `scale` px/m]; the swelling [px]; distance of their colours in Lab, 0 if unknown."""
     one, other = make_template(a), make_template(b)
     fit = lay_on(one, other.outline, scale)
     gap = 0.0
@@ -305,8 +308,8 @@ def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
 
 
 def merged(a: PartType, b: PartType) -> PartType:
-    """Return the type between two that are the same in truth: with the name, mass and friction of
-    the first."""
+    """Return the mean of two types that are one type in reality, with the name, mass and friction
+    of the first."""
     one, other = make_template(a), make_template(b)
     scale = 1 / (0.02 * a.reach_m)
     mean, _, scatter, _ = _mean_outline([one.outline, other.outline], scale)
@@ -333,7 +336,7 @@ def _measured(
     background: Background | None,
     region: Region | None,
 ) -> list[_Shown]:
-    """Return the parts of an example."""
+    """Return the parts of an example with their measures."""
     bare = model_background(example.image) if background is None else background
     patches = find_patches(example.image, bare, region)
     if example.box_px is not None:
@@ -357,8 +360,8 @@ def _measured(
 
 
 def _blur_px(image: np.ndarray, patch: Patch) -> float:
-    """Return by how much a patch's rim is blurred, standard deviation [px]: its contrast over its
-    slope, the median around it."""
+    """Return the blur of a patch's contour, standard deviation [px]: contrast / (sqrt(2 pi) slope),
+    the median over the contour."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     rim = patch.outline
     along = np.roll(rim, -3, axis=0) - np.roll(rim, 3, axis=0)
@@ -376,7 +379,7 @@ def _blur_px(image: np.ndarray, patch: Patch) -> float:
 def _doubts(
     name: str, shown: Sequence[_Shown], colour: np.ndarray, coloured: bool
 ) -> tuple[str, ...]:
-    """Say what makes a type hard to know again: blurred examples, colours that differ."""
+    """Return warnings that a type is hard to recognise: blurred examples, differing colours."""
     blurs: dict[str, float] = {}
     for one in shown:
         blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
@@ -425,7 +428,7 @@ def _height_doubt(
 
 
 def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
-    """Whether a patch has its centre in a box, or covers the middle of that."""
+    """Whether a patch has its centre in a box, or covers the centre of the box."""
     x0, y0, x1, y1 = box_px
     x, y = patch.centre_px
     column, row = round(0.5 * (x0 + x1)) - patch.corner[0], round(0.5 * (y0 + y1)) - patch.corner[1]
@@ -436,14 +439,14 @@ def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
 
 
 def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str]) -> list[_Shown]:
-    """Return the parts that are alike; why the others are not used is added to `unused`.
+    """Return the parts that agree, and add the reasons why others are not used to `unused`.
 
     Raises
     ------
     TeachError
-        If less than two thirds are alike.
+        If less than `ALIKE_SHARE` of them agree.
     """
-    # That of middle size stands for all.
+    # The part of median size is the reference.
     middle = sorted(shown, key=lambda one: one.outline.filled.area)[len(shown) // 2].outline
     template = _as_template(_shifted(middle, middle.centre))
     kept, problems = [], []
@@ -475,9 +478,9 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
 def _mean_outline(
     outlines: Sequence[Outline], scale: float
 ) -> tuple[Outline, np.ndarray, float, float]:
-    """Return the mean of outlines, as the first one lies; its pose (3,) in the first; how far
-    outlines are from it, RMS [m]; and how far once they have one size."""
-    # The one of middle size first: the others are laid onto it.
+    """Return the mean of outlines, rotated like the first one; its pose (3,) in the first; the RMS
+    distance of the outlines from it [m]; and the same after correction of their sizes."""
+    # Start with the outline of median size; the others are fitted to it.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
     scatter = unlike = 0.0
@@ -492,7 +495,7 @@ def _mean_outline(
         turns = 2 * np.pi * np.arange(symmetry) / symmetry
         mean = _average(mean, [_turned(mean, np.array([0, 0, turn])) for turn in turns])
     pose = lay_on(_as_template(mean), outlines[0], scale)[:3]
-    # As the first lies, so does the mean.
+    # Rotate the mean like the first outline.
     mean = _turned(mean, np.array([0, 0, -pose[2]]))
     return mean, np.array([pose[0], pose[1], 0.0]), scatter, unlike
 
@@ -506,14 +509,14 @@ def _shifted(outline: Outline, centre: np.ndarray) -> Outline:
 
 
 def _turned(outline: Outline, pose: np.ndarray) -> Outline:
-    """Return an outline in the frame of a pose (3,) [m, m, rad]."""
+    """Transform an outline to the frame of a pose (3,) [m, m, rad]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, -s], [s, c]])
     return make_outline([(ring - pose[:2]) @ turn for ring in outline.rings])
 
 
 def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
-    """Return a mean outline (about its centre) moved to the middle of outlines that lie on it."""
+    """Return a mean outline (about its centre) moved to the average of outlines fitted to it."""
     shift = np.zeros_like(mean.points)
     for outline in outlines:
         way = distances(outline.edges, mean.points)
@@ -524,8 +527,8 @@ def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
 
 
 def _symmetry(mean: Outline, scale: float) -> int:
-    """Return in how many directions a mean outline looks the same; more than `MOST_SYMMETRY` are
-    not looked for."""
+    """Return the number of directions in which a mean outline looks the same, up to
+    `MOST_SYMMETRY`."""
     edges = mean.edges
     for count in range(MOST_SYMMETRY, 1, -1):
         turned = _turned(mean, np.array([0, 0, 2 * np.pi / count]))
@@ -537,13 +540,13 @@ def _symmetry(mean: Outline, scale: float) -> int:
 
 
 def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> PartType:
-    """Return a type with a mean outline as a polygon, or as a disc where the outlines of its
-    examples differ so much, by `unlike`, RMS [m], that its angle could not be measured.
+    """Return a type with the mean outline as a polygon. It is a disc if the outline is round, or if
+    the examples differ by so much (`unlike`, RMS [m]) that the angle could not be measured.
 
     Raises
     ------
     TeachError
-        If it would have too many corners or holes.
+        If it would need too many corners or holes.
     """
     rings = mean.rings
     if len(rings) > MOST_HOLES + 1:
@@ -567,7 +570,7 @@ def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> 
 def _picture(
     part: PartType, example: Example, pose: np.ndarray, calibration: Calibration
 ) -> np.ndarray:
-    """Return a picture (H, W, 3) of an example, with the outline and front of the type."""
+    """Return a picture (H, W, 3) of an example with the type's outline and its angle 0."""
     colour = example.image
     if colour.ndim == 2:
         colour = cv2.cvtColor(colour, cv2.COLOR_GRAY2BGR)

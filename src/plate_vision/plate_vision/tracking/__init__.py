@@ -1,5 +1,7 @@
-"""Names for the parts that stay with them from image to image, and their drift: a track for each
-part, the most likely assignment of what an image shows, and the tracker that keeps them.
+"""Tracking: each part keeps its id from image to image, and its drift is measured.
+
+A `Track` holds one part. `assignment` finds the most likely assignment of the detections in an
+image to tracks. `update` applies it to the `Tracker`.
 """
 
 from .track import Prediction, Sighting, Track

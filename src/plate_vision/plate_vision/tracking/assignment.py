@@ -1,8 +1,9 @@
-"""Which sighting is of which part: the most likely choice, all together.
+"""Assignment of the detections in an image to tracks by maximum likelihood.
 
-How near is a sighting to where the part should be, is it of its class, at its angle; and how likely
-is it, instead, that the part is missed and the sighting false? Where a part should be says the
-planner's filter, which knows how the plate moves; of other parts their last drift.
+The gain of a pair is the log ratio of two likelihoods: the detection is of this part; or the part
+is missed and the detection is new or false. It depends on position, class and angle. The sum of the
+gains is maximised (scipy's linear_sum_assignment). The expected position is the prediction of the
+planner's filter, which knows the plate's motion, or else the extrapolated drift.
 """
 
 from __future__ import annotations
@@ -16,45 +17,45 @@ from scipy.optimize import linear_sum_assignment
 from .track import Prediction, Sighting, Track
 
 MISSED_RATE, FALSE_RATE = 0.05, 0.02
-"""Fraction of parts that an image does not show, and false sightings in an image for each part.
-They count by their logarithms: three times as many change little."""
+"""Fraction of parts that an image does not show; number of false detections per part. Only their
+logarithms enter: a factor of three changes little."""
 
 CROWD = 200.0
-"""Parts on a square metre of a full plate: false sightings are as dense, times their rate."""
+"""Parts per square metre of a full plate; times FALSE_RATE, the density of false detections."""
 
 NEW_RATE = 0.02
-"""Fraction of sightings without a part that are of a part, and not false."""
+"""Fraction of detections without a track that are of a part, not false."""
 
 PREDICTED_M, POOR_M = 0.4e-3, 3e-3
-"""How far along each axis parts are found from where they were predicted to be a cycle ahead, and
-the same of poor predictions, in images in which all are poor (standard deviations). In loops of 30
-parts it is 0.1 to 0.2 mm; where it is not yet known how old images are, millimetres."""
+"""Standard deviation along each axis between parts and their predictions one cycle ahead, usually
+and for poor predictions. In tasks with 30 parts it is 0.1 to 0.2 mm. While the age of images is not
+known yet, it is millimetres for all parts."""
 
 PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
-"""The same of a part that was pushed by another, and the fraction of those."""
+"""Standard deviation for a part that was pushed by another one, and the fraction of such parts."""
 
 SWING_M = 2e-3
-"""The same half way to where it was predicted to be, for parts swing to and fro in a cycle."""
+"""Additional standard deviation half way to the prediction, because parts oscillate in a cycle."""
 
 MOST_WAYS = 2.0
-"""Beyond the instant of a prediction a part goes on, at most by the same way again."""
+"""Maximum extrapolation of a predicted displacement beyond its instant, as a multiple of it."""
 
 GATES, DRIFT, TURNED_RATE = 3.0, 0.3, 0.2
-"""The gate is so many standard deviations of where parts without a prediction are found; those that
-go on as they did come so much nearer to it; and the fraction of others."""
+"""Ratio of the gate to the standard deviation of parts without a prediction; factor of this
+deviation for parts whose drift continues; fraction of parts whose drift does not."""
 
 PREDICTIONS_FAIL = 1e-3
-"""Fraction of images in which predictions are poor, or wrong altogether: the plate has run another
-cycle, say."""
+"""Fraction of images in which predictions are poor or wrong, for example because the plate ran
+another cycle."""
 
 TURN_RAD = 0.15
-"""Standard deviation of a turn in an image beside the spin before [rad]."""
+"""Standard deviation of a rotation between two images, beside the previous spin [rad]."""
 
 ANY_TURN = 0.05
-"""Fraction of turns that are of any size: a mark misread, a part that was hit."""
+"""Fraction of rotations of any size: a misread mark, a part that was hit."""
 
 VAGUE_RAD = 1.0
-"""An angle with a greater standard deviation says nothing [rad]."""
+"""Standard deviation of an angle above which the angle is ignored [rad]."""
 
 
 def assign(
@@ -64,23 +65,23 @@ def assign(
     gate: float,
     expected: Prediction | None = None,
 ) -> np.ndarray:
-    """Return for each track the index of its sighting (T,), or -1.
+    """Return for each track the index of its detection (T,), or -1.
 
-    A pair is chosen if it makes the image more likely than a part that was missed and a sighting
-    that is new or false.
+    A pair is chosen if it makes the image more likely than a missed part with a new or false
+    detection.
 
     Parameters
     ----------
     tracks : sequence of Track
-        T parts.
+        The T parts.
     stamp : float
-        Of the image [s].
+        Stamp of the image [s].
     seen : sequence of Sighting
-        M of them.
+        The M detections.
     gate : float
-        Greatest distance from where a part should be, per image [m].
+        Maximum distance between a part and its expected position, per image [m].
     expected : Prediction, optional
-        Of an instant after the last image.
+        Prediction for an instant after the last image.
     """
     found = np.full(len(tracks), -1)
     if not len(found) or not seen:
@@ -91,7 +92,7 @@ def assign(
     if expected is not None:
         usual, poor = _known_gains(tracks, stamp, seen, gate, expected, drift)
         rows, columns, gain = _best(usual + other)
-        # Where predictions hold, they explain the image better than anything else does.
+        # If the predictions are right, they explain the image better than any alternative.
         choices = [
             (rows, columns, gain - math.log(PREDICTIONS_FAIL)),
             _best(poor + other),
@@ -103,7 +104,8 @@ def assign(
 
 
 def _best(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return rows, columns and the sum of the pairs with the greatest sum; none of them below 0."""
+    """Return rows, columns and sum of the assignment with the greatest sum, without pairs below
+    0."""
     rows, columns = linear_sum_assignment(np.maximum(gain, 0.0), maximize=True)
     value = gain[rows, columns]
     kept = value > 0
@@ -111,7 +113,11 @@ def _best(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def _other_gain(tracks: Sequence[Track], seen: Sequence[Sighting]) -> np.ndarray:
-    """Return by how much each pair (T, M) makes the image more likely [log], but for the place."""
+    """Return the log likelihood gain of each pair (T, M), without the position.
+
+    It is log(P(class)) + log(shown / (1 - shown)) - log(density of false detections), where `shown`
+    is the probability that the part exists and is detected.
+    """
     labels = [one.label for one in seen]
     among = [*dict.fromkeys(labels)]
     likely = np.log([[track.likely(label) for label in among] for track in tracks])
@@ -124,7 +130,8 @@ def _other_gain(tracks: Sequence[Track], seen: Sequence[Sighting]) -> np.ndarray
 def _angle_gain(
     tracks: Sequence[Track], stamp: float, seen: Sequence[Sighting]
 ) -> np.ndarray | float:
-    """Return what the angles add to that (T, M), beside those of false sightings: any."""
+    """Return the log likelihood gain from the angles (T, M). Angles of false detections are
+    uniform."""
     unsure = np.array([track.quality[1] for track in tracks])
     scatter = np.array([one.quality[1] if one.symmetry else math.nan for one in seen])
     tells = (unsure < VAGUE_RAD)[:, None] & (scatter < VAGUE_RAD)
@@ -143,8 +150,8 @@ def _angle_gain(
 def _drift_gain(
     tracks: Sequence[Track], stamp: float, seen: Sequence[Sighting], gate: float
 ) -> np.ndarray:
-    """Return the logarithm of the density [1/m2] of sightings (T, M) of parts that drift on;
-    beyond the gate minus infinity."""
+    """Return the log density [1/m2] of detections (T, M) of parts whose drift continues; minus
+    infinity beyond the gate."""
     reach = gate * np.array([1 + track.missed for track in tracks])
     place = [track.predicted(stamp, most) for track, most in zip(tracks, reach, strict=True)]
     square = _square(np.array(place), seen)
@@ -162,8 +169,8 @@ def _known_gains(
     expected: Prediction,
     drift: np.ndarray,
 ) -> list[np.ndarray]:
-    """Return the same with the predicted places of those parts that have one, (T, M) each: if the
-    predictions are as usual, and if they are poor."""
+    """Return the log densities like `_drift_gain`, but with predictions for the parts that have
+    one, (T, M) each: with usual predictions, and with poor ones."""
     row = {name: i for i, name in enumerate(expected.ids)}
     rows = [i for i, track in enumerate(tracks) if track.id in row]
     if not rows:
@@ -190,7 +197,7 @@ def _known_gains(
 
 
 def _square(place: np.ndarray, seen: Sequence[Sighting]) -> np.ndarray:
-    """Return the squared distances (T, M) [m2] of places (T, 2) [m] from sightings."""
+    """Return the squared distances (T, M) [m2] between places (T, 2) [m] and detections."""
     gap = place[:, None] - np.array([one.position for one in seen])
     return np.asarray(np.sum(gap**2, axis=2))
 
@@ -198,8 +205,8 @@ def _square(place: np.ndarray, seen: Sequence[Sighting]) -> np.ndarray:
 def _log_density(
     square: np.ndarray, usual: np.ndarray, wide: np.ndarray, rate: np.ndarray | float
 ) -> np.ndarray:
-    """Return the logarithm of the density [1/m2] at squared distances (T, M) [m2] from the middle
-    of a normal distribution in the plane, with another one for a fraction `rate` of all."""
+    """Return the log density [1/m2] at squared distances (T, M) [m2] from the mean of a planar
+    mixture: normal with deviation `usual`, and a fraction `rate` with deviation `wide`."""
     parts = [
         np.log(share) - 0.5 * square / deviation**2 - np.log(math.tau * deviation**2)
         for share, deviation in ((1 - rate, usual), (rate, wide))

@@ -1,4 +1,4 @@
-"""One part: where and as what it was seen, and where it should be next."""
+"""The track of one part: its detections, class and predicted position."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 
 UNKNOWN = (math.nan, math.nan, math.nan)
-"""The quality of what was seen nobody knows how well."""
+"""Quality of a detection if it is unknown."""
 
 MISREAD_RATE = 0.03
-"""Fraction of sightings in which a part is taken for one of another class."""
+"""Fraction of detections whose class is wrong."""
 
 VOTES, MAJORITY = 11, 2
-"""A part's class is that of most of its last sightings; it changes when so many more sightings say
-another than the one it had. Of a part long known that takes seven sightings of eleven."""
+"""Number of last detections that vote on a part's class, and the lead of votes that another class
+needs. A class held for long changes after seven of eleven detections."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Where the planner's filter expects parts.
+    """Positions of parts predicted by the planner's filter.
 
     Attributes
     ----------
     ids : tuple of str
-        M parts, by their ids here.
+        Ids of the M parts.
     stamp : float
-        When they are there: at the end of the cycle of the plate that runs [s].
+        Instant of the prediction, the end of the running cycle [s].
     position : (M, 2)
         Centres [m, plate_home].
     """
@@ -40,7 +40,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What was seen at one place: see `update`."""
+    """One detection in an image; see `update`."""
 
     label: str
     position: tuple[float, float]
@@ -51,28 +51,28 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Track:
-    """One part.
+    """The track of one part.
 
     Attributes
     ----------
     label : str
-        Class: that of most of the last sightings.
+        Class: the majority of the last detections.
     number : int
-        Running number within the class, from 1; 0 while it is not confirmed.
+        Running number within the class, from 1; 0 until it is confirmed.
     history : tuple of (stamp [s], x [m], y [m])
-        When and where in plate_home it was seen, oldest first; at most `velocity_frames` + 1.
-        Plain numbers: for so few of them they are ten times faster than arrays.
+        Detections in plate_home, oldest first; at most `velocity_frames` + 1. Tuples of numbers,
+        because for so few they are ten times faster than arrays.
     missed : int
-        Images since it was last seen.
+        Number of images since the last detection.
     hits : int
-        Images in which it was seen.
+        Number of images with a detection.
     turns : tuple of (stamp [s], angle [rad])
-        The same for its angle, which does not jump by whole turns, nor by those that its symmetry
-        hides.
+        The same for the angle, unwrapped: it does not jump by 2 pi or by the angle of its
+        symmetry.
     quality : tuple of 3 float
-        How well it was seen last, see `Tracker.quality`.
+        Quality of the last detection, see `Tracker.quality`.
     votes : tuple of str
-        Classes as which it was seen, oldest first; at most `VOTES`.
+        Classes of the last detections, oldest first; at most `VOTES`.
     """
 
     label: str
@@ -86,17 +86,17 @@ class Track:
 
     @property
     def id(self) -> str:
-        """Such as `black_3`."""
+        """Class and number, such as `black_3`."""
         return f"{self.label}_{self.number}"
 
     @property
     def position(self) -> tuple[float, float]:
-        """Where it was last seen: x, y [m]."""
+        """Place of the last detection: x, y [m]."""
         return self.history[-1][1:]
 
     @property
     def velocity(self) -> tuple[float, float]:
-        """Drift along x, y [m/s]: zero until it has been seen twice."""
+        """Drift along x, y [m/s]; zero before the second detection."""
         (t0, x0, y0), (t1, x1, y1) = self.history[0], self.history[-1]
         if t1 == t0:
             return 0.0, 0.0
@@ -104,22 +104,22 @@ class Track:
 
     @property
     def angle(self) -> float:
-        """Angle in which it was last seen [rad]."""
+        """Angle of the last detection [rad]."""
         return self.turns[-1][1] if self.turns else 0.0
 
     @property
     def spin(self) -> float:
-        """Turning [rad/s]: zero until it has been seen twice."""
+        """Angular velocity [rad/s]; zero before the second detection."""
         if len(self.turns) < 2:
             return 0.0
         (t0, angle0), (t1, angle1) = self.turns[0], self.turns[-1]
         return (angle1 - angle0) / (t1 - t0)
 
     def predicted(self, stamp: float, reach: float) -> tuple[float, float]:
-        """Where it should be: x, y [m] at `stamp` [s], if it drifts on by at most `reach` [m].
+        """Extrapolated position x, y [m] at `stamp` [s], by at most `reach` [m].
 
-        Stamps of a camera that runs free scatter, and two may be next to each other: since then it
-        has moved no further than its last way in each image, and once more.
+        Stamps of a free-running camera are noisy, and two may be close together. Therefore the
+        extrapolation is at most one displacement of the history per missed image, plus two.
         """
         (_, x0, y0), (_, x, y) = self.history[0], self.history[-1]
         ways = self._ways(stamp, self.history[0][0], self.history[-1][0])
@@ -127,20 +127,21 @@ class Track:
         return x + (x - x0) * ways, y + (y - y0) * ways
 
     def turned(self, stamp: float) -> float:
-        """Angle in which it should be [rad] at `stamp` [s], if it turns on."""
+        """Extrapolated angle [rad] at `stamp` [s]."""
         if not self.turns:
             return 0.0
         (first, angle0), (last, angle) = self.turns[0], self.turns[-1]
         return angle + (angle - angle0) * self._ways(stamp, first, last)
 
     def _ways(self, stamp: float, first: float, last: float) -> float:
-        """How often it has gone on since `last` [s] by its way since `first`."""
+        """Return the time since `last` [s] in units of the time from `first` to `last`, limited to
+        one per missed image, plus two."""
         return 0.0 if last == first else min((stamp - last) / (last - first), self.missed + 2)
 
     def extended(self, stamp: float, seen: Sighting, keep: int) -> Track:
-        """Return the track with one more sighting; of places and angles the last `keep` are kept.
+        """Return the track with one more detection. The last `keep` places and angles are kept.
 
-        A part that changes its class loses its number.
+        If a part changes its class, its number becomes 0.
         """
         turn = math.remainder(seen.angle - self.angle, math.tau / max(seen.symmetry, 1))
         votes = (*self.votes, seen.label)[-VOTES:]
@@ -156,13 +157,13 @@ class Track:
         )
 
     def likely(self, label: str) -> float:
-        """How likely it is to be seen as of a class [-]."""
+        """Return the probability of a detection with this class [-]."""
         share = self.votes.count(label) / len(self.votes)
         return (1 - MISREAD_RATE) * share + MISREAD_RATE * (1 - share)
 
 
 def _majority(label: str, votes: Sequence[str]) -> str:
-    """Return the class of a part that was of class `label` until the last of its sightings."""
+    """Return the class after the last vote; `label` is the class before it."""
     if votes[-1] == label:
         return label
     most = max(dict.fromkeys(votes), key=votes.count)

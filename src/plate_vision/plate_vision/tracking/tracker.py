@@ -1,4 +1,4 @@
-"""The parts followed so far: a step takes in what one image shows."""
+"""The tracker: all tracks, updated with the detections of each image."""
 
 from __future__ import annotations
 
@@ -18,29 +18,28 @@ from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
 UNKNOWN_MISSED = 30
-"""Images in a row that a thing of the class `unknown` may be missed at least: it is at the limit of
-what is seen, and must not be waited for again each time."""
+"""Minimum number of consecutive images that a thing of the class `unknown` may be missed. It is at
+the limit of detection, and must not need a new confirmation each time."""
 
 
 @dataclass(frozen=True)
 class TrackerOptions:
-    """How parts are followed.
+    """Options of the tracking.
 
     Attributes
     ----------
     gate_m : float
-        Greatest distance [m] between where a part is expected and where it is found, per image,
-        0.001 to 1. At 100 mm/s that turn round within a cycle of 0.2 s a part is 40 mm from where
-        it was expected.
+        Maximum distance [m] between a part and its expected position, per image, 0.001 to 1. At 100
+        mm/s, reversed within a cycle of 0.2 s, a part is 40 mm from its expected position.
     max_missed : int
-        Images in a row that a part may be missed before its id is given up, 0 to 1000.
+        Number of consecutive images that a part may be missed before its id is given up, 0 to 1000.
     confirm : int
-        Images in a row in which a new part must be seen before it gets an id, 1 to 100; those of
-        the first image are believed at once. With 2 a speck that is seen once is no part.
+        Number of consecutive images in which a new part must be detected before it gets an id, 1 to
+        100. Parts in the first image get it at once. With 2 a single false detection gets no id.
     velocity_frames : int
-        Images over which the drift is taken, 1 to 100. With 1 it is the drift of the last cycle,
-        which is what the planner controls and without delay; its noise is that of two positions,
-        0.014 mm over the cycle. More images smooth and delay it.
+        Number of images over which the drift is measured, 1 to 100. With 1 it is the drift of the
+        last cycle, without delay, as the planner controls it. Its noise is that of two positions,
+        0.014 mm per cycle. More images smooth and delay it.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -60,29 +59,30 @@ class TrackerOptions:
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
-    """The parts followed so far.
+    """The state of all tracks.
 
     Attributes
     ----------
     options : TrackerOptions
     stamp : float or None
-        Of the last image [s].
+        Stamp of the last image [s].
     tracks : tuple of Track
-        By class and number; also those that were missed in the last image.
+        Tracks by class and number, including those that were missed in the last image.
     last_number : mapping of str to int
-        Greatest number given so far, by class; no number is given twice.
+        Greatest number given so far, by class. Numbers are not reused.
     given_up : tuple of str
-        Ids that were given up with the last image.
+        Ids given up with the last image.
     renamed : tuple of (id before, id now)
-        Parts that have another class since the last image.
+        Parts whose class changed with the last image.
     overlooked : (n,) OVERLOOKED
         Things in the last image that are not taken for parts.
     shadow : Shadow, optional
-        That all parts cast in the last image.
+        Shadow that every part casts in the last image.
     lamp : Lamp, optional
-        That casts the shadows of parts of types.
+        Lamp that casts the shadows of parts with types.
     doubtful : int
-        Images in a row in which many things looked like no part, and no shadow explained it.
+        Number of consecutive images in which many things did not look like parts, without a shadow
+        that explains it.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
@@ -98,12 +98,12 @@ class Tracker:
 
     @property
     def found(self) -> tuple[Track, ...]:
-        """All that was seen in the last image."""
+        """Tracks with a detection in the last image, confirmed or not."""
         return tuple(track for track in self.tracks if track.missed == 0)
 
     @property
     def parts(self) -> Parts:
-        """The parts seen in the last image that are confirmed."""
+        """The confirmed parts detected in the last image."""
         seen = self._seen
         return Parts.make(
             tuple(track.id for track in seen),
@@ -115,9 +115,8 @@ class Tracker:
 
     @property
     def quality(self) -> np.ndarray:
-        """How well each of `parts` was seen (M, 3): standard deviations of its place along each
-        axis [m] and of its angle [rad], and how much it looks like a part, 0 to 1; NaN: not
-        known."""
+        """Quality of each of `parts` (M, 3): standard deviations of its position along each axis
+        [m] and of its angle [rad], and confidence, 0 to 1; NaN: unknown."""
         return np.array([track.quality for track in self._seen]).reshape(-1, 3)
 
     @property
@@ -126,8 +125,8 @@ class Tracker:
 
 
 def found_text(tracker: Tracker) -> str:
-    """Say how many parts were found in the last image, such as `24 parts: 14 black, 10 grey`; what
-    is of no class follows, such as `; 2 unknown`."""
+    """Return the number of parts in the last image, such as `24 parts: 14 black, 10 grey`, followed
+    by the things without a class, such as `; 2 unknown`."""
     labels = [track.label for track in tracker.found]
     named = [label for label in labels if label not in NAMELESS]
     counts = [f"{labels.count(label)} {label}" for label in sorted(set(named))]
@@ -147,32 +146,32 @@ def update(
     expected: Prediction | None = None,
     overlooked: np.ndarray | None = None,
 ) -> Tracker:
-    """Take in what was found in one image.
+    """Update the tracks with the detections of one image.
 
-    The same stamp again changes nothing: the same image gives the same answer. An earlier stamp
-    means that time began anew (a simulator was restarted): all parts are new.
+    If the stamp is the same as before, nothing changes: it is the same image. An earlier stamp
+    means that the clock was set back (a simulator was restarted): all parts are then new.
 
     Parameters
     ----------
     tracker : Tracker
-        The parts so far.
+        State after the previous image.
     stamp : float
-        When the image was taken [s].
+        Time at which the image was taken [s].
     position : (M, 2)
         Centres [m, plate_home].
     label : (M,) str
         Classes.
     angle : (M,), optional
-        Angles [rad, plate_home]; zero if left out.
+        Angles [rad, plate_home]. Default: zero.
     quality : (M, 3), optional
-        How well they were seen, see `Tracker.quality`; not known if left out.
+        Quality of the detections, see `Tracker.quality`. Default: unknown.
     symmetry : (M,) int, optional
-        In how many directions they look the same; 0: in all. 1 if left out.
+        Number of directions in which the parts look the same; 0: all. Default: 1.
     expected : Prediction, optional
-        Where parts should be by the plate's motion; used if it is of an instant after the last
-        image. Of other parts their drift tells it.
+        Positions of parts predicted from the plate's motion. Used if its instant is after the last
+        image. The positions of other parts are extrapolated from their drift.
     overlooked : (n,) OVERLOOKED, optional
-        Things in the image that are not taken for parts; none if left out.
+        Things in the image that are not taken for parts. Default: none.
 
     Returns
     -------
@@ -227,15 +226,15 @@ def update(
 
 
 def _max_missed(track: Track, options: TrackerOptions) -> int:
-    """Images in a row that a part or thing may be missed before its id is given up."""
+    """Return the number of consecutive images that a part or thing may be missed."""
     unknown = track.label == NAMELESS[0]
     return max(options.max_missed, UNKNOWN_MISSED) if unknown else options.max_missed
 
 
 def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> dict[str, int]:
-    """Number, in place, tracks that have been seen `confirm` times; returns the last numbers."""
+    """Number, in place, the tracks detected `confirm` times. Return the last numbers."""
     numbers = dict(numbers)
-    # From left to right, so that the first names do not depend on the order of detection.
+    # In order of x, so that the first ids do not depend on the order of detection.
     for i in sorted(range(len(tracks)), key=lambda i: (*tracks[i].position, tracks[i].label)):
         track = tracks[i]
         if track.number == 0 and track.hits >= confirm:
@@ -245,7 +244,7 @@ def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> di
 
 
 def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
-    """Return the overlooked things (n,) OVERLOOKED, if they are such."""
+    """Return the overlooked things (n,) OVERLOOKED after a check of their type and reasons."""
     if overlooked is None:
         return NONE_OVERLOOKED
     if overlooked.dtype != OVERLOOKED or overlooked.ndim != 1:
@@ -260,7 +259,7 @@ def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
 
 
 def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return what is known of each sighting, if it is of this shape."""
+    """Return the values of each detection as an array of this shape, after a check."""
     array = np.asarray(values, dtype=float)
     if array.size == 0:
         array = array.reshape(-1, *shape[1:])
