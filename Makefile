@@ -11,7 +11,7 @@ $(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(if 
 
 ENTER := . ./env.sh &&
 # Everything that is type-checked
-TYPED := $(filter-out %.egg-info %__pycache__/,$(wildcard src/*/plate_* bench/*.py bench/*/ tools/*.py tools/graph tools/record))
+TYPED := $(filter-out %.egg-info %__pycache__/,$(wildcard src/*/plate_* bench/*.py bench/*/ tools/*.py tools/cases tools/graph tools/record))
 
 help: ## List these commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile

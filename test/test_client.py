@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from goals import storm
+from cases.goals import storm
 from graph.session import session
 from light_graph import LightOptions
 

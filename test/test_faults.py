@@ -7,7 +7,7 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from faults import Faults
+from cases.faults import Faults
 from graph.session import session
 from light_graph import LightOptions
 from short_task import MIDDLE
@@ -30,7 +30,7 @@ HELD_UP = "the planner itself stood still for"
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain, monkeypatch):
     for name, seconds in TIMES.items():
-        monkeypatch.setattr(f"faults.{name}", seconds)
+        monkeypatch.setattr(f"cases.faults.{name}", seconds)
     options = LightOptions(scenario=str(tmp_path / "middle.yaml"))
     Path(options.scenario).write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
     with session(options, tmp_path, domain, pictures=False, watched=False) as graph:

@@ -344,7 +344,7 @@ def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
 
 
 def test_a_flood_of_commands_ends_no_node_and_every_stop_is_answered(graph):
-    from page_flood import Verdict, flooded
+    from cases.page_flood import Verdict, flooded
 
     verdict = Verdict(minutes=0.03, sockets=3)
     flooded(graph, verdict, seed=0)

@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from cases.soak import slope, summed_up, text
 from graph.series import STAGES, Series, Task, stages_ms, work_again
 from light_graph import LightOptions
-from soak import slope, summed_up, text
 
 NODES = ("simulator", "detector", "planner", "solver", "driver")
 

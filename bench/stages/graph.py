@@ -23,7 +23,7 @@ MESSAGES, QUICK_MESSAGES = 10_000, 500
 GOALS, QUICK_GOALS = 200, 10
 
 FAULTS = {key: key for key in ("fault", "node", "task_status", "plate rests", "to go on")}
-"""Columns of the tables of faults; `tools/faults.py` prints what diagnostics said, too."""
+"""Columns of the tables of faults; the case `faults` also prints what diagnostics said."""
 
 MINUTES, QUICK_MINUTES = 8.0, 0.5
 """Of sorting."""
@@ -31,9 +31,9 @@ MINUTES, QUICK_MINUTES = 8.0, 0.5
 
 def measure(quick: bool) -> Result:
     """Run the programs one after the other."""
-    from faults import cells
+    from cases.faults import cells
 
-    nodes = ("planner", "driver") if quick else ()
+    nodes = ("--nodes", "planner", "driver") if quick else ()
     tables, summary = [], []
     for transport, where in TRANSPORTS.items():
         found = told("faults", *nodes, "--transport", transport)
@@ -43,10 +43,10 @@ def measure(quick: bool) -> Result:
             f"{where}: {well} of {len(found['rows'])} faults ended as they should; "
             f"{found['tables']} motor tables, {len(found['faults'])} broke a limit"
         )
-    verdicts = told("fuzz", "--messages", QUICK_MESSAGES if quick else MESSAGES)
+    verdicts = told("fuzz", "--count", QUICK_MESSAGES if quick else MESSAGES)
     tables.append(Table.of("fuzz", verdicts))
     summary.append(f"malformed messages: {sum(v['crashes'] for v in verdicts)} crashes")
-    goals = told("goals", "--goals", QUICK_GOALS if quick else GOALS)
+    goals = told("goals", "--count", QUICK_GOALS if quick else GOALS)
     reasons = ", ".join(f"{count} {name.lower()}" for name, count in goals.pop("reasons").items())
     summary.append(
         f"goals at random: {goals['goals']}, of which {goals['wrong']} wrong, {goals['cancels']} "
@@ -65,17 +65,23 @@ def measure(quick: bool) -> Result:
     return Result(tables, summary)
 
 
-def told(tool: str, *words: object) -> Any:
-    """Run a program of tools/, and return what it writes as JSON."""
+def told(case: str, *words: object) -> Any:
+    """Run a case of `tools/robustness.py`, and return its result."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "told.json"
-        command = [sys.executable, str(ROOT / f"tools/{tool}.py"), *map(str, words)]
+        command = [
+            sys.executable,
+            str(ROOT / "tools/robustness.py"),
+            "--case",
+            case,
+            *map(str, words),
+        ]
         # Its exit code says whether all is well: so do the rows.
         done = subprocess.run(
             [*command, "--json", str(path)], capture_output=True, text=True, check=False
         )
         if not path.exists():
-            raise RuntimeError(f"{tool}: {done.stderr or done.stdout}")
+            raise RuntimeError(f"{case}: {done.stderr or done.stdout}")
         return json.loads(path.read_text(encoding="utf-8"))
 
 

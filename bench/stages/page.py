@@ -20,11 +20,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from cases.page_flood import connect
 from graph.hops import Hops
 from graph.proc import cpu_s
 from graph.series import one_task
 from graph.session import session
-from page_flood import connect
 
 from harness import Result, Table
 from plate_bringup import RunOptions

@@ -1,7 +1,5 @@
 """Freeze nodes of the graph at random, one or two at once, and judge every motor table by its age.
 
-python tools/freezes.py [--count 500] [--minutes 60] [--kills 0.1] [--seed 0] [--image_rate 30]
-
 A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
 emergency stop. A fraction `--kills` of the faults kills it (SIGKILL), and starts it again. Judged
 is what the driver publishes, when it publishes it, by nothing that the driver says: a table that
@@ -13,27 +11,24 @@ table was wrong.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import os
 import signal
-import sys
-import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from graph.hops import Listener
 from graph.observer import ALL, Observer
-from graph.processes import Processes, signals_raise
+from graph.processes import Processes
 from graph.session import START_S, session
 from trajectory_msgs.msg import JointTrajectory
 
+from cases import Outcome
 from plate_bringup import GraphError, RunOptions
-from plate_core import piped
 from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import age_limit
 from plate_interfaces.msg import Parts, TaskStatus
@@ -107,9 +102,15 @@ def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) 
 
 
 def run(
-    count: int, minutes: float, kills: float, seed: int, options: RunOptions, logs: Path
-) -> dict[str, Any]:
-    """Freeze and kill at random; return what was judged."""
+    logs: Path,
+    count: int = 500,
+    minutes: float = math.inf,
+    kills: float = 0.0,
+    seed: int = 0,
+    image_rate: float = 0.0,
+) -> Iterator[Outcome]:
+    """Freeze and kill nodes at random."""
+    options = RunOptions(image_rate=image_rate)
     rng = np.random.default_rng(seed)
     tasks = trouble = 0
     frozen, killed, began = Counter[str](), Counter[str](), time.monotonic()
@@ -153,37 +154,17 @@ def run(
             freeze(processes, observer, longest)
             frozen.update(some)
             if number % 10 == 0:
-                print(
-                    f"{number} faults, {tasks} tasks, {judge.moving} moving tables, oldest "
+                yield Outcome(
+                    None, f"{number} faults, {tasks} tasks, {judge.moving} moving tables, oldest "
                     f"{judge.oldest_s:.3f} s, wrong {len(judge.wrong)}, load "
-                    f"{os.getloadavg()[0]:.1f}", flush=True,
+                    f"{os.getloadavg()[0]:.1f}",
                 )  # fmt: skip
         observer.until(lambda: False, FREEZE_S[1])
-        return {
+        result = {
             "faults": number, "frozen": dict(frozen), "killed": dict(killed), "tasks": tasks,
             "minutes": (time.monotonic() - began) / 60, "tables": judge.tables,
             "moving": judge.moving, "oldest_s": judge.oldest_s, "wrong": judge.wrong,
             "trouble": trouble,
             "load": os.getloadavg()[1],
         }  # fmt: skip
-
-
-@piped()
-def main() -> int:
-    """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--minutes", type=float, default=math.inf, help="at most so long")
-    parser.add_argument("--kills", type=float, default=0.0, help="share of faults that kill")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--image_rate", type=float, default=0.0, help="of a camera that runs free")
-    args = parser.parse_args()
-    options = RunOptions(image_rate=args.image_rate)
-    with signals_raise(), tempfile.TemporaryDirectory() as logs:
-        result = run(args.count, args.minutes, args.kills, args.seed, options, Path(logs))
-    print(json.dumps(result, indent=1))
-    return 1 if result["wrong"] else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        yield Outcome(result, well=not judge.wrong)

@@ -1,7 +1,5 @@
 """Flood the live page with commands from several sockets: it must not crash, and must stop in time.
 
-python tools/page_flood.py [--minutes 3] [--seed 0]
-
 The real graph with the simulator. Each socket sends commands of every kind as fast as the page
 reads them, some right and some wrong, opens anew now and then, and reads nothing for a while.
 Another one calls emergency_stop and stop in turn, and takes the time until the graph's answer is
@@ -10,29 +8,26 @@ back.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import json
 import multiprocessing
 import os
 import random
-import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import tornado.httpclient
 import tornado.websocket
-from graph.processes import signals_raise
 from graph.session import Session, session
 
+from cases import Outcome
 from plate_bringup import RunOptions
-from plate_core import PlateError, piped
 from plate_view import COMMANDS, URGENT
 
 STOP_S, LATE_S = 0.25, 0.1
@@ -190,26 +185,12 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
     verdict.ends = [end for name in graph.processes.names if (end := graph.processes.end_of(name))]
 
 
-@piped()
-def main() -> int:
-    """Run the command line; returns its exit code: 1 if a node ended or a stop was late."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--minutes", type=float, default=3.0)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    verdict = Verdict(args.minutes, SOCKETS)
-    with signals_raise(), TemporaryDirectory(prefix="page_flood_") as folder:
-        try:
-            options = RunOptions(scenario="play", view=True)
-            there = contextlib.chdir(folder)  # `teach` writes its file where the detector runs
-            with there, session(options, Path(folder), pictures=False) as graph:
-                flooded(graph, verdict, args.seed)
-        except PlateError as error:
-            parser.error(str(error))
-    print(verdict, *verdict.ends, sep="\n")
-    failed = verdict.ends or any(verdict.late.values()) or verdict.problems
-    return int(bool(failed or not verdict.stops))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def run(logs: Path, minutes: float = 3.0, seed: int = 0) -> Iterator[Outcome]:
+    """Flood the page for a time, and call stops meanwhile."""
+    verdict = Verdict(minutes, SOCKETS)
+    options = RunOptions(scenario="play", view=True)
+    there = contextlib.chdir(logs)  # `teach` writes its file where the detector runs
+    with there, session(options, logs, pictures=False) as graph:
+        flooded(graph, verdict, seed)
+    failed = verdict.ends or any(verdict.late.values()) or verdict.problems or not verdict.stops
+    yield Outcome(vars(verdict), well=not failed)

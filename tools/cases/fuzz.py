@@ -1,7 +1,5 @@
 """Send malformed messages into every topic of the real nodes: no crash, no growth, no wild motion.
 
-python tools/fuzz.py [NODE ...] [--messages 100000] [--seed 0] [--json FILE]
-
 Each node's class is made in this process; its subscriptions' callbacks get messages that went
 through the wire format, so whatever any program on the network can send. Most are right ones with
 one to four fields spoiled: not finite, huge, empty, too long, in the wrong order, of another time.
@@ -11,13 +9,11 @@ by their own code.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import importlib
-import json
 import os
-import sys
 import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
@@ -34,8 +30,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from record.limits import limit_shares
 from trajectory_msgs.msg import JointTrajectory
 
+from cases import Outcome, chosen
 from plate_bringup import RunOptions, load_graph
-from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig, piped
+from plate_core import Parts, PlateCycle, Rig, Wanted, load_rig
 from plate_core.ros import (
     SafeLifecycleNode,
     array_to_image,
@@ -286,32 +283,19 @@ def failed(verdict: Verdict) -> bool:
     )
 
 
-@piped()
-def main() -> int:
-    """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("nodes", nargs="*", choices=[*NODES, []], help="all if left out")
-    parser.add_argument("--messages", type=int, default=100_000, help="to each node")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    verdicts = []
+def run(
+    logs: Path, nodes: Iterable[str] = (), count: int = 100_000, seed: int = 0
+) -> Iterator[Outcome]:
+    """Send `count` messages to each node, in this process."""
+    verdicts: list[Verdict] = []
     with own_domain() as domain:
         os.environ.update(ros_environment(domain))
         rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
         try:
-            for name in args.nodes or NODES:
-                verdicts.append(fuzz(name, args.messages, args.seed))
-                print(verdicts[-1], flush=True)
-        except PlateError as error:
-            parser.error(str(error))
+            for name in chosen(nodes, NODES):
+                verdicts.append(fuzz(name, count, seed))
+                well = not any(map(failed, verdicts))
+                crashes = f"{sum(v.crashes for v in verdicts)} crashes"
+                yield Outcome([vars(v) for v in verdicts], str(verdicts[-1]), well, crashes)
         finally:
             rclpy.try_shutdown()
-    if args.json:
-        text = json.dumps([vars(v) for v in verdicts], indent=1)
-        args.json.write_text(text, encoding="utf-8")
-    return int(any(failed(v) for v in verdicts))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,5 @@
 """Kill, freeze and cut off each node of the graph in mid-task, and see who says what, and when.
 
-python tools/faults.py [NODE ...] [--transport sim] [--json FILE]
-
 For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
 started again after 4 s; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
 its main input through to the node for 4 s. Told is what driver_status, task_status and the
@@ -12,30 +10,28 @@ motor controller is in between, and the plate's motion is what that has played.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
 import re
 import signal
-import sys
-import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from graph.observer import ALL, Observer, Said
-from graph.processes import signals_raise
 from graph.relays import GATE
 from graph.session import Session, session
-from record.judge import LimitCheck, check_limits
+from record.judge import check_limits
 from trajectory_msgs.msg import JointTrajectory
 
+from cases import Outcome, chosen
 from plate_bringup import GraphError, RunOptions, load_graph
-from plate_core import load_rig, piped
+from plate_core import load_rig
 from plate_core.ros import nanoseconds
 from plate_core.status import Level
 from plate_interfaces.msg import Parts, TaskStatus
@@ -270,38 +266,40 @@ class Faults:
         observer.trigger("stop")
 
 
-def run(names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:
-    """Put all faults into a running graph after the other; return what happened."""
-    result: dict[str, Any] = {"transport": options.transport, "port": options.link}
-    result |= {"rows": [], "tables": 0, "faults": []}
+def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterator[Outcome]:
+    """Put all faults into a running graph one after the other; to cut, with the gate in between."""
+    options = RunOptions(transport=transport, link=str(logs / "device"))
+    names = chosen(nodes, [node.name for node in options.nodes(load_graph())])
+    rows: list[dict[str, Any]] = []
+    result: dict[str, Any] = {
+        "transport": transport,
+        "port": options.link,
+        "rows": rows,
+        "tables": 0,
+        "faults": [],
+    }
     for kinds in (("kill", "freeze"), ("cut",)):
-        rows, check = run_some(kinds, names, options, logs)
-        result["rows"] += [asdict(row) | {"well": row.well} for row in rows]
-        result["tables"] += check.tables
-        result["faults"] += check.faults
-    return result
-
-
-def run_some(
-    kinds: tuple[str, ...], names: list[str], options: RunOptions, logs: Path
-) -> tuple[list[Row], LimitCheck]:
-    """Put faults into one running graph; to cut, with the gate in between."""
-    rows = []
-    # Without a look at the processes: they are to die.
-    with session(options, logs, watched=False, gated="cut" in kinds) as graph:
-        faults = Faults(graph)
-        if options.transport == "serial":
-            graph.observer.enable()
-        for kind in kinds:
-            for name in names:
+        # Without a look at the processes: they are to die.
+        with session(options, logs, watched=False, gated="cut" in kinds) as graph:
+            faults = Faults(graph)
+            if transport == "serial":
+                graph.observer.enable()
+            for kind, name in product(kinds, names):
                 if name == "device" and kind != "kill":
                     continue  # its input is the line; a controller that hangs has a watchdog
                 try:
-                    rows.append(faults.put(kind, name))
+                    row = faults.put(kind, name)
                 except GraphError as error:  # the graph could not be got to work, or to go on
-                    rows.append(Row(kind, name, f"not measured: {error}"))
-                print(json.dumps(asdict(rows[-1])), flush=True)
-        return rows, check_limits(graph.observer.record, load_rig(options.rig_file))
+                    row = Row(kind, name, f"not measured: {error}")
+                rows.append(asdict(row) | {"well": row.well})
+                yield Outcome(result, json.dumps(rows[-1]))
+            check = check_limits(graph.observer.record, load_rig(options.rig_file))
+        result["tables"] += check.tables
+        result["faults"] += check.faults
+    lines = [" | ".join(row.values()) for row in cells(result)]
+    lines.append(f"{result['tables']} motor tables, broken limits: {result['faults']}")
+    well = all(row["well"] for row in rows) and not result["faults"]
+    yield Outcome(result, well=well, text="\n".join(lines))
 
 
 HEADS = ("fault", "node", "task_status", "driver_status", "diagnostics", "plate rests", "to go on")
@@ -325,28 +323,3 @@ def cells(result: dict[str, Any]) -> list[dict[str, str]]:
         some = row["fault"], row["node"], task, driver, told, rest, ", ".join(row["to_go_on"])
         rows.append(dict(zip(HEADS, some, strict=True)))
     return rows
-
-
-@piped()
-def main() -> int:
-    """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    known = [node.name for node in load_graph()]
-    parser.add_argument("nodes", nargs="*", choices=[*known, []], help="all if left out")
-    parser.add_argument("--transport", choices=("sim", "serial"), default="sim")
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    with signals_raise(), tempfile.TemporaryDirectory() as logs:
-        options = RunOptions(transport=args.transport, link=str(Path(logs) / "device"))
-        names = args.nodes or [node.name for node in options.nodes(load_graph())]
-        result = run(names, options, Path(logs))
-    for row in cells(result):
-        print(" | ".join(row.values()))
-    print(f"{result['tables']} motor tables, broken limits: {result['faults']}")
-    if args.json:
-        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    return 0 if all(row["well"] for row in result["rows"]) and not result["faults"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,5 @@
 """Sort for hours in real time, parts put down anew each time: does memory grow, or latency drift?
 
-python tools/soak.py [--scenario sort_10] [--uneven 0.1] [--minutes 60] [--json FILE]
-
 Prints a line per task, and at the end: slope of each node's memory and of the latency (image stamp
 to motor setpoints) with 95 % intervals, from one sample per task, always in the same state; share
 of cycles for which no new motion had come in time; how the tasks ended.
@@ -9,23 +7,18 @@ of cycles for which no new motion had come in time; how the tasks ended.
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
-import sys
-import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from graph.processes import Interrupted, signals_raise
 from graph.series import Series, Task, work_again
 from scipy import stats
 
+from cases import Outcome
 from plate_bringup import RunOptions
-from plate_core import PlateError, piped
 
 SETTLED_S = 600.0
 """Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""
@@ -109,40 +102,14 @@ def text(result: dict[str, Any]) -> str:
     )
 
 
-@piped()
-def main() -> int:
-    """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--scenario", default=RunOptions.scenario)
-    parser.add_argument(
-        "--uneven", type=float, default=0.0,
-        help="friction differs by this share between parts and over the plate",
-    )  # fmt: skip
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    until = time.monotonic() + 60 * args.minutes
-    options = RunOptions(args.scenario, autostart=False)
-    result = None
-    with signals_raise(), suppress(Interrupted), tempfile.TemporaryDirectory() as logs:
-        friction = dict.fromkeys(("friction_spread", "friction_patches"), args.uneven)
-        tasks = work_again(
-            options, Path(logs), lambda _: time.monotonic() > until, world=friction
-        )  # fmt: skip
-        for now in tasks:
-            print(line(now.tasks[-1]), flush=True)
-            result = summed_up(now)
-            if args.json:  # after each task: a run that is cut short has its table too
-                args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    if result is None:
-        return 1
-    print(text(result), flush=True)
-    well = result["faults"] == 0 and result["missed_share"] <= MOST_MISSED
-    return 0 if well else 1
-
-
-if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except PlateError as error:
-        sys.exit(f"soak: {error}")
+def run(
+    logs: Path, scenario: str = RunOptions.scenario, uneven: float = 0.0, minutes: float = 60.0
+) -> Iterator[Outcome]:
+    """Sort again and again; friction differs by `uneven` between parts and over the plate."""
+    until = time.monotonic() + 60 * minutes
+    friction = dict.fromkeys(("friction_spread", "friction_patches"), uneven)
+    options = RunOptions(scenario, autostart=False)
+    for now in work_again(options, logs, lambda _: time.monotonic() > until, world=friction):
+        result = summed_up(now)
+        well = result["faults"] == 0 and result["missed_share"] <= MOST_MISSED
+        yield Outcome(result, line(now.tasks[-1]), well, text(result))

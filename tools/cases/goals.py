@@ -1,17 +1,12 @@
 """Send random goals to the real graph: right and wrong ones, cancels, preemptions, stops.
 
-python tools/goals.py [--goals 1000] [--seed 0] [--json FILE]
-
 Every goal must be answered, with a reason that is possible, and at the end the plate must rest.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-import tempfile
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +17,10 @@ from graph.session import session
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from cases import Outcome
 from plate_bringup import RunOptions
 from plate_client import Task
-from plate_core import load_rig, piped
+from plate_core import load_rig
 from plate_core.ros import msg_to_motors, scenario_to_goal
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import TaskStatus
@@ -111,25 +107,11 @@ def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str,
     }
 
 
-@piped()
-def main() -> int:
-    """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--goals", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    options = RunOptions(scenario=SCENARIOS[0], autostart=False)
-    with tempfile.TemporaryDirectory() as logs, session(options, Path(logs)) as graph:
+def run(logs: Path, count: int = 1000, seed: int = 0) -> Iterator[Outcome]:
+    """Send goals to a graph on whose plate the parts of the first scenario are."""
+    with session(RunOptions(scenario=SCENARIOS[0], autostart=False), logs) as graph:
         graph.free()
         graph.observer.await_ready()
-        result = storm(graph.observer, args.goals, np.random.default_rng(args.seed))
-    print(json.dumps(result, indent=1))
-    if args.json:
-        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    well = not result["unanswered"] and not result["wrong ones that began"]
-    return 0 if well and result["plate rests"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        result = storm(graph.observer, count, np.random.default_rng(seed))
+    unwell = result["unanswered"] or result["wrong ones that began"]
+    yield Outcome(result, well=result["plate rests"] and not unwell)
