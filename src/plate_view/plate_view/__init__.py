@@ -1,4 +1,4 @@
-"""A live page of the graph: what it shows, what it may ask for, and who may ask."""
+"""A live web page of the graph: its data, its commands, and the access rules."""
 
 from .access import Access, AccessError, Role
 from .commands import COMMANDS, URGENT, Command, CommandError, read_command

@@ -1,4 +1,5 @@
-"""Who may open the page, and who may command: by address, origin and token."""
+"""Access rules of the page: who may open it and who may send commands, by address, origin,
+token."""
 
 from __future__ import annotations
 
@@ -10,18 +11,18 @@ from enum import StrEnum
 from plate_core import PlateError
 
 LOCAL_NAMES = ("localhost", "127.0.0.1", "[::1]")
-"""Names by which a browser of this machine calls it."""
+"""Host names with which a browser on this machine requests the page."""
 
 LEAST_TOKEN = 12
-"""Characters of a token."""
+"""Minimum number of characters of a token."""
 
 
 class AccessError(PlateError):
-    """Nobody may open the page so."""
+    """The access settings are not safe or not valid."""
 
 
 class Role(StrEnum):
-    """What a browser may do: look on, or command too."""
+    """Role of a browser: a viewer only sees data, an operator may also send commands."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -29,19 +30,19 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Access:
-    """The rules of one page.
+    """Access rules of one page.
 
     Attributes
     ----------
     address : str
-        IP address on which it is served.
+        IP address on which the page is served.
     operator_token, viewer_token : str
-        What a browser's address must end with, as `?token=...`; empty: there is none.
+        Token at the end of a browser's address, as `?token=...`; empty: no such token.
 
     Raises
     ------
     AccessError
-        If others than this machine could command without a token.
+        If other machines could send commands without a token.
     """
 
     address: str = "127.0.0.1"
@@ -73,11 +74,11 @@ class Access:
 
     @property
     def is_local(self) -> bool:
-        """Whether only this machine reaches the page."""
+        """Whether only this machine can reach the page."""
         return ipaddress.ip_address(self.address).is_loopback
 
     def role(self, token: str) -> Role | None:
-        """Return what a browser with this token may do; None: nothing."""
+        """Return the role of a browser with this token; None: no access."""
         if self.operator_token and hmac.compare_digest(
             token.encode(), self.operator_token.encode()
         ):
@@ -89,12 +90,12 @@ class Access:
         return Role.OPERATOR
 
     def allows_host(self, host: str) -> bool:
-        """Whether a request may be for this host (`name:port`): a page that is served to this
-        machine alone is called by no other name, or a foreign site could let its own name lead
-        here."""
+        """Whether requests for this host (`name:port`) are accepted. A page that is served only to
+        this machine accepts only local names. Otherwise another site could point its own name to
+        this address (DNS rebinding)."""
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         return not self.is_local or name in (*LOCAL_NAMES, self.address)
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether a page of this origin may talk to us: only our own."""
+        """Whether a page of this origin may connect: only the page itself."""
         return origin in (f"http://{host}", f"https://{host}")

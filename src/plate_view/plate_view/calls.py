@@ -1,4 +1,4 @@
-"""What a browser asked for, as the call that a script would make: for the page's log."""
+"""The equivalent call in a terminal for each command of a browser, for the page's log."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ SERVICES = {
     "place": ("/simulator/place_part", "plate_interfaces/srv/PlacePart"),
     "remove": ("/simulator/remove_part", "plate_interfaces/srv/RemovePart"),
 }
-"""Commands that are one call of a service: its name and type."""
+"""Commands that call one service: its name and type."""
 
 
 def call_text(command: Command) -> str:
-    """Return the line for a terminal that does what a command does."""
+    """Return the terminal command with the same effect."""
     values = command.values
     match command.name:
         case "cancel" | "stop" | "emergency_stop" | "cut_power":
@@ -74,7 +74,7 @@ def call_text(command: Command) -> str:
 
 
 def goal_text(action: str, kind: str, goal: Mapping[str, Any]) -> str:
-    """Return the line for a terminal that sends a goal of an action."""
+    """Return the terminal command that sends a goal of an action."""
     return f"ros2 action send_goal /{action} plate_interfaces/action/{kind} {_flow(goal)}"
 
 

@@ -1,4 +1,4 @@
-"""What a browser may ask for: read and checked before anything is done with it."""
+"""Commands of browsers: they are parsed and checked before anything is executed."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from plate_core import MOST_PARTS, PlateError
 from .access import Role
 
 LONGEST_TEXT = 200
-"""Characters of a name or a value."""
+"""Maximum number of characters of a name or a value."""
 
 LARGEST = 1e10
-"""Of a number: also a stamp of the wall clock [s]."""
+"""Maximum magnitude of a number; it includes stamps of the wall clock [s]."""
 
 MOST_POINTS = 2000
-"""Of a path that is drawn."""
+"""Maximum number of points of a drawn path."""
 
 
 class CommandError(PlateError):
-    """What a browser asks for is none of what there is, or not for it."""
+    """A browser's command is not valid, or not permitted for its role."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class Command:
     Attributes
     ----------
     name : str
-        Such as `stop`.
+        Name, such as `stop`.
     number : int
-        The browser's own, for the answer.
+        Number that the browser gave it, for the reply.
     values : mapping
-        What came with it, checked.
+        Its arguments, checked.
     """
 
     name: str
@@ -49,12 +49,12 @@ Reader = Callable[[str, Any], Any]
 
 
 def read_command(text: str | bytes, role: Role) -> Command:
-    """Read a command.
+    """Parse and check a command.
 
     Raises
     ------
     CommandError
-        Naming what is wrong, its value, and what is allowed; `number_of` tells to whom.
+        With the wrong value and what is allowed. `number_of` gives the number for the reply.
     """
     try:
         data = json.loads(text)
@@ -78,7 +78,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
 
 
 def number_of(data: Any) -> int:
-    """Return the number of a command, -1 where it has none."""
+    """Return the number of a command; -1 if it has none."""
     number = data.get("number") if isinstance(data, dict) else None
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= LARGEST:
         return number
@@ -124,7 +124,7 @@ def _maybe(read: Reader) -> Reader:
 
 
 def _value(where: str, value: Any) -> bool | int | float | str:
-    """Read the value of a parameter."""
+    """Check the value of a parameter."""
     if isinstance(value, str):
         return value if not value else _text(where, value)
     if isinstance(value, bool | int):
@@ -197,10 +197,11 @@ COMMANDS: Mapping[str, Mapping[str, Reader]] = {
     "watch": {"image": _flag, "field": _flag, "camera": _maybe(_flag)},
     "replay": {"playing": _maybe(_flag), "seek": _maybe(_number), "rate": _maybe(_number)},
 }  # fmt: skip
-"""By name of a command: what comes with it, and how that is read."""
+"""Arguments of each command, with the functions that check them."""
 
 FOR_ALL = ("watch", "parameters", "replay")
-"""Commands that change nothing in the graph."""
+"""Commands that change nothing in the graph, permitted for viewers."""
 
 URGENT = ("emergency_stop", "cut_power", "stop")
-"""Commands that stop: they are taken however many come, and before all others."""
+"""Commands that stop the plate. They are executed before all others, and their number is not
+limited."""

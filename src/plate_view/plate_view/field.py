@@ -1,4 +1,4 @@
-"""What a cycle of the plate does to parts, wherever they lie: drift, and the paper's mean force."""
+"""The effect of a plate cycle on resting parts at any place: drift, and the paper's mean force."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from plate_core import PlateCycle, Rig
 from plate_core.rig import surface_velocity
 
 STEPS = 200
-"""Of a cycle."""
+"""Number of time steps of a cycle."""
 
 RESTING = 1e-6
-"""A surface slower than this does not slide under a resting part [m/s]."""
+"""Speed of the surface below which it does not slide under a resting part [m/s]."""
 
 
 def grid(rig: Rig, count: int = 17) -> tuple[np.ndarray, np.ndarray]:
@@ -25,18 +25,20 @@ def grid(rig: Rig, count: int = 17) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mean_force(cycle: PlateCycle, point: np.ndarray) -> np.ndarray:
-    """Mean friction on parts that rest at points in the room, section 3.1 of the paper.
+    """Mean friction on parts that rest at world-fixed points, section 3.1 of the paper.
+
+    With the velocity s(t) of the surface at a point: mean over a cycle of s / norm(s).
 
     Parameters
     ----------
     cycle : PlateCycle
     point : (M, 2)
-        [m, plate_home].
+        Points [m, plate_home].
 
     Returns
     -------
     (M, 2)
-        In mu m g.
+        Mean force [mu m g].
     """
     t = (np.arange(STEPS) + 0.5) * cycle.period / STEPS
     slip = surface_velocity(cycle.pose(t)[:, None], cycle.twist(t)[:, None], point[None])
@@ -45,23 +47,23 @@ def mean_force(cycle: PlateCycle, point: np.ndarray) -> np.ndarray:
 
 
 def drift(cycle: PlateCycle, point: np.ndarray, accel: float) -> np.ndarray:
-    """Mean velocity over one cycle of parts that rest at points when it begins.
+    """Mean velocity over one cycle of parts that rest at points at its beginning.
 
-    Parts are points that slide or stick, in steps of 1/200 of the cycle: to look at, not to plan
-    by.
+    Parts are points that slide or stick, integrated in steps of 1/200 of the cycle. This is precise
+    enough for display, not for planning.
 
     Parameters
     ----------
     cycle : PlateCycle
     point : (M, 2)
-        [m, plate_home].
+        Points [m, plate_home].
     accel : float
-        mu g [m/s2].
+        mu g, the maximum acceleration by friction [m/s2].
 
     Returns
     -------
     (M, 2)
-        [m/s, plate_home].
+        Mean velocity [m/s, plate_home].
     """
     step = cycle.period / STEPS
     t = (np.arange(STEPS) + 0.5) * step

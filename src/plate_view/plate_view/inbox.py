@@ -1,4 +1,4 @@
-"""Commands that wait for the graph's thread."""
+"""Queue of commands between the server's and the graph's thread."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from .commands import Command
 
 OLD_S = 2.0
-"""What has waited longer is not done any more [s]: who asked for it does something else by now."""
+"""Age above which a waiting command is refused [s]: its sender may have changed its mind."""
 
 
 class Inbox:
-    """Keeps commands until their turn. Filled on one thread and emptied on another."""
+    """Queue of commands. It is filled on one thread and emptied on another."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Any, Command, float]] = deque()
@@ -22,10 +22,10 @@ class Inbox:
         return len(self._waiting)
 
     def put(self, browser: Any, command: Command) -> None:
-        """Keep a browser's command."""
+        """Append a browser's command."""
         self._waiting.append((browser, command, time.monotonic()))
 
     def take(self) -> tuple[Any, Command, bool]:
-        """Return the next browser, its command, and whether it has grown old."""
+        """Return the next browser, its command, and whether the command is too old."""
         browser, command, since = self._waiting.popleft()
         return browser, command, time.monotonic() - since > OLD_S

@@ -1,4 +1,4 @@
-"""The node `page`: a live page of the graph in a browser, and the calls that it asks for."""
+"""The node `page`: serves a live web page of the graph, and executes its commands."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from .server import PageServer, Socket
 from .top_view import TopView
 
 FRAME_S, SLOW_S = 0.04, 0.5
-"""Least time between two messages of a kind to the browsers, and of what changes slowly [s]."""
+"""Minimum time between two messages of a kind to the browsers, and the same for slow data [s]."""
 
 
 SWITCH_S = 0.0005
-"""Longest time for which a thread that works keeps one waiting that stops the plate [s]."""
+"""Switch interval of Python's threads [s]: maximum wait of the thread that stops the plate."""
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
 
 REPLAY = ("begin", "end", "now", "playing", "rate", "problem")
-"""What browsers get to know of a recorded run."""
+"""State of a replay that is sent to browsers."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,12 @@ class Options(NodeOptions):
 
 
 class PageNode(SafeLifecycleNode[Options]):
-    """Node `page`: serves a live page of the graph, and does what it asks for by the graph's public
-    actions, topics, services and parameters.
+    """Node `page`: serves a live web page of the graph. It executes the page's commands by the
+    graph's public actions, topics, services and parameters.
 
     Subscribes, while a browser is connected: parts, part_forces, part_targets, cycle_started,
     motor_setpoints, task_status, driver_status, friction, diagnostics, /rosout, and image_raw if a
-    browser wants it. Publishes targets. Without a browser it subscribes to nothing.
+    browser shows it. Publishes targets. Without a browser there are no subscriptions.
     """
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self.report(self._find, self._values)
 
     def configure(self) -> None:
-        """Read the rig, and find what a browser may ask for."""
+        """Read the rig, and create clients and publishers."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._access = Access(options.address, options.operator_token, options.viewer_token)
@@ -90,7 +90,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self.managed_timer(SLOW_S, self._tick_slowly)
 
     def begin(self) -> None:
-        """Serve the page."""
+        """Start to serve the page."""
         if self.options.bag:
             kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
             self._replay = Replay(self.options.bag, kinds, self._hear)
@@ -103,7 +103,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self.get_logger().info(f"page at {self._server.url}")
 
     def rest(self) -> None:
-        """Serve no more; what runs in the graph goes on."""
+        """Stop serving the page. Running tasks continue."""
         server, self._server = self._server, None
         if server is not None:
             server.close()
@@ -114,7 +114,7 @@ class PageNode(SafeLifecycleNode[Options]):
             replay.close()
 
     def _hello(self) -> Scene:
-        """Return what every browser gets first."""
+        """Return the first message to every browser."""
         rig, options = self._rig, self.options
         types = sorted({*rig.types, *ALWAYS_THERE})
         return {
@@ -128,7 +128,7 @@ class PageNode(SafeLifecycleNode[Options]):
         }
 
     def _scenarios(self) -> Scene:
-        """Return the scenarios that this rig can do, as their files have them."""
+        """Return the scenarios that this rig can execute, with the content of their files."""
         found = {}
         own = (
             [self.options.scenario] if self.options.scenario not in ("", *scenario_names()) else []
@@ -148,14 +148,14 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.tick()
 
     def _tick_slowly(self) -> None:
-        if self._server is not None:  # a simulator may come later, or go
+        if self._server is not None:  # a simulator may start or end at any time
             there = self.count_services(self.resolve_service_name("simulator/reset"))
             self._server.hello["simulator"] = bool(there)
         if self._listener is not None:
             self._listener.tick_slowly()
         self._tell_replay()
 
-    # On the server's thread: hand over to the graph's
+    # On the server's thread: pass commands to the graph's thread
 
     def _take(self, browser: Socket, command: Command) -> None:
         if command.name in URGENT and self._replay is None:
@@ -169,7 +169,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self._wake()
 
     def _work(self) -> None:
-        """Do the next command; then it is the turn of what else has come."""
+        """Execute the next command, then return to the executor for other callbacks."""
         if self._inbox:
             self._do_next()
         if self._inbox:
@@ -198,7 +198,7 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.hear("/rosout" if topic == "rosout" else topic, msg)
 
     def _do_replay(self, browser: Socket, command: Command) -> None:
-        """Play, jump or change the rate; everything else needs a graph."""
+        """Play, seek or change the rate. All other commands need a running graph."""
         server, replay, values = self._server, self._replay, command.values
         assert server is not None
         why = ""
@@ -225,7 +225,7 @@ class PageNode(SafeLifecycleNode[Options]):
             where = {name: getattr(replay, name) for name in REPLAY}
             server.publish("replay", {"kind": "replay", **where})
 
-    # What it reports
+    # Diagnostics
 
     def _find(self, now: float) -> Finding:
         server = self._server

@@ -1,4 +1,4 @@
-"""What the page gets, as mappings that become JSON. Metres, radians, seconds, plate_home."""
+"""The messages to the page as mappings for JSON. Units: metres, radians, seconds; plate_home."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from plate_core.tasks import (
 from .field import drift, grid, mean_force
 
 SAMPLES = 65
-"""Of a cycle's motion."""
+"""Number of samples of a cycle's motion."""
 
 FAR_HALVES = 3.0
-"""Centres of rotation are shown as far as this [half lengths of the plate]."""
+"""Maximum distance at which centres of rotation are shown [half lengths of the plate]."""
 
 CAMERA_PX = 960
 """Maximum width of the camera's picture in browsers [px]."""
 
 CAMERA_QUALITY = 80
-"""Of its JPEG [%]."""
+"""Quality of the camera's JPEG [%]."""
 
 Scene = dict[str, Any]
 
@@ -54,7 +54,7 @@ def camera_scene(stamp: float, image: np.ndarray) -> Scene:
 
 
 def rig_scene(rig: Rig, name: str) -> Scene:
-    """Return the facts of a rig that are drawn or shown."""
+    """Return the properties of a rig that the page uses."""
     return {
         "name": name, "length": rig.plate.length_m, "width": rig.plate.width_m,
         "radius": rig.parts.radius_m, "gamma": rig.gamma, "stroke": rig.limits.stroke_m,
@@ -63,7 +63,7 @@ def rig_scene(rig: Rig, name: str) -> Scene:
 
 
 def type_scene(kind: PartType) -> Scene:
-    """Return what a type of part looks like."""
+    """Return the appearance of a type of part."""
     colour = (
         class_colour(kind.name)
         if kind.colour_lab is None
@@ -81,8 +81,8 @@ def type_scene(kind: PartType) -> Scene:
 def parts_scene(
     rig: Rig, stamp: float, parts: Parts, scatter: np.ndarray, seen: Sequence[bool]
 ) -> Scene:
-    """Return the parts of an image; `scatter` (M, 3) has standard deviations [m, m, rad], NaN where
-    they are not known."""
+    """Return the parts of an image. `scatter` (M, 3) holds standard deviations [m, m, rad], NaN if
+    unknown."""
     return {
         "kind": "parts",
         "stamp": stamp,
@@ -101,7 +101,7 @@ def parts_scene(
 
 
 def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
-    """Return what the planner asks of each part: targets, and mean force in mu m g."""
+    """Return the planner's request for each part: targets, and mean force [mu m g]."""
     to, count = wanted.targets, len(wanted.parts)
     unasked: list[list[Any]] = [[None, None, None]] * count
     intervals = unasked
@@ -130,7 +130,7 @@ def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
 
 
 def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene:
-    """Return a cycle of the plate; with its field of drift and mean force if that is wanted."""
+    """Return a cycle of the plate, with its drift and mean force if `field`."""
     t = np.linspace(0, cycle.period, SAMPLES)
     pose, twist = cycle.pose(t), cycle.twist(t)
     with np.errstate(all="ignore"):
@@ -159,7 +159,7 @@ def field_scene(rig: Rig, cycle: PlateCycle) -> Scene:
 
 
 def motors_scene(rig: Rig, cycle: PlateCycle) -> Scene:
-    """Return the motors' motion in a cycle, and how much of their limits it uses."""
+    """Return the motors' motion in a cycle, and the fractions of their limits that it uses."""
     t = np.linspace(0, cycle.period, SAMPLES)
     position, _, _ = motor_state(rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
     used, limits = usage(rig, cycle), rig.limits
@@ -178,7 +178,7 @@ def motors_scene(rig: Rig, cycle: PlateCycle) -> Scene:
 
 
 def task_scene(rig: Rig, task: Task | None) -> Scene:
-    """Return where a task wants parts: paths, regions and places; of none nothing."""
+    """Return the target places of a task: paths, regions and places; empty without a task."""
     scene: Scene = {"kind": "paths", "paths": [], "regions": [], "places": []}
     match task:
         case FollowTask():
@@ -212,7 +212,7 @@ def task_scene(rig: Rig, task: Task | None) -> Scene:
 
 
 def nodes_scene(reports: Mapping[str, tuple[float, str, str, Mapping[str, str]]]) -> Scene:
-    """Return what nodes say of themselves; by name: age [s], level, message, values."""
+    """Return the diagnostics of all nodes; by name: age [s], level, message, values."""
     return {
         "kind": "nodes",
         "nodes": [

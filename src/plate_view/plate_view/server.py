@@ -1,7 +1,8 @@
-"""The page over HTTP and a websocket, on a thread of its own. Nothing of it may hold up the graph.
+"""The page's server: HTTP and a websocket, on a separate thread that cannot delay the graph.
 
-Every browser has a letter box of its own: of what comes again and again the newest waits there, of
-the rest the last `LONGEST_QUEUE`. A slow browser misses frames; one that hangs is left alone.
+Each browser has an outgoing queue. Of data that is sent repeatedly it holds the newest message, of
+other messages the last `LONGEST_QUEUE`. A slow browser misses frames; one that accepts nothing is
+disconnected.
 """
 
 from __future__ import annotations
@@ -30,40 +31,41 @@ from .commands import URGENT, Command, CommandError, number_of, read_command
 STATIC = Path(__file__).with_name("static")
 
 LONGEST_MESSAGE = 64_000
-"""Of a browser [bytes]."""
+"""Maximum size of a browser's message [bytes]."""
 
 LONGEST_QUEUE = 200
-"""Messages of which none may be left out, waiting for a browser."""
+"""Maximum number of queued messages that must not be skipped, per browser."""
 
 HUNG_S = 10.0
-"""A browser that takes nothing for so long is let go [s]."""
+"""Time without progress in sending after which a browser is disconnected [s]."""
 
 MOST_BROWSERS, MOST_VIEWERS = 32, 24
-"""Of all, and of those that only look on: an operator finds a place however many these are."""
+"""Maximum number of browsers, and of viewers, so that an operator can always connect."""
 
 MOST_REQUESTS = 100
-"""Connections on which a request comes or is answered; more are closed at once."""
+"""Maximum number of open HTTP connections; further ones are closed at once."""
 
 COMMANDS_PER_S, BURST = 100.0, 200.0
-"""Of one browser: on average, and at once. Dragging sends 60."""
+"""Command allowance of one browser: mean rate, and burst. Dragging sends 60 per second."""
 
 MOST_OPEN, MOST_OF_ALL = 50, 200
-"""Commands that have no answer yet, of one browser and of all: more are refused, but for stops."""
+"""Maximum number of commands without a reply, of one browser and of all. Others are refused, except
+stops."""
 
 PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
-"""What comes often while a person drags; all others count for `DEAR`."""
+"""Costs of commands that are frequent while a person drags; others cost `DEAR`."""
 
 DEAR = 10.0
-"""Commands for which another node has to work."""
+"""Cost of a command that another node must process."""
 
 STILL_S = 2.0
-"""After the server has stood still for so long [s], only stops are taken for a moment."""
+"""Stall of the server after which only stops are accepted for a moment [s]."""
 
 KEPT = ("log", "call")
-"""Kinds of messages of which each one counts. So do answers, which come before all others."""
+"""Kinds of messages that must not be skipped. Replies must not be skipped either, and go first."""
 
 NEW_PORTS = 20
-"""If a port is taken so many after it are tried."""
+"""Number of following ports that are tried if a port is in use."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -76,10 +78,10 @@ HEADERS = {
 
 
 class Socket(tornado.websocket.WebSocketHandler):
-    """One browser."""
+    """The connection to one browser."""
 
     def initialize(self, page: PageServer) -> None:
-        """Know the server."""
+        """Initialise the connection's state."""
         self.page = page
         self.role: Role | None = None
         self.watches = {"image": False, "field": False, "camera": False}
@@ -91,11 +93,12 @@ class Socket(tornado.websocket.WebSocketHandler):
         self._allowance, self._counted = BURST, 0.0
 
     def check_origin(self, origin: str) -> bool:
-        """Let no page of another origin in."""
+        """Accept only pages of this server's origin."""
         return self.page.access.allows_origin(origin, self.request.host)
 
     def prepare(self) -> None:
-        """Let nobody in without the right address and token, or when there are too many."""
+        """Refuse connections without a valid host, origin and token, or beyond the maximum
+        number."""
         access = self.page.access
         self.role = access.role(self.get_query_argument("token", ""))
         origin = self.request.headers.get("Origin", "")
@@ -109,7 +112,7 @@ class Socket(tornado.websocket.WebSocketHandler):
             raise tornado.web.HTTPError(503)
 
     def open(self) -> None:
-        """Tell a new browser what is known."""
+        """Send the latest messages to a new browser."""
         assert self.role is not None
         self.set_nodelay(True)
         self.page.browsers.add(self)
@@ -120,20 +123,20 @@ class Socket(tornado.websocket.WebSocketHandler):
         self.page.changed()
 
     def on_close(self) -> None:
-        """Forget a browser; what it has asked for goes on."""
+        """Remove a browser. Its commands in execution continue."""
         self.page.browsers.discard(self)
         if hasattr(self, "_task"):
             self._task.cancel()
         self.page.changed()
 
     async def on_message(self, text: str | bytes) -> None:
-        """Take a command; then it is another browser's turn, however many this one has sent. One
-        that sends too many is read slowly."""
+        """Process a command, then let other browsers' commands run. A browser that exceeds its
+        allowance is read slowly."""
         within = self._take(text)
         await asyncio.sleep(0 if within else 1 / COMMANDS_PER_S)
 
     def _take(self, text: str | bytes) -> bool:
-        """Return whether this browser keeps within its allowance."""
+        """Process a command. Return whether this browser is within its allowance."""
         now = asyncio.get_event_loop().time()
         self._allowance = min(BURST, self._allowance + COMMANDS_PER_S * (now - self._counted))
         self._counted = now
@@ -160,7 +163,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         return within
 
     def _refusal(self, within: bool) -> str:
-        """Say why a command that does not stop is not taken now; "" if it is."""
+        """Return the reason to refuse a command that does not stop; "" to accept it."""
         if not within:
             return f"more than {COMMANDS_PER_S:g} commands a second"
         if self.page.is_late():
@@ -176,13 +179,13 @@ class Socket(tornado.websocket.WebSocketHandler):
         return True
 
     def answer(self, number: int, ok: bool, text: str) -> None:
-        """Answer a command."""
+        """Reply to a command."""
         answer = {"kind": "answer", "number": number, "ok": ok, "text": text}
         self._answers.append(json.dumps(answer))
         self._some.set()
 
     def put(self, kind: str, message: str | bytes) -> None:
-        """Have a message delivered as soon as this browser takes it."""
+        """Queue a message for this browser."""
         if kind in KEPT:
             assert isinstance(message, str)
             self._queue.append(message)
@@ -224,12 +227,12 @@ class File(tornado.web.StaticFileHandler):
     """A file of the page."""
 
     def initialize(self, access: Access, path: str, default_filename: str) -> None:  # type: ignore[override]
-        """Know who may have it."""
+        """Store the access rules."""
         self._access = access
         super().initialize(path, default_filename)
 
     def prepare(self) -> None:
-        """Let nobody in by a name that is not ours; say so where a token is missing."""
+        """Refuse other host names, and requests of the page without a valid token."""
         if not self._access.allows_host(self.request.host):
             raise tornado.web.HTTPError(403)
         page = self.request.path in ("/", "/index.html")
@@ -241,16 +244,16 @@ class File(tornado.web.StaticFileHandler):
             )
 
     def set_extra_headers(self, path: str) -> None:
-        """Let the page load nothing from elsewhere."""
+        """Set headers that forbid loading from other origins."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
 
 
 class Door(tornado.httpserver.HTTPServer):
-    """Takes connections; of those that say nothing not for long, and not without end."""
+    """HTTP server that limits the number of connections, and the idle time of each."""
 
     def handle_stream(self, stream: tornado.iostream.IOStream, address: tuple[str, int]) -> None:
-        """Take a connection, if there are not too many."""
+        """Accept a connection if there are not too many."""
         if len(self._connections) < MOST_REQUESTS:
             super().handle_stream(stream, address)
         else:
@@ -258,24 +261,24 @@ class Door(tornado.httpserver.HTTPServer):
 
 
 class PageServer:
-    """Serves the page; made and closed from the graph's thread.
+    """Serves the page. Created and closed on the graph's thread.
 
     Parameters
     ----------
     access : Access
     port : int
-        If it is taken the next free one is.
+        Port; the next free one if it is in use.
     hello : mapping
-        What every browser gets first.
+        First message to every browser.
     take : callable
         Called with a browser and its command, on the server's thread.
     changed : callable
-        Called on the server's thread when browsers come, go, or watch something else.
+        Called on the server's thread when browsers connect, disconnect, or watch other data.
 
     Raises
     ------
     PlateError
-        If no port is free, or the address is not this machine's.
+        If no port is free, or the address is not one of this machine.
     """
 
     def __init__(
@@ -299,34 +302,35 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Address for a browser of this machine."""
+        """Address for a browser on this machine."""
         host = self.access.address
         host = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/"
 
     def wants(self, what: str) -> bool:
-        """Whether any browser watches this."""
+        """Whether any browser watches this kind of data."""
         return any(browser.watches[what] for browser in tuple(self.browsers))
 
     def is_late(self) -> bool:
-        """Whether what comes now was sent while the server stood still (on its own thread)."""
+        """Whether a message that arrives now may have been sent during a stall of the server.
+        Called on the server's thread."""
         return self._standstill.is_late(self._loop.time())
 
     def _keep_time(self) -> None:
         self.is_late()
 
     def publish(self, kind: str, message: Mapping[str, Any] | bytes, keep: bool = True) -> None:
-        """Send to all browsers, from any thread; `keep` it for those that come later."""
+        """Send a message to all browsers, from any thread. If `keep`, also to later browsers."""
         text = message if isinstance(message, bytes) else json.dumps(message, allow_nan=False)
         self._loop.call_soon_threadsafe(self._publish, kind, text, keep)
 
     def answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
-        """Answer a command that was taken, from any thread."""
+        """Reply to an accepted command, from any thread."""
         self._loop.call_soon_threadsafe(self._answer, browser, number, ok, text)
 
     def close(self) -> None:
-        """Serve no more."""
+        """Stop serving."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(2.0)
         for each in self._sockets:
@@ -378,7 +382,7 @@ class PageServer:
 
 
 def _bound(address: str, port: int) -> tuple[list[Any], int]:
-    """Return sockets on the first free port."""
+    """Return listening sockets on the first free port, and the port."""
     for each in range(port, port + NEW_PORTS):
         try:
             family = socket.AF_INET6 if ":" in address else socket.AF_INET

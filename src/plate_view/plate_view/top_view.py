@@ -1,4 +1,4 @@
-"""The camera's image as seen from straight above, so that all drawing is in plate_home."""
+"""The camera's image rectified to a view from straight above, in plate_home."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from plate_core import PlateError, Rig
 from plate_core.rig import homography
 
 MARGIN = 0.06
-"""Shown beyond the plate's edges [share of its length]."""
+"""Width of the margin shown around the plate [fraction of its length]."""
 
 QUALITY = 75
-"""Of the JPEG [%]."""
+"""Quality of the JPEG [%]."""
 
 UNSEEN = (128, 128, 128)
-"""What the camera does not see."""
+"""Colour of areas outside the camera's image."""
 
 
 class TopView:
-    """Turns images of one rig's camera into pictures of the plate.
+    """Rectifies images of one rig's camera to pictures of the plate.
 
     Parameters
     ----------
     rig : Rig
     width_px : int
-        Of the picture.
+        Width of the picture.
 
     Attributes
     ----------
     x, y : (float, float)
-        What the picture covers [m, plate_home].
+        Ranges that the picture covers [m, plate_home].
     """
 
     def __init__(self, rig: Rig, width_px: int = 640) -> None:
@@ -49,12 +49,12 @@ class TopView:
         self._x, self._y = np.moveaxis(pixel.astype(np.float32), -1, 0)
 
     def jpeg(self, image: np.ndarray) -> bytes:
-        """Return the picture of an image (H, W) or (H, W, 3), blue, green, red.
+        """Return the picture of an image (H, W) or (H, W, 3), blue, green, red, as JPEG.
 
         Raises
         ------
         PlateError
-            If the image is not of the size that the rig's camera has.
+            If the image does not have the size of the rig's camera.
         """
         if image.shape[:2] != self._shape:
             (height, width), (high, wide) = image.shape[:2], self._shape

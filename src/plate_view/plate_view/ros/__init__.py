@@ -1,4 +1,4 @@
-"""The page's part in the graph: what it hears, and what it asks for."""
+"""The page's ROS interface: its subscriptions, and the calls that it makes."""
 
 from .listener import TOPICS, Listener
 from .operator import Asked, Operator

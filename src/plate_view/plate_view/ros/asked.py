@@ -1,4 +1,4 @@
-"""Commands on their way into the graph."""
+"""Commands that are being executed, with their replies."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from ..commands import Command
 from ..server import PageServer, Socket
 
 QUIET = ("parameters",)
-"""Commands that change nothing: no line in the log."""
+"""Commands that change nothing and are not logged."""
 
 
 class Asked:
-    """A command on its way, and to whom its answer goes.
+    """A command that is being executed, and the browser that gets the reply.
 
     Attributes
     ----------
     values : mapping
-        What came with the command.
+        Arguments of the command.
     call : str
-        The line for a terminal that does the same, where it is not `call_text` of the command.
+        Equivalent terminal command, if it differs from `call_text` of the command.
     answered : callable
-        Called with the answer: whether it was done, and the text.
+        Called with the reply: whether the command succeeded, and a text.
     """
 
     def __init__(self, server: PageServer, browser: Socket, command: Command) -> None:
@@ -33,19 +33,19 @@ class Asked:
         self.answered: Callable[[bool, str], None] = lambda ok, text: None
 
     def accept(self, text: str) -> None:
-        """Answer that it was done."""
+        """Reply that the command succeeded."""
         self.answer(True, text)
 
     def refuse(self, text: str) -> None:
-        """Answer why not."""
+        """Reply why the command failed."""
         self.answer(False, text)
 
     def done(self, response: Any) -> None:
-        """Answer what a service has answered."""
+        """Pass on the reply of a service."""
         self.answer(bool(response.success), str(response.message))
 
     def answer(self, ok: bool, text: str) -> None:
-        """Answer the browser; all of them see the call."""
+        """Reply to the browser, and show the call to all browsers."""
         self.answered(ok, text)
         self._server.answer(self._browser, self.command.number, ok, text)
         if self.command.name in QUIET or (self.values.get("dragging") and not self.call):

@@ -1,4 +1,4 @@
-"""Calls services of other nodes, without waiting."""
+"""Asynchronous calls of services of other nodes."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from ..commands import URGENT
 from .asked import Asked
 
 ANSWER_S = 5.0
-"""Longest wait for the answer of a service [s]."""
+"""Maximum wait for the reply of a service [s]."""
 
 URGENT_S = 1.0
-"""The same for what is urgent [s]."""
+"""Maximum wait for the reply to an urgent command [s]."""
 
 AGAIN_S = 0.25
-"""Time after which a stop that is not answered is asked for again [s]."""
+"""Time without a reply after which a stop is requested again [s]."""
 
 LOOK_S = 0.02
-"""Between two looks after calls that are on their way [s]."""
+"""Polling interval of pending calls [s]."""
 
 Then = Callable[[Any], None]
 
 
 class Caller:
-    """The clients of a node, and the calls that are on their way.
+    """The clients of a node, and its pending calls.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Caller:
     Attributes
     ----------
     looks : set of callables
-        Called each `LOOK_S`.
+        Called every `LOOK_S`.
     """
 
     def __init__(self, node: Node) -> None:
@@ -51,7 +51,7 @@ class Caller:
         self._timer = node.create_timer(LOOK_S, self._look, clock=steady)
 
     def close(self) -> None:
-        """Let go of all clients."""
+        """Destroy all clients."""
         self._node.destroy_timer(self._timer)
         for client in self._clients.values():
             self._node.destroy_client(client)
@@ -61,16 +61,17 @@ class Caller:
             look()
 
     def client(self, kind: Any, name: str) -> Any:
-        """Return the client of a service; made before it is needed it is found by then."""
+        """Return the client of a service. Create it early, so that discovery is complete when it is
+        needed."""
         if name not in self._clients:
             self._clients[name] = self._node.create_client(kind, name, qos_profile=CALLS)
         return self._clients[name]
 
     def call(self, asked: Asked, kind: Any, name: str, request: Any, then: Then) -> None:
-        """Call a service; `then` is given what it answers.
+        """Call a service; `then` is called with its response.
 
-        What is urgent is asked again and again: DDS may lose the answer of a node that has just
-        begun.
+        An urgent request is repeated until there is a reply, because DDS may lose the reply of a
+        node that has just started.
         """
         client = self.client(kind, name)
         urgent = asked.command.name in URGENT
@@ -80,7 +81,7 @@ class Caller:
         last = 0.0
 
         def answered(future: Any) -> None:
-            if future not in sent:  # it was answered before
+            if future not in sent:  # there was a reply before
                 return
             self.looks.discard(tick)
             for each in sent:

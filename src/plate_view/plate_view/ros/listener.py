@@ -1,4 +1,4 @@
-"""Passes messages of the graph on to the browsers, and subscribes only while there is a browser."""
+"""Passes messages of the graph to the browsers. It subscribes only while a browser is connected."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ from .aim import aim_scene
 from .values import plain, state_names
 
 SAME_CLOCK_S = 10.0
-"""A stamp further than this from our time is of a clock that is not ours [s]."""
+"""Maximum difference of a stamp from this node's clock [s]. A larger one is from another clock."""
 
 LATENCIES = 200
-"""Setpoints over which the latency is taken."""
+"""Number of setpoint messages over which the latency is measured."""
 
 CAMERA_S = 0.1
-"""Minimum time between two pictures in the view to aim by [s]."""
+"""Minimum time between two pictures in the aiming view [s]."""
 
 WARN_PERIOD_S = 2.0
-"""Least time between two equal warnings [s]."""
+"""Minimum time between two equal warnings [s]."""
 
 
 TASK_STATES = state_names(TaskStatus, "IDLE", "RUNNING", "DONE", "STUCK", "LOST", "ABORTED")
@@ -65,7 +65,7 @@ DRIVER_STATES = state_names(
 )  # fmt: skip
 FRICTION_STATES = state_names(Friction, "NONE", "RUNNING", "DONE", "FAILED")
 SEVERITIES = {20: "info", 30: "warn", 40: "error", 50: "error"}
-"""Of rcl_interfaces/Log; what is less is not shown."""
+"""Shown severities of rcl_interfaces/Log."""
 
 ROSOUT = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -83,11 +83,11 @@ class Listener:
     Attributes
     ----------
     task : TaskStatus
-        The newest.
+        Newest task status.
     parts : Parts
-        Of the newest image.
+        Parts in the newest image.
     told : callable
-        Called after each word of the task.
+        Called after each task status.
     """
 
     def __init__(self, node: Node, rig: Rig, view: TopView, server: PageServer) -> None:
@@ -102,7 +102,7 @@ class Listener:
         self._camera_at = -math.inf
 
     def adapt(self) -> None:
-        """Listen to what the browsers want, and to nothing if there are none."""
+        """Subscribe to the topics that browsers need; to none without browsers."""
         some = bool(self._server.browsers)
         for name, topic in TOPICS.items():
             wanted = some and (not topic.watched or any(map(self._server.wants, topic.watched)))
@@ -114,7 +114,7 @@ class Listener:
                 self._ignore(name)
 
     def close(self) -> None:
-        """Listen to nothing."""
+        """Destroy all subscriptions."""
         for topic in TOPICS:
             self._ignore(topic)
 
@@ -124,13 +124,13 @@ class Listener:
             self._newest.pop(topic, None)
 
     def hear(self, topic: str, msg: Any) -> None:
-        """Take in a message of one of `TOPICS`."""
+        """Receive a message of one of `TOPICS`."""
         if TOPICS[topic].at_once:
             TOPICS[topic].take(self, msg)
         else:
             self._newest[topic] = msg
 
-    # What is sent at once
+    # Messages that are sent at once
 
     def _on_setpoints(self, msg: JointTrajectory) -> None:
         self._setpoints += 1
@@ -185,15 +185,15 @@ class Listener:
             }  # fmt: skip
             self._tell({"kind": "log", "lines": [line]}, keep=False)
 
-    # What is sent as often as browsers can draw it
+    # Messages that are sent at the rate at which browsers can draw
 
     def tick(self) -> None:
-        """Tell the browsers the newest of what has come since the last tick."""
+        """Send the newest messages since the last tick to the browsers."""
         newest, self._newest = self._newest, {}
         for topic, msg in newest.items():
             try:
                 TOPICS[topic].take(self, msg)
-            except (PlateError, ValueError) as error:  # the latter: NaN, which JSON has no word for
+            except (PlateError, ValueError) as error:  # ValueError: NaN in JSON
                 warn = self._node.get_logger().warning
                 warn(f"{topic}: {error}", throttle_duration_sec=WARN_PERIOD_S)
 
@@ -230,7 +230,7 @@ class Listener:
 
     def _show_image(self, msg: Image) -> None:
         if not any(map(self._server.wants, TOPICS["image_raw"].watched)):
-            return  # of a recorded run
+            return  # from a recorded run
         image, stamp = image_to_array(msg), seconds(msg.header.stamp)
         image = image[..., ::-1] if msg.encoding == "rgb8" else image
         now = time.monotonic()
@@ -245,7 +245,7 @@ class Listener:
         self._tell(aim_scene(msg), keep=False)
 
     def tick_slowly(self) -> None:
-        """Tell the browsers of nodes and times."""
+        """Send node states and times to the browsers."""
         if not self._server.browsers:
             return
         now = time.monotonic()
@@ -277,9 +277,12 @@ class Listener:
 
 
 class Topic(NamedTuple):
-    """A topic to subscribe to, and the function that takes its messages: each one at once, or only
-    the newest as often as browsers can draw it. If `watched` is not empty, it is subscribed to only
-    while a browser watches one of these."""
+    """A topic to subscribe to, and the function that handles its messages.
+
+    If `at_once`, each message is handled on arrival; otherwise only the newest one, at the rate at
+    which browsers can draw. If `watched` is not empty, the topic is subscribed to only while a
+    browser watches one of these.
+    """
 
     kind: type
     qos: QoSProfile
@@ -303,4 +306,4 @@ TOPICS: Mapping[str, Topic] = {
     "image_raw": Topic(Image, CAMERA, Listener._show_image, watched=("image", "camera")),
     "aim": Topic(Aim, DATA, Listener._show_aim, watched=("camera",)),
 }
-"""By name of a topic."""
+"""Topics by name."""

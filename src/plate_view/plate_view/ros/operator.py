@@ -1,4 +1,4 @@
-"""Does what a browser asks for: by the graph's public actions, services, topics and parameters."""
+"""Executes browsers' commands by the graph's public actions, services, topics and parameters."""
 
 from __future__ import annotations
 
@@ -48,27 +48,28 @@ from .caller import ANSWER_S, Caller
 from .listener import Listener
 
 FOUND_S = 2.0
-"""Longest wait for an action to be found [s]."""
+"""Maximum time to discover an action server [s]."""
 
 MOVE_TOLERANCE_M, MOVE_TOLERANCE_RAD = 0.001, 0.05
-"""When a part that was dragged counts as there."""
+"""Tolerances at which a dragged part counts as arrived."""
 
 MOST_SQUARES = 255
-"""Maximum squares along a side of a board in TakeLensPictures. The detector allows fewer."""
+"""Maximum number of squares along a side of a board in TakeLensPictures. The detector allows
+fewer."""
 
 FOLLOW_ERROR_M, FOLLOW_LIMIT_S = 0.02, 600.0
-"""A part further from its drawn path ends the task, and so does a longer time."""
+"""Maximum distance of a part from its drawn path, and maximum time; beyond them the task ends."""
 
 SECRET = ("operator_token", "viewer_token")
-"""Parameters that no browser gets."""
+"""Parameters that are not sent to browsers."""
 
 REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
-"""Reasons why a task has never begun."""
+"""Reasons for which a task does not begin."""
 
 
 @dataclass(eq=False)
 class Goal:
-    """A goal that the page has sent; `handle` comes with the planner's answer."""
+    """A goal that the page has sent. `handle` is set when the planner accepts it."""
 
     task: Task
     handle: Any = None
@@ -76,7 +77,7 @@ class Goal:
 
 
 class Operator:
-    """The calls that a browser may ask for.
+    """Executes the commands of browsers.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ class Operator:
     publish : callable
         Publishes on the topic `targets`.
     expected : Scenario or None
-        What runs when a task runs that the page has not started.
+        Scenario assumed for a running task that the page has not started.
     """
 
     def __init__(
@@ -96,12 +97,12 @@ class Operator:
         self._caller = Caller(node)
         self._call = self._caller.call
         self._goal: Goal | None = None  # of the task that the page has started
-        self._next: tuple[Asked, str, Any] | None = None  # a goal that waits for the end of that
+        self._next: tuple[Asked, str, Any] | None = None  # goal to send when that task has ended
         self._waiting: dict[str, dict[str, Any]] | None = None  # targets until the task runs
-        self._asking: dict[str, list[Asked]] = {}  # by node that tells its parameters: who waits
+        self._asking: dict[str, list[Asked]] = {}  # waiting requests for a node's parameters
 
     def begin(self, server: PageServer, listener: Listener) -> None:
-        """Work for these browsers."""
+        """Start to work for these browsers."""
         self._server, self._listener = server, listener
         self._goal = self._next = self._waiting = None
         self._shown = ""
@@ -110,13 +111,13 @@ class Operator:
         listener.told = self._on_task
 
     def close(self) -> None:
-        """Let go of all clients."""
+        """Destroy all clients."""
         self._caller.close()
         for action in self._actions.values():
             action.destroy()
 
     def do(self, browser: Socket, command: Command) -> None:
-        """Do a command; its answer goes to the browser, the call to all of them."""
+        """Execute a command. The browser gets the reply, all browsers see the call."""
         asked = Asked(self._server, browser, command)
         try:
             DONE[command.name](self, asked)
@@ -134,7 +135,7 @@ class Operator:
         self._call(asked, SetBool, "enable", request, asked.done)
 
     def _reset(self, asked: Asked) -> None:
-        """Put the parts down anew; the detector counts them anew too, so that names begin at 1."""
+        """Reset the simulator's parts, then the detector, so that ids restart at 1."""
         seed, request = asked.values["seed"], Trigger.Request()
 
         def forget(answer: Any) -> None:
@@ -165,7 +166,7 @@ class Operator:
         self._call(asked, RemovePart, "simulator/remove_part", request, asked.done)
 
     def _take_lens_pictures(self, asked: Asked) -> None:
-        """Take pictures of a board. Numbers that the message cannot hold are refused here."""
+        """Take pictures of a board. Refuse numbers outside the range of the message."""
         given = {key: value for key, value in asked.values.items() if value is not None}
         for side in ("columns", "rows"):
             if given.get(side, 0) > MOST_SQUARES:
@@ -185,7 +186,7 @@ class Operator:
     def _set_value(
         self, asked: Asked, node: str, name: str, value: Any, then: Callable[[], None]
     ) -> None:
-        """Set a parameter, then go on."""
+        """Set a parameter, then call `then`."""
 
         def told(answer: Any) -> None:
             (result,) = answer.results
@@ -208,7 +209,7 @@ class Operator:
         self._call(asked, SetParameters, f"{self._found(node)}/set_parameters", request, told)
 
     def _found(self, name: str) -> str:
-        """Return the name of a node that is there: for others no client is made."""
+        """Return the name of an existing node. Clients are not made for other names."""
         here = self._node.get_namespace()
         nodes = self._node.get_node_names_and_namespaces()
         there = sorted({each for each, space in nodes if space == here})
@@ -217,7 +218,7 @@ class Operator:
         return name
 
     def _parameters(self, asked: Asked) -> None:
-        """Tell a node's parameters; while it answers, others wait for the next time."""
+        """Send a node's parameters. Further requests wait until the present one is complete."""
         node = asked.values["node"]
         if node in self._asking:
             self._asking[node].append(asked)
@@ -225,7 +226,7 @@ class Operator:
             self._ask_parameters(asked, self._found(node))
 
     def _ask_parameters(self, asked: Asked, node: str, others: Sequence[Asked] = ()) -> None:
-        """Ask for names, then values, then what is allowed."""
+        """Request the names, then the values, then the descriptions of parameters."""
         self._asking[node] = []
 
         def end(ok: bool, text: str) -> None:
@@ -279,7 +280,7 @@ class Operator:
         self._send_after_move(asked, name, goal)
 
     def _send(self, asked: Asked, name: str, goal: Any) -> None:
-        """Send a goal; the answer is that it runs, or why it does not."""
+        """Send a goal. Reply when it runs, or why it does not."""
         client, end = self._actions[name], time.monotonic() + FOUND_S
         before: Goal | None = None
         own = Goal(goal_to_scenario(goal).task)
@@ -293,7 +294,7 @@ class Operator:
 
         def never_began(text: str) -> None:
             own.ended = True
-            if self._goal is own:  # what ran before still does
+            if self._goal is own:  # the previous task still runs
                 self._goal = None if before is None or before.ended else before
             tell(False, text)
 
@@ -304,7 +305,7 @@ class Operator:
             handle = future.result()
             if not handle.accepted:
                 never_began("the planner refused the goal")
-            elif own.ended:  # too late: nobody asks for it any more
+            elif own.ended:  # accepted too late
                 handle.cancel_goal_async()
             else:
                 own.handle = handle
@@ -326,7 +327,7 @@ class Operator:
         def tick() -> None:
             nonlocal before, end
             if not sent and client.server_is_ready():
-                # Before the goal goes: task_status says that it runs before the planner answers.
+                # Set before sending: task_status reports the task before the planner accepts.
                 before, self._goal = self._goal, own
                 sent.append(client.send_goal_async(goal, feedback_callback=on_feedback))
                 sent[0].add_done_callback(on_answer)
@@ -342,7 +343,7 @@ class Operator:
         tick()
 
     def _cancel(self, asked: Asked) -> None:
-        """Cancel whatever runs; the zero id and stamp stand for every goal (CancelGoal)."""
+        """Cancel all running goals: a zero id and stamp mean every goal (CancelGoal)."""
         left, found = list(ACTIONS), [0]
 
         def told(answer: Any) -> None:
@@ -358,7 +359,7 @@ class Operator:
             self._call(asked, CancelGoal, service, request, told)
 
     def _move(self, asked: Asked) -> None:
-        """Publish targets; begin the task for it if none runs."""
+        """Publish targets, and start the task `move` if no task runs."""
         targets = {target["id"]: target for target in asked.values["targets"]}
         task = self._listener.task
         running = task.state == TaskStatus.RUNNING
@@ -367,7 +368,7 @@ class Operator:
             asked.accept("")
         elif running:
             raise PlateError(f"a task runs ({task.task}): cancel it first")
-        elif self._waiting is not None:  # it begins at any moment
+        elif self._waiting is not None:  # the task is about to start
             self._waiting |= targets
             asked.accept("")
         else:
@@ -394,7 +395,7 @@ class Operator:
         self._waiting = None
 
     def _on_task(self) -> None:
-        """Show where a task that begins wants parts, and send the targets that came before it."""
+        """Show the target places of a task that begins, and send the targets that waited for it."""
         status = self._listener.task
         running = status.task if status.state == TaskStatus.RUNNING else ""
         if running != self._shown:
@@ -415,7 +416,7 @@ class Operator:
         self._publish(msg)
 
     def _follow(self, asked: Asked) -> None:
-        """Let a part follow a path that was drawn."""
+        """Start a task in which a part follows a drawn path."""
         part, closed, speed = (asked.values[key] for key in ("id", "closed", "speed"))
         if not any(each.id == part for each in self._listener.parts.parts):
             raise PlateError(f"follow: no part {part!r} is seen")
@@ -429,12 +430,13 @@ class Operator:
         self._send_after_move(asked, "follow_paths", goal)
 
     def _send_after_move(self, asked: Asked, name: str, goal: Any) -> None:
-        """Send a goal; the task `move` of this page, which has no end of its own, makes way.
+        """Send a goal. If this page's task `move`, which does not end by itself, runs, cancel it
+        first.
 
         Raises
         ------
         ScenarioError
-            If the rig cannot do it: nothing has ended then.
+            If the rig cannot execute the goal. Then nothing is canceled.
         """
         check_scenario(goal_to_scenario(goal), self._rig)
         own = self._goal
@@ -446,7 +448,7 @@ class Operator:
             self._send(asked, name, goal)
 
     def _counts(self) -> list[PartCount]:
-        """Return how many parts of each type the newest image shows."""
+        """Return the number of parts of each type in the newest image."""
         types = [part_class(part.id) for part in self._listener.parts.parts]
         if not types:
             raise PlateError("no parts are seen yet")
@@ -457,7 +459,7 @@ KINDS = {
     SortTask: "sort", FollowTask: "follow", AssembleTask: "assemble", PoseTask: "pose",
     FeedTask: "feed",
 }  # fmt: skip
-"""What task_status calls the tasks that have places to show."""
+"""Names in task_status of the tasks with target places to show."""
 
 DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
     "learn_plate": Operator._trigger,
@@ -480,11 +482,12 @@ DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
     "measure_friction": Operator._measure_friction,
     "write_friction": Operator._trigger,
 }
-"""By command: what does it; what stops is done by `Stops`."""
+"""Function for each command. Commands that stop are executed by `Stops`."""
 
 
 def _given(msg: Any) -> Any:
-    """Return what a message says beyond a new one of its kind: mappings, lists and plain values."""
+    """Return the fields of a message that differ from their defaults, as mappings, lists,
+    values."""
     if hasattr(msg, "get_fields_and_field_types"):
         values = {name: getattr(msg, name) for name in msg.get_fields_and_field_types()}
         new = type(msg)()
@@ -495,7 +498,7 @@ def _given(msg: Any) -> Any:
 
 
 def _parameter(name: str, value: Any, about: Any) -> dict[str, Any]:
-    """Return a parameter as the page shows it."""
+    """Return a parameter's name, value and description for the page."""
     ranges = [*about.floating_point_range, *about.integer_range]
     text, plain = about.additional_constraints, parameter_value_to_python(value)
     return {

@@ -1,4 +1,4 @@
-"""A recorded run, played to the page in place of the graph."""
+"""Replay of a recorded run, which the page shows instead of the graph."""
 
 from __future__ import annotations
 
@@ -15,35 +15,36 @@ from plate_core import PlateError
 from plate_core.files import check_file
 
 BEFORE_S = 1.5
-"""A jump shows what was said last before it, within so long [s]; what is latched, from any time."""
+"""After a seek the last messages within this time are shown [s]; latched topics at any age."""
 
 LATCHED_TOPICS = ("task_status", "driver_status", "part_targets")
 
 BAG_BYTES, METADATA_BYTES = 10**12, 10**6
-"""Most in a bag's files: messages are read one by one, but metadata.yaml as a whole."""
+"""Maximum size of a bag's data files, which are read message by message, and of metadata.yaml,
+which is read as a whole [bytes]."""
 
 RATES = 0.05, 20.0
-"""Allowed, recorded seconds per second."""
+"""Allowed range of the rate, in recorded seconds per second."""
 
 Hear = Callable[[str, Any], None]
 
 
 class Replay:
-    """Plays a bag.
+    """Plays a recorded bag.
 
     Parameters
     ----------
     folder : str or path
-        A bag as `ros2 bag record` and `make demo ARGS=--record` write it.
+        Folder of a bag from `ros2 bag record` or `make demo ARGS=--record`.
     kinds : mapping of str to type
-        Topics that are played, and the types of their messages.
+        Types of the messages of the topics to play.
     hear : callable
-        Called with topic and message.
+        Called with the topic and each message.
 
     Attributes
     ----------
     begin, end, now : float
-        [s, of the recording].
+        Begin, end and present time [s of the recording].
     playing : bool
     rate : float
         Recorded seconds per second.
@@ -53,7 +54,7 @@ class Replay:
     Raises
     ------
     PlateError
-        If it cannot be read, or has none of the topics.
+        If the bag cannot be read, or contains none of the topics.
     """
 
     def __init__(self, folder: str | Path, kinds: Mapping[str, type], hear: Hear) -> None:
@@ -81,7 +82,7 @@ class Replay:
         self._played_at = time.monotonic()
         latched = [each for each in self._chosen if self._name(each) in LATCHED_TOPICS]
         self._latched: list[Any] = []
-        with contextlib.suppress(PlateError):  # up to where it is damaged
+        with contextlib.suppress(PlateError):  # read up to a damaged place
             self._latched.extend(self._messages(latched) if latched else ())
         self.seek(self.begin)
 
@@ -94,18 +95,18 @@ class Replay:
         self._reader.close()
 
     def play(self, playing: bool) -> None:
-        """Go on, or stand still; at the end it begins again."""
+        """Start or pause. At the end, start again from the beginning."""
         if playing and self.now >= self.end:
             self.seek(self.begin)
         self.playing, self._played_at, self.problem = playing, time.monotonic(), ""
 
     def set_rate(self, rate: float) -> None:
-        """Play faster or slower.
+        """Set the rate.
 
         Raises
         ------
         PlateError
-            If it is not allowed.
+            If the rate is out of range.
         """
         low, high = RATES
         if not low <= rate <= high:
@@ -113,12 +114,12 @@ class Replay:
         self.rate = rate
 
     def seek(self, t: float) -> None:
-        """Jump to a time [s], and show what was known then.
+        """Jump to a time [s], and show the state at that time.
 
         Raises
         ------
         PlateError
-            If the bag is damaged there.
+            If the bag is damaged at that place.
         """
         self.now = t = min(max(t, self.begin), self.end)
         self._coming, self._next, self.problem = iter(()), None, ""
@@ -136,7 +137,7 @@ class Replay:
         self._played_at = time.monotonic()
 
     def step(self) -> None:
-        """Play what is due; where the bag is damaged it stops, and `problem` says why."""
+        """Play the messages that are due. At a damaged place stop, and set `problem`."""
         now = time.monotonic()
         elapsed, self._played_at = now - self._played_at, now
         try:
@@ -167,13 +168,13 @@ class Replay:
     def _messages(self, chosen: list[Any], *interval: int) -> Iterator[Any]:
         try:
             yield from self._reader.messages(chosen, *interval)
-        except Exception as error:  # in a damaged file the library stumbles over anything
+        except Exception as error:  # the library raises any kind for a damaged file
             raise _damaged(error) from None
 
     def _tell(self, name: str, data: bytes) -> None:
         try:
             msg = deserialize_message(bytes(data), self._kinds[name])
-        except Exception as error:  # of rmw, which has no public name for it
+        except Exception as error:  # from rmw, without a public name
             raise _damaged(error) from None
         self._hear(name, msg)
 
@@ -183,4 +184,4 @@ def _damaged(error: Exception) -> PlateError:
 
 
 KEPT = ("rosout", "diagnostics")
-"""Topics of which each message counts; of others the newest."""
+"""Topics whose every message is passed on; of other topics only the newest."""

@@ -1,4 +1,4 @@
-"""Commands that stop: nothing else that the page does holds them up."""
+"""Commands that stop the plate. Other work of the page cannot delay them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .asked import Asked
 from .caller import Caller
 
 END_S = 2.0
-"""Longest wait for the thread at the end [s]."""
+"""Maximum wait for the thread to end [s]."""
 
 
 class Stops:
-    """Calls the services that stop, by a node and a thread of its own.
+    """Calls the stop services with a separate node on a separate thread.
 
     Parameters
     ----------
     node : Node
-        The page's.
+        Node of the page.
     """
 
     def __init__(self, node: Node) -> None:
@@ -34,7 +34,7 @@ class Stops:
             use_global_arguments=False, start_parameter_services=False, enable_rosout=False,
         )  # fmt: skip
         self._caller = Caller(self._node)
-        for name in URGENT:  # found before they are needed
+        for name in URGENT:  # discover the services before they are needed
             self._caller.client(Trigger, name)
         self._guard = self._node.create_guard_condition(self._call)
         self._executor = SingleThreadedExecutor(context=node.context)
@@ -44,12 +44,12 @@ class Stops:
         self._thread.start()
 
     def do(self, asked: Asked) -> None:
-        """Call a service, from any thread; the answer goes to who has asked."""
+        """Call a service, from any thread. The reply goes to the browser that sent the command."""
         self._waiting.append(asked)
         self._guard.trigger()
 
     def close(self) -> None:
-        """End the thread, and let go of the node."""
+        """End the thread, and destroy the node."""
         self._ended = True
         self._guard.trigger()
         self._thread.join(END_S)
@@ -62,7 +62,8 @@ class Stops:
                 self._executor.spin_once()
 
     def _call(self) -> None:
-        """Make one call for all that wait, by name: however many come, they are soon done."""
+        """Make one call for all waiting commands of a name, so that many commands do not delay each
+        other."""
         waiting: dict[str, list[Asked]] = {}
         while self._waiting:
             asked = self._waiting.popleft()

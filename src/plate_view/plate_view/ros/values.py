@@ -1,4 +1,4 @@
-"""Values of messages as JSON can have them."""
+"""Message values converted for JSON."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 def state_names(kind: type, *names: str) -> dict[int, str]:
-    """Return the names of a message's constants, in lower case, by their values."""
+    """Return the lower-case names of a message's constants by their values."""
     return {getattr(kind, name): name.lower() for name in names}
 
 

@@ -1,11 +1,11 @@
-// The camera's picture, with the detector's measurements in it: to aim, focus and light by.
+// The camera's picture with the detector's measurements: for aiming, focusing and lighting the camera.
 
 import { known, on } from "./bus.js";
 import { Chart } from "./charts.js";
 import { byId, colour, fitted, tell } from "./dom.js";
 
 const FONT = "12px system-ui, sans-serif";
-const EXPECTED = "#00b4ff"; // on pictures of any brightness, in every theme; dashes mark it too
+const EXPECTED = "#00b4ff"; // visible on pictures of any brightness and in every theme; also dashed
 const SEEN = "#ffb000";
 const TAKEN = "#30e090";
 const LEFT = "#ff6a5a";
@@ -25,12 +25,12 @@ export class AimView {
     new ResizeObserver(() => this.draw()).observe(byId("plate-box"));
   }
 
-  /** The detector's last measurements, or undefined. */
+  /** The detector's latest measurements, or undefined. */
   get known() {
     return known.aim;
   }
 
-  /** Show a picture; skip pictures while one is being unpacked. */
+  /** Show a picture. Pictures that arrive while one is being decoded are skipped. */
   async #take({ jpeg, width, height }) {
     if (this.unpacking) return;
     this.unpacking = true;
@@ -40,7 +40,7 @@ export class AimView {
       await picture.decode();
       Object.assign(this, { picture, width, height });
     } catch {
-      this.picture = null; // not a picture
+      this.picture = null; // not a valid picture
     }
     this.unpacking = false;
     this.draw();
@@ -128,7 +128,7 @@ function label(context, words, x, y, ink, align = "center") {
   context.fillText(words, x, y);
 }
 
-/** Bars on a logarithmic scale, so that a few clipped pixels are seen; the ends in red. */
+/** Bars on a logarithmic scale, so that a few clipped pixels are visible; the end bars in red. */
 function histogram(aim) {
   const { context, width, height } = fitted(byId("histogram"));
   const bins = aim?.histogram ?? [];

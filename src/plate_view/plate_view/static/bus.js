@@ -1,4 +1,4 @@
-// What the server told last, and who wants to know.
+// The latest messages from the server, and their listeners.
 
 /** The newest message of each kind. */
 export const known = {};
@@ -11,7 +11,7 @@ export function on(kind, listener) {
   listeners.get(kind).push(listener);
 }
 
-/** Keep a message and tell the listeners of its kind; a fault in one does not keep it from the others. */
+/** Store a message and call the listeners of its kind. An error in one listener does not affect the others. */
 export function publish(message) {
   known[message.kind] = message;
   for (const listener of listeners.get(message.kind) ?? []) {

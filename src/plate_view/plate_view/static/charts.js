@@ -1,4 +1,4 @@
-// Curves over the last minute.
+// Curves of the last minute.
 
 import { on } from "./bus.js";
 import { byId, colour, fitted, seldom } from "./dom.js";
@@ -10,7 +10,7 @@ const RIGHT = 74;
 const FOOT = 14;
 
 export class Chart {
-  /** `curves`: [[name, colour variable, dash], ...]; `least`: where a logarithmic axis begins, 0: from zero */
+  /** `curves`: [[name, colour variable, dash], ...]; `least`: minimum of a logarithmic axis, 0: linear axis from zero */
   constructor(id, unit, curves, least = 0) {
     Object.assign(this, { canvas: byId(id), unit, curves, least, points: [] });
     this.later = seldom(REDRAW_MS, () => this.draw());
@@ -92,7 +92,7 @@ function linearAxis(values) {
   return { ticks: [0, top / 2, top], share: (value) => value / top };
 }
 
-/** An axis over whole decades, from `least` [same unit]. */
+/** An axis of whole decades, from `least` [same unit]. */
 function logAxis(values, least) {
   const decades = Math.max(2, Math.ceil(Math.log10(Math.max(least, ...values) / least)));
   const ticks = Array.from({ length: decades + 1 }, (_, i) => least * 10 ** i);
@@ -105,7 +105,7 @@ export function charts() {
   const latency = new Chart("latency", "ms", [["median", "--curve-1", []], ["p99", "--curve-2", [5, 3]]]);
   on("task", ({ state, progress }) => {
     if (state !== "running" || !progress) return;
-    const show = (metres) => (metres ? 1000 * metres : NaN); // 0: not of this task
+    const show = (metres) => (metres ? 1000 * metres : NaN); // 0: not defined for this task
     errors.add([show(progress.rms_error_m), show(progress.max_error_m), show(progress.to_go_m)]);
   });
   on("timing", ({ latency_ms: ms }) => latency.add([ms?.median ?? NaN, ms?.p99 ?? NaN]));

@@ -1,11 +1,11 @@
-// The running cycle in slow motion: the plate's outline as it moves, much enlarged, and its rotation centres.
+// The running cycle in slow motion: the enlarged motion of the plate's outline, and its rotation centres.
 
 import { known, on } from "./bus.js";
 import { byId, colour, fitted, tell } from "./dom.js";
 
 const SHOWN_S = 3; // one cycle takes this long on the screen
 const FRAME_MS = 50;
-const STRETCH = 0.12; // the plate moves on the screen by this share of its length
+const STRETCH = 0.12; // amplitude of the plate's motion on the screen, as a fraction of its length
 const SENSE = { 1: "--ccw", [-1]: "--cw" };
 
 export class CycleView {
@@ -18,7 +18,7 @@ export class CycleView {
     });
   }
 
-  /** One picture; a newer cycle is taken up when this one has been shown to its end. */
+  /** Draw one frame. A newer cycle is shown when this one has ended. */
   #frame() {
     if (document.hidden) return;
     const now = performance.now() / 1000;
@@ -82,7 +82,7 @@ export class CycleView {
   }
 }
 
-/** The pose at a phase of 0 to 1, between samples. */
+/** The pose at a phase of 0 to 1, interpolated between samples. */
 function between(pose, phase) {
   const place = Math.min(Math.max(phase, 0), 1) * (pose.length - 1);
   const i = Math.min(Math.floor(place), pose.length - 2);

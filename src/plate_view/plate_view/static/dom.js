@@ -1,8 +1,8 @@
-// Small helpers for elements and numbers.
+// Helper functions for elements and numbers.
 
 export const byId = (id) => document.getElementById(id);
 
-/** An element: `props` are properties, or attributes where there is no such property. */
+/** Create an element. `props` are properties, or attributes if there is no such property. */
 export function el(tag, props = {}, ...children) {
   const node = document.createElement(tag);
   for (const [name, value] of Object.entries(props)) {
@@ -13,7 +13,7 @@ export function el(tag, props = {}, ...children) {
   return node;
 }
 
-/** Set the text only where it changed: cheap to call often. */
+/** Set the text only if it changes, so that frequent calls are cheap. */
 export function tell(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
@@ -30,7 +30,7 @@ export const degrees = (radians, digits = 0) =>
 
 export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 
-/** Call `work` at most once in `ms`, with the newest wish; the last wish is never lost. */
+/** Call `work` at most once in `ms` with the newest arguments; the last call is never lost. */
 export function seldom(ms, work) {
   let timer = 0;
   return () => {
@@ -41,7 +41,7 @@ export function seldom(ms, work) {
   };
 }
 
-/** A canvas in the size it has on the screen: its context, width and height in CSS pixels. */
+/** Resize a canvas to its size on the screen; return its context, width and height in CSS pixels. */
 export function fitted(canvas) {
   const ratio = Math.min(2, window.devicePixelRatio || 1);
   const width = Math.max(1, canvas.clientWidth);

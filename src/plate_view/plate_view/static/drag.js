@@ -1,24 +1,24 @@
-// The pointer on the plate: targets, paths, several parts at once, parts moved by hand.
+// The pointer on the plate: drag targets, select several parts, draw paths, move simulated parts.
 
 import { known, on } from "./bus.js";
 import { byId, clamp, mm, seldom, tell } from "./dom.js";
 
-const NEAR_PX = 12; // a part is hit this far beyond its rim
-const UNANSWERED = 3; // so many moves may be on their way
+const NEAR_PX = 12; // a part is hit within this distance of its edge
+const UNANSWERED = 3; // maximum number of moves without a reply
 const STEP_M = 0.004; // between the points of a drawn path
-const REFUSED_MS = 5000; // a refusal stays this long at its target
-const BY_HAND = "by hand"; // in place of a part's id: the simulator names parts in its own way
-const WISH_MS = 2000; // a wish that was answered, but with another target, stays this long
+const REFUSED_MS = 5000; // how long a refusal is shown at its target
+const BY_HAND = "by hand"; // instead of a part's id: the simulator uses other names
+const WISH_MS = 2000; // how long a request is shown whose confirmed target differs
 
 const HINTS = {
-  target: "Drag a part or a target. Shift and click: several. The round knob turns.",
-  select: "Draw a frame around parts, then drag one of them: all go, in their pattern.",
+  target: "Drag a part or a target. Shift and click: several. The round knob rotates.",
+  select: "Draw a frame around parts, then drag one of them: all move, in their pattern.",
   path: "Draw from a part with the pointer pressed.",
-  hand: "Simulator: drag a part to where it shall lie.",
+  hand: "Simulator: drag a part to its new place.",
 };
 
 export class Drag {
-  /** `ask(command, output)` sends a command and shows its answer in the output. */
+  /** `ask(command, output)` sends a command and shows its reply in the output. */
   constructor(view, connection, ask) {
     Object.assign(this, { view, connection, ask, grip: null, due: new Set(), open: 0, mode: "target" });
     this.answer = byId("plate-answer");
@@ -50,7 +50,7 @@ export class Drag {
     tell(byId("hint"), HINTS[mode]);
   }
 
-  /** Forget the selection, the drawn path and what is being dragged. */
+  /** Clear the selection, the drawn path and the drag. */
   drop() {
     Object.assign(this.view, { drawn: null, band: null, hold: null });
     this.view.chosen.clear();
@@ -59,7 +59,7 @@ export class Drag {
     this.view.draw(true);
   }
 
-  /** Send parts to places: [{id, x, y, angle}]; drawn as a wish until the planner confirms. */
+  /** Request targets for parts: [{id, x, y, angle}]; drawn as unconfirmed until the planner confirms. */
   send(targets) {
     for (const { id, x, y, angle } of targets) {
       this.view.ghosts.set(id, { x, y, angle: angle ?? null, refused: null, asked: performance.now() });
@@ -78,7 +78,7 @@ export class Drag {
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
-  /** The part whose target, or which itself, lies under the pointer. */
+  /** The part at the pointer, or whose target is there. */
   #hit([px, py], targetsToo, parts = this.view.parts) {
     let best = null;
     for (const part of parts) {
@@ -103,7 +103,7 @@ export class Drag {
     this.view.draw(true);
   }
 
-  /** What a press here takes hold of; null: nothing. */
+  /** The thing that a press at this place would drag; null: nothing. */
   #grasp(at, shift) {
     const { view } = this;
     const knob = view.knob();
@@ -136,7 +136,7 @@ export class Drag {
     return hit && this.#carry([hit.id], at, view.part(hit.id) !== hit.spot);
   }
 
-  /** Parts taken along by the pointer: from their targets, or from where they lie. */
+  /** The parts that the pointer drags, from their targets or their places. */
   #carry(ids, at, fromTargets = false) {
     const [x, y] = this.view.toPlate(...at);
     const offsets = ids
@@ -165,7 +165,7 @@ export class Drag {
     this.send(grip.offsets.map(({ id, dx, dy, angle }) => ({ id, ...this.#within(x + dx, y + dy, this.view.part(id)?.type), angle })));
   }
 
-  /** A place for a part of this type: wholly on the plate. */
+  /** A place for a part of this type, moved completely onto the plate. */
   #within(x, y, type) {
     const { length, width } = this.view.rig;
     const rim = this.view.reach(type);
@@ -222,7 +222,7 @@ export class Drag {
     view.draw(true);
   }
 
-  /** The last word on targets that were dragged: where they were let go. */
+  /** Send the final targets at the end of a drag. */
   #rest(ids) {
     for (const id of ids) if (this.view.ghosts.has(id)) this.due.add(id);
     this.#pump();
@@ -239,7 +239,7 @@ export class Drag {
     this.ask({ do: "follow", id, points, speed, closed }, this.answer).then(({ ok }) => ok && this.drop());
   }
 
-  /** In the simulator: put a part where the pointer is; once per frame. */
+  /** In the simulator: place a part at the pointer, once per frame. */
   #place({ part, dx, dy }, x, y) {
     const spot = this.#within(x + dx, y + dy, part.type);
     this.hand = { do: "place", id: part.id, type: part.type, ...spot, angle: part.angle ?? 0 };
@@ -247,7 +247,7 @@ export class Drag {
     this.#pump();
   }
 
-  /** Send what is due, at most once per frame, and only what the line takes. */
+  /** Send due commands at most once per frame, and only as fast as the connection takes them. */
   #pump() {
     if (this.planned) return;
     this.planned = true;
@@ -305,7 +305,7 @@ export class Drag {
     this.view.draw();
   }
 
-  /** No task runs: what was asked a while ago will not come. */
+  /** No task runs: discard older unconfirmed requests. */
   #forget() {
     for (const [id, { asked, refused }] of this.view.ghosts) {
       if (!refused && !this.grip?.ids?.includes(id) && performance.now() - asked > WISH_MS) this.view.ghosts.delete(id);
@@ -313,7 +313,7 @@ export class Drag {
     this.view.draw();
   }
 
-  /** A wish that the planner has confirmed is no longer shown as one. */
+  /** Remove requests that the planner has confirmed. */
   #confirmed() {
     const held = new Set(this.grip?.ids ?? []);
     for (const { id, x, y, angle } of known.targets?.targets ?? []) {

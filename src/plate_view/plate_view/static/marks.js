@@ -1,5 +1,5 @@
-// How each thing on the plate is drawn. Colours are for a light plate in every theme; form tells what a
-// colour tells: targets are crosses, what is not confirmed is dashed, rotation centres have an arrow.
+// Drawing of each thing on the plate. Colours suit a light plate in every theme. Shapes repeat what colours
+// say: targets are crosses, unconfirmed things are dashed, rotation centres have an arrow.
 
 import { clamp, degrees, mm } from "./dom.js";
 
@@ -14,7 +14,7 @@ export const DRIFT = "#6d3f92";
 export const FORCE = "#3d525f";
 const SENSE = { 1: "#a85a00", [-1]: "#0b5f96" };
 const GRID_M = 0.05;
-const FEW = 8; // rotation centres
+const FEW = 8; // number of rotation centres up to which each has an arrow
 const FONT = "system-ui, sans-serif";
 
 function line(context, colour, width, dash = []) {
@@ -105,7 +105,7 @@ function stamped(context, view, { x, y, angle }, type, reach, paint) {
   context.restore();
 }
 
-/** A part: filled where no image lies under it; dashed where it was not seen in the last image. */
+/** A part: filled if there is no image below it; dashed if it was not seen in the last image. */
 export function part(context, view, part, { filled, chosen }) {
   const type = view.type(part.type);
   stamped(context, view, part, type, view.reach(part.type), (path, pixel) => {
@@ -142,7 +142,7 @@ export function name(context, view, part, reach) {
   text(context, part.seen ? part.id : `${part.id} (not seen)`, x + off, y - off);
 }
 
-/** The ellipse of two standard deviations, `times` as large. */
+/** The ellipse of two standard deviations, enlarged `times`. */
 export function spread(context, view, { x, y, sd }, times) {
   const [rx, ry] = [2 * times * sd[0] * view.scale, 2 * times * sd[1] * view.scale];
   if (!(rx > 0 && ry > 0)) return;
@@ -195,7 +195,7 @@ export function target(context, view, target, part, reach) {
   aimed(context, view, target, part, reach, TARGET, []);
 }
 
-/** A target that was asked for and is not confirmed: dashed, with its distance. */
+/** A requested target that is not confirmed: dashed, with its distance. */
 export function ghost(context, view, ghost, part, reach) {
   const [x, y, size] = aimed(context, view, ghost, part, reach, GHOST, [4, 3]);
   if (ghost.refused) {
@@ -211,7 +211,7 @@ export function ghost(context, view, ghost, part, reach) {
   }
 }
 
-/** The knob that turns a target. */
+/** The knob that rotates a target. */
 export function knob(context, view, knob) {
   if (!knob) return;
   context.beginPath();
@@ -225,7 +225,7 @@ export function knob(context, view, knob) {
   line(context, GHOST, 2);
 }
 
-/** What the planner asks of a part now: the interval it is to come to, and the force. */
+/** The planner's request for a part: the target interval, and the force. */
 export function wanted(context, view, wish) {
   const part = view.part(wish.id);
   if (!part) return;
@@ -260,7 +260,7 @@ function arrow(context, x, y, dx, dy, colour, width) {
   line(context, colour, width);
 }
 
-/** A field of vectors on a grid; the longest arrow is as long as the grid is wide, and tells its size. */
+/** A vector field on a grid. The longest arrow has the grid's spacing; its value is written beside it. */
 export function arrows(context, view, { x, y }, vectors, colour, unit, factor) {
   const greatest = Math.max(1e-12, ...vectors.map(([u, v]) => Math.hypot(u, v)));
   const step = view.scale * Math.min(Math.abs((x[1] ?? 1) - x[0]), Math.abs((y[1] ?? 1) - y[0]));
@@ -275,8 +275,8 @@ export function arrows(context, view, { x, y }, vectors, colour, unit, factor) {
   text(context, `longest arrow ${(factor * greatest).toPrecision(2)} ${unit}`, left + 6, bottom - row, { colour, size: 11, weight: 600 });
 }
 
-/** Rotation centres: a few with an arrow; of many, as where the centre wanders, rings turn counter-clockwise
- * and crosses clockwise. */
+/** Rotation centres: a few with an arrow. If there are many, as for a moving centre, rings mark
+ * counter-clockwise and crosses clockwise rotation. */
 export function centres(context, view, all) {
   if (all.length <= FEW) {
     for (const each of all) centre(context, view, each);
@@ -301,7 +301,7 @@ export function centres(context, view, all) {
 }
 
 function centre(context, view, [x, y, sense]) {
-  const edge = 10; // centres may lie far from the plate
+  const edge = 10; // centres may be far from the plate
   const [px, py] = view.toPixel(x, y);
   const [cx, cy] = [clamp(px, edge, view.canvas.clientWidth - edge), clamp(py, edge, view.canvas.clientHeight - edge)];
   const colour = SENSE[Math.sign(sense)] ?? INK;
@@ -310,7 +310,7 @@ function centre(context, view, [x, y, sense]) {
   context.arc(cx, cy, 8, 0.3, 2 * Math.PI - 0.6);
   line(context, "rgb(255 255 255 / 0.9)", 4);
   line(context, colour, 2, inside ? [] : [2, 2]);
-  const end = sense > 0 ? 0.3 : 2 * Math.PI - 0.6; // seen from above, y up: counter-clockwise is against the canvas
+  const end = sense > 0 ? 0.3 : 2 * Math.PI - 0.6; // y points up: counter-clockwise is reversed on the canvas
   const [ex, ey] = [cx + 8 * Math.cos(end), cy + 8 * Math.sin(end)];
   const way = sense > 0 ? -1 : 1;
   const [tx, ty] = [-way * Math.sin(end), way * Math.cos(end)];
@@ -364,7 +364,7 @@ export function path(context, view, points, closed, colour = GHOST) {
   arrow(context, x1 - (12 * (x1 - x0)) / far, y1 - (12 * (y1 - y0)) / far, (12 * (x1 - x0)) / far, (12 * (y1 - y0)) / far, colour, 2);
 }
 
-/** A rubber band. */
+/** A selection frame. */
 export function band(context, view, { from, to }) {
   context.beginPath();
   context.rect(from[0], from[1], to[0] - from[0], to[1] - from[1]);

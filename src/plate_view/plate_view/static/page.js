@@ -1,4 +1,4 @@
-// Wiring: the connection, the drawing, the panels.
+// Connects the server, the drawing and the panels.
 
 import { known, on, publish } from "./bus.js";
 import { byId, el, tell } from "./dom.js";
@@ -21,7 +21,7 @@ import { simulator } from "./panels/simulator.js";
 import { badge, silent, status } from "./panels/status.js";
 import { tasks } from "./panels/tasks.js";
 
-const ANSWER_SHOWN_MS = 4000; // a good answer; a refusal stays until the next command
+const ANSWER_SHOWN_MS = 4000; // for a success; a refusal is shown until the next command
 
 const view = new PlateView(watch);
 const connection = new Connection(socketAddress(), { heard, image: (stamp, blob) => view.image(stamp, blob), changed });
@@ -43,7 +43,7 @@ function heard(message) {
   }
 }
 
-/** Send a command and show its answer where it was asked; `quiet`: only a refusal. */
+/** Send a command and show its reply at its control; `quiet`: show only a refusal. */
 async function ask(command, output, quiet = false) {
   if (output && !quiet) tell(output, "\u2026");
   const answer = await connection.send(command);
@@ -57,7 +57,7 @@ async function ask(command, output, quiet = false) {
   return answer;
 }
 
-/** Whether controls can be used: with a connection, not for one who only looks, not in a recorded run. */
+/** Whether controls are enabled: if connected as an operator, not in a recorded run. */
 function allow() {
   const { role, replay: recorded } = known.hello ?? {};
   const connected = connection.state === "connected" || connection.state === "silent";
@@ -93,7 +93,7 @@ on("nodes", () => {
   alarm("nodes", names.length ? `No message from ${names.join(", ")}.` : null);
 });
 
-/** Tell the server what this page wants to have. */
+/** Tell the server which data this page shows. */
 function watch() {
   if (!known.hello) return;
   const aims = byId("stage").dataset.view === "camera";
@@ -111,7 +111,7 @@ function layers() {
   }));
 }
 
-/** Tabs, by the ARIA pattern: arrow keys go from one to the next. */
+/** Tabs by the ARIA pattern: arrow keys move between them. */
 function tabs(rooms) {
   const list = byId("tabs");
   const all = rooms.map(([name, fill]) => {
@@ -143,7 +143,7 @@ function tabs(rooms) {
   open(all[0]);
 }
 
-/** Light or dark: as the system, or as chosen here. */
+/** Light or dark theme: the system's, or the one chosen here. */
 function theme(redraw) {
   const choose = byId("theme");
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -158,7 +158,7 @@ function theme(redraw) {
   apply();
 }
 
-/** After a press with mouse or finger no control keeps the focus: the space bar is then the stop. */
+/** After a click or touch no control keeps the focus, so that the space bar is the emergency stop. */
 function leaveFocus() {
   let pressed = false;
   window.addEventListener("pointerdown", () => (pressed = true), true);

@@ -1,33 +1,33 @@
-// The plate from above: layers, lowest first, drawn only when something came.
+// The plate from above: layers, lowest first, drawn only after new data.
 
 import { known, on } from "./bus.js";
 import { byId, fitted } from "./dom.js";
 import * as marks from "./marks.js";
 import { Trails } from "./trails.js";
 
-const LEAST_MS = 25; // between two drawings, unless the pointer is at work
+const LEAST_MS = 25; // minimum time between two drawings, except while the pointer is dragging
 const MARGIN_M = 0.012;
-const RECENT = 8; // messages of parts that an image may belong to
-const TOGETHER_S = 0.5; // an image older than this is no measure for the parts
+const RECENT = 8; // number of latest part messages kept for matching with an image
+const TOGETHER_S = 0.5; // maximum age of an image that determines the drawn parts
 const NO_RIG = { length: 0.6, width: 0.3, motors: [] };
 
-/** The layers: [key, label, shown at first, what it shows]. */
+/** The layers: [key, label, shown at start, title]. */
 export const LAYERS = [
   ["image", "Image", true, "the camera's image, seen from above"],
-  ["outline", "Outlines", true, "where the parts lie"],
-  ["name", "Names", true, "what the parts are called"],
-  ["spread", "Spread \u00d710", true, "how uncertain places are, drawn ten times as large"],
-  ["trail", "Trails", true, "the ways that the parts have come"],
-  ["target", "Targets", true, "where parts are to come"],
-  ["wanted", "Wanted", false, "what the planner asks of each part"],
+  ["outline", "Outlines", true, "the places of the parts"],
+  ["name", "Names", true, "the ids of the parts"],
+  ["spread", "Spread \u00d710", true, "the uncertainty of the places, enlarged ten times"],
+  ["trail", "Trails", true, "the recent paths of the parts"],
+  ["target", "Targets", true, "the targets of the parts"],
+  ["wanted", "Wanted", false, "the planner's request for each part"],
   ["task", "Task", true, "regions, paths and places of the task"],
-  ["drift", "Drift", false, "how the running cycle moves parts that lie at rest"],
-  ["force", "Mean force", false, "mean friction of the running cycle on parts that lie at rest"],
-  ["centre", "Centres", true, "points about which the running cycle turns the plate"],
+  ["drift", "Drift", false, "how the running cycle moves resting parts"],
+  ["force", "Mean force", false, "mean friction of the running cycle on resting parts"],
+  ["centre", "Centres", true, "the rotation centres of the running cycle"],
 ];
 
 export class PlateView {
-  /** `wish()` is called when other layers are to be seen. */
+  /** `wish()` is called when the visible layers change. */
   constructor(wish) {
     this.canvas = byId("plate");
     this.shown = Object.fromEntries(LAYERS.map(([key, , shown]) => [key, shown]));
@@ -36,12 +36,12 @@ export class PlateView {
     this.still = document.createElement("canvas"); // plate and grid
     this.field = document.createElement("canvas"); // arrows of the running cycle
     this.bitmap = null;
-    this.recent = []; // messages of parts
-    this.ghosts = new Map(); // id -> {x, y, angle, refused}: asked for, not confirmed
+    this.recent = []; // latest messages of parts
+    this.ghosts = new Map(); // id -> {x, y, angle, refused}: requested, not confirmed
     this.chosen = new Set(); // ids
-    this.drawn = null; // {points}: a path in the making
-    this.band = null; // {from, to}: a rubber band
-    this.hold = null; // id of the part whose target shows a knob to turn it
+    this.drawn = null; // {points}: a path that is being drawn
+    this.band = null; // {from, to}: a selection frame
+    this.hold = null; // id of the part whose target shows a knob to rotate it
     new ResizeObserver(() => this.#resize()).observe(byId("plate-box"));
     for (const kind of ["targets", "wanted", "paths"]) on(kind, () => this.draw());
     on("parts", (message) => {
@@ -68,7 +68,7 @@ export class PlateView {
     return known.parts?.parts ?? [];
   }
 
-  /** The parts as the simulator names them: those that hands can move. */
+  /** The parts with the simulator's names, which can be moved by hand. */
   get lying() {
     return known.truth?.parts ?? this.parts;
   }
@@ -82,17 +82,17 @@ export class PlateView {
     return known.targets?.targets.find((target) => target.id === id);
   }
 
-  /** Where a part is being sent: as asked, else as confirmed, else where it lies. */
+  /** The destination of a part: its requested target, else its confirmed one, else its place. */
   aim(id) {
     return this.ghosts.get(id) ?? this.target(id) ?? this.part(id);
   }
 
-  /** What a type of part looks like, or undefined. */
+  /** The appearance of a type of part, or undefined. */
   type(name) {
     return known.hello?.types?.[name];
   }
 
-  /** Distance from the middle of a part to its rim [m]. */
+  /** Distance from the centre of a part to its edge [m]. */
   reach(type) {
     return this.type(type)?.reach ?? 0.008;
   }
@@ -112,7 +112,7 @@ export class PlateView {
     this.draw();
   }
 
-  /** The parts as they are drawn: those of the image that is shown, so that the two fit; else the newest. */
+  /** The parts to draw: those of the shown image, so that both match; otherwise the newest. */
   #drawnParts() {
     const newest = known.parts;
     if (!newest || !this.shown.image || !this.bitmap || Math.abs(newest.stamp - this.stamp) > TOGETHER_S) return this.parts;
@@ -120,7 +120,7 @@ export class PlateView {
     return this.recent.reduce((best, each) => (away(each) <= away(best) ? each : best), newest).parts;
   }
 
-  /** A new image of the plate [its stamp, Blob]; of those that come while one is being unpacked the newest waits. */
+  /** A new image of the plate [its stamp, Blob]. While one is being decoded, the newest one waits. */
   async image(stamp, blob) {
     this.packed = { stamp, blob };
     if (this.unpacking) return;
@@ -134,7 +134,7 @@ export class PlateView {
         this.bitmap = bitmap;
         this.stamp = next.stamp;
       } catch {
-        this.bitmap = null; // not a picture: the drawing does without
+        this.bitmap = null; // not a valid picture: draw without it
       }
       this.draw();
     }
@@ -147,7 +147,7 @@ export class PlateView {
     this.draw();
   }
 
-  /** Draw soon; `now` before the next picture on the screen. */
+  /** Draw soon; with `now` before the next frame. */
   draw(now = false) {
     this.hurry ||= now;
     if (this.planned || document.hidden) return;
@@ -237,7 +237,7 @@ export class PlateView {
     if (this.band) marks.band(context, this, this.band);
   }
 
-  /** The knob that turns the held target: where it is, and its middle [pixels]; null without. */
+  /** The knob that rotates the held target: its place, and its centre [pixels]; null without one. */
   knob() {
     const aim = this.hold && this.part(this.hold)?.turns ? this.aim(this.hold) : null;
     if (!aim) return null;

@@ -1,10 +1,10 @@
-// The connection: commands and their answers, and coming back when it was lost.
+// The connection: commands and their replies, and reconnection.
 
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
-const ANSWER_MS = 7000; // the server itself waits up to 5 s for a node
-const SILENT_MS = 2500; // the server says something at least each second
-const FULL_BYTES = 8192; // with more than this unsent, what is sent often has to wait
+const ANSWER_MS = 7000; // the server waits up to 5 s for a node
+const SILENT_MS = 2500; // the server sends a message at least every second
+const FULL_BYTES = 8192; // unsent bytes above which frequent commands have to wait
 
 export class Connection {
   /** `heard(message)`, `image(stamp, blob)`, `changed("connected" | "silent" | "lost")` */
@@ -21,7 +21,7 @@ export class Connection {
     return this.socket.bufferedAmount > FULL_BYTES;
   }
 
-  /** Send a command; the promise gives its answer {ok, text} and never fails. */
+  /** Send a command. The promise resolves to its reply {ok, text} and never rejects. */
   send(command) {
     if (this.socket.readyState !== WebSocket.OPEN) {
       return Promise.resolve({ ok: false, text: "no connection" });
@@ -39,7 +39,7 @@ export class Connection {
     });
   }
 
-  /** Tell the server something that it does not answer. */
+  /** Send the server a message without a reply. */
   tell(command) {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ ...command, number: (this.number += 1) }));
   }

@@ -1,4 +1,4 @@
-// The emergency stop: sent at once, and its answer awaited in sight.
+// The emergency stop: sent at once; the button shows whether it is confirmed.
 
 import { byId } from "./dom.js";
 import { on } from "./bus.js";
@@ -7,14 +7,14 @@ const ANSWER_MS = 1000;
 const TYPED = new Set(["text", "number", "search", "email", "url", "password", "tel"]);
 const CUT = "Cut the power by hand.";
 
-/** Whether a key that is pressed there belongs to the element, and not to the page. */
+/** Whether a key pressed in this element is for the element, not for the page. */
 function takesSpace(node) {
   if (node.isContentEditable || /^(TEXTAREA|SELECT|BUTTON|SUMMARY)$/.test(node.tagName)) return true;
   return node.tagName === "INPUT" && (TYPED.has(node.type) || /^(checkbox|radio|button|submit)$/.test(node.type));
 }
 
 export class EmergencyStop {
-  /** `alarm(text | null)` shows a notice over the plate. */
+  /** `alarm(text | null)` shows a warning over the plate. */
   constructor(connection, alarm) {
     Object.assign(this, { connection, alarm, pending: null });
     this.button = byId("emergency-stop");
@@ -41,12 +41,12 @@ export class EmergencyStop {
     });
   }
 
-  /** After the connection came back: a stop that was never confirmed is sent again. */
+  /** After a reconnection, send a stop again that was never confirmed. */
   again() {
     if (this.pending !== null) this.press();
   }
 
-  /** Tell on the button why it cannot be used. */
+  /** Show on the button why it cannot be used. */
   say(text) {
     this.usual = text;
     this.#show("", text);

@@ -1,7 +1,7 @@
-// Where the parts have been in the last seconds.
+// The paths of the parts in the last seconds.
 
 const LONG_S = 10;
-const STEP_M = 0.0012; // a point only where a part has moved this far
+const STEP_M = 0.0012; // minimum distance between two points of a path
 const COLOUR = "rgb(0 110 80 / 0.65)";
 
 export class Trails {
@@ -15,7 +15,7 @@ export class Trails {
   }
 
   add({ stamp, parts }) {
-    if (stamp < this.stamp - 1e-6 || stamp > this.stamp + LONG_S) this.clear(); // began anew
+    if (stamp < this.stamp - 1e-6 || stamp > this.stamp + LONG_S) this.clear(); // restarted
     this.stamp = stamp;
     for (const { id, x, y } of parts) {
       const trail = this.points.get(id) ?? [];

@@ -1,4 +1,4 @@
-// The camera: from an unmounted one to one that is ready, step by step.
+// The camera panel: the steps from an unmounted camera to one that is ready.
 
 import { on } from "../bus.js";
 import { byId, el, tell } from "../dom.js";

@@ -1,4 +1,4 @@
-// Friction of the parts: measured by small pushes of the plate, then written into the rig file.
+// The friction panel: measure the parts' friction by small pushes of the plate, write it into the rig file.
 
 import { on } from "../bus.js";
 import { el, tell } from "../dom.js";

@@ -1,11 +1,11 @@
-// What happened: words of the nodes, and every command as the call that does the same.
+// The log: messages of the nodes, and each command as the equivalent terminal call.
 
 import { on } from "../bus.js";
 import { el } from "../dom.js";
 
 const MOST = 300;
-const SOON_MS = 300; // the call comes as soon as its answer
-const SAME_MS = 3000; // a refusal repeated within this time is shown once
+const SOON_MS = 300; // maximum delay between a reply and its call
+const SAME_MS = 3000; // an equal refusal within this time is not shown again
 const SIGNS = { info: "\u00b7", warn: "!", error: "\u2715", call: "$", refused: "\u2715" };
 
 export function log(panel) {
@@ -33,7 +33,7 @@ export function log(panel) {
     if (ok === false) refusal = { text: answer, at: performance.now() };
     add(time, ok === false ? "refused" : "call", who, text, ok === false ? `refused: ${answer}` : answer);
   });
-  /** A refusal that the page was told; the log has it once, as a call where it was one. */
+  /** Log a refusal, unless it is logged as the reply of a call. */
   return (command, text) =>
     setTimeout(() => {
       if (text !== refusal.text || performance.now() - refusal.at > SAME_MS) add(Date.now() / 1000, "refused", "page", command, text);
@@ -41,7 +41,7 @@ export function log(panel) {
     }, SOON_MS);
 }
 
-/** A stamp of the wall clock as a time of day; of the simulator in seconds. */
+/** Format a stamp: wall clock as time of day, simulated time in seconds. */
 function clock(time) {
   return time > 1e9 ? new Date(1000 * time).toLocaleTimeString([], { hour12: false }) : `${time.toFixed(1)} s`;
 }

@@ -1,4 +1,4 @@
-// Motors: how far each goes in the running cycle, and how much of the limits the cycle uses.
+// The motors: their travel in the running cycle, and the fractions of the limits that the cycle uses.
 
 import { known, on } from "../bus.js";
 import { byId, clamp, el, mm, seldom, tell } from "../dom.js";

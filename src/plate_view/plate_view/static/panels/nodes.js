@@ -1,4 +1,4 @@
-// The nodes: how they are, how old their last word is, and their values.
+// The nodes: their state, the age of their last report, and their values.
 
 import { on } from "../bus.js";
 import { el, seldom, tell } from "../dom.js";
@@ -35,7 +35,7 @@ export function nodes(panel) {
     later();
   });
   on("timing", ({ frames_dropped, late, browsers }) => tell(note, [
-    Number.isFinite(late) ? `${late} answers late` : "", Number.isFinite(frames_dropped) ? `${frames_dropped} images left out for this page` : "",
+    Number.isFinite(late) ? `${late} late answers` : "", Number.isFinite(frames_dropped) ? `${frames_dropped} images skipped by this page` : "",
     Number.isFinite(browsers) ? `pages open: ${browsers}` : "",
   ].filter(Boolean).join("; ")));
   return show;

@@ -1,12 +1,12 @@
-// Parameters of a node as controls, made from what the node says of them.
+// Controls for the parameters of a node, made from the node's descriptions.
 
 import { known, on } from "../bus.js";
 import { el } from "../dom.js";
 
-const WIDEST = 1000; // a slider over more is of no use
+const WIDEST = 1000; // maximum range with a slider
 const NODES = ["solver", "planner", "driver", "detector"];
 
-/** A control for one parameter; `set(value)` gives a promise of the answer. */
+/** A control for one parameter; `set(value)` returns a promise of the reply. */
 function control(node, parameter, ask) {
   const { name, value, description, low, high, choices, live } = parameter;
   const id = `${node}.${name}`;
@@ -54,12 +54,12 @@ function step(low, high, value) {
   return whole ? 1 : (high - low) / 200;
 }
 
-/** What is hardly changed while one plays. */
+/** Parameters that are rarely changed while the graph runs. */
 const rare = ({ name, value, choices, live }) => live === false || name === "use_sim_time" || (typeof value === "string" && !choices?.length);
 
-/** The controls of a node in a box: made once, then kept up to date. */
+/** The controls of a node in a box: created once, then updated. */
 export function parameterBox(node, ask, keep = () => true) {
-  const box = el("fieldset", { className: "controls parameters" }, el("legend", {}, `Parameters of the ${node}`), el("p", { className: "empty" }, "not told yet"));
+  const box = el("fieldset", { className: "controls parameters" }, el("legend", {}, `Parameters of the ${node}`), el("p", { className: "empty" }, "not received yet"));
   const more = el("details", {}, el("summary", {}, "At start only, names and files"));
   let rows = new Map();
   on("parameters", (message) => {
@@ -90,7 +90,7 @@ export function parameters(panel, ask) {
   choose.addEventListener("change", show);
   on("hello", () => panel.hidden || show());
   const look = el("select", { id: "theme" }, ...[["", "as the system"], ["light", "light"], ["dark", "dark"]].map(([value, words]) => el("option", { value }, words)));
-  panel.append(el("h2", {}, "Settings"), el("p", {}, el("label", { htmlFor: "theme" }, "Look of this page "), look), el("p", {}, el("label", { htmlFor: "node" }, "Node "), choose), answer, ...boxes);
+  panel.append(el("h2", {}, "Settings"), el("p", {}, el("label", { htmlFor: "theme" }, "Theme "), look), el("p", {}, el("label", { htmlFor: "node" }, "Node "), choose), answer, ...boxes);
   show();
   return show;
 }

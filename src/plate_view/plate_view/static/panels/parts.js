@@ -1,4 +1,4 @@
-// The table of parts: what the drawing shows, in words, and targets moved with the keyboard.
+// The table of parts: the drawing's content as text, and targets moved by the keyboard.
 
 import { on } from "../bus.js";
 import { degrees, el, mm, seldom, tell } from "../dom.js";
@@ -78,7 +78,7 @@ export function parts(panel, view, drag) {
   on("targets", later);
   const describe = seldom(2000, () => {
     const all = view.parts;
-    view.canvas.setAttribute("aria-label", `The plate from above: ${all.length} parts, ${all.filter(({ seen }) => seen).length} of them seen. The table under \u201cParts\u201d tells where each is.`);
+    view.canvas.setAttribute("aria-label", `The plate from above: ${all.length} parts, ${all.filter(({ seen }) => seen).length} of them seen. The table under \u201cParts\u201d lists their places.`);
   });
   on("parts", describe);
   return show;

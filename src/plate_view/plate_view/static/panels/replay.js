@@ -1,4 +1,4 @@
-// A recorded run: play, seek, rate.
+// Replay of a recorded run: play, seek, rate.
 
 import { known, on } from "../bus.js";
 import { byId, tell } from "../dom.js";

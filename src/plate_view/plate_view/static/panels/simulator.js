@@ -1,4 +1,4 @@
-// The simulator: parts put down and taken away, a new start, speed of time, disturbances.
+// The simulator: place and remove parts, reset, rate of time, disturbances.
 
 import { known, on } from "../bus.js";
 import { el } from "../dom.js";
@@ -28,7 +28,7 @@ export function simulator(panel, ask, view) {
     el("div", { className: "row" }, labelled("Seed", seed), button("Reset", () => ask({ do: "reset", seed: seed.value === "" ? null : number(seed) }, answer).then(({ ok }) => ok && view.trails.clear()))),
     el("div", { className: "row" }, "Time ", ...rates),
     el("p", { className: "small" }, "Times other than \u00d71 need simulated time: make play ARGS=--simulated-time"), answer);
-  panel.append(el("h2", {}, "Simulator"), el("p", { className: "small" }, "\u201cMove by hand\u201d over the plate lets you drag parts about."), controls,
+  panel.append(el("h2", {}, "Simulator"), el("p", { className: "small" }, "\u201cMove by hand\u201d over the plate lets you drag parts."), controls,
     parameterBox("simulator", ask, ({ name }) => name !== "scenario"));
   on("hello", ({ types }) => type.replaceChildren(...Object.keys(types).map((name) => el("option", {}, name))));
   let listed = "";
@@ -47,7 +47,7 @@ export function simulator(panel, ask, view) {
   };
 }
 
-/** The simulator's own name of a part that the detector has named: that of the nearest true part. */
+/** The simulator's name of a part named by the detector: that of the nearest true part. */
 function simulated(view, id) {
   const seen = view.part(id);
   const away = ({ x, y }) => Math.hypot(x - seen.x, y - seen.y);

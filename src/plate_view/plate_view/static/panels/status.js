@@ -1,9 +1,9 @@
-// The header: rig, task, readings, motors.
+// The header: rig, task, measured values, motors.
 
 import { known, on } from "../bus.js";
 import { byId, tell } from "../dom.js";
 
-/** Words with a sign before them, so that colour is not alone. */
+/** A sign for each state, so that it is not shown by colour alone. */
 const GRADES = {
   running: ["\u25b6", "good"], done: ["\u2713", "good"], ready: ["\u2713", "good"], idle: ["\u25cb", ""],
   stuck: ["!", "warn"], lost: ["!", "warn"], aborted: ["\u25a0", "warn"], disabled: ["\u25cb", "warn"],
@@ -19,9 +19,9 @@ export function badge(node, state, words = state) {
   node.dataset.grade = grade;
 }
 
-const SILENT_S = 1.5; // a node reports each second: silence is named within 2 s
+const SILENT_S = 1.5; // nodes report each second: a missing report is shown within 2 s
 
-/** The names of nodes that say nothing any more; pages come and go. */
+/** The names of nodes without recent reports, except pages, which start and end at any time. */
 export function silent() {
   if (known.hello?.replay) return [];
   return (known.nodes?.nodes ?? []).filter(({ name, age }) => age > SILENT_S && !name.startsWith("page")).map(({ name }) => name);

@@ -1,9 +1,9 @@
-// Tasks: choose a scenario, change its numbers, start and end it; how far it has come.
+// Tasks: choose a scenario, change its numbers, start and end it, show its progress.
 
 import { known, on } from "../bus.js";
 import { degrees, el, mm, seldom, tell } from "../dom.js";
 
-/** What the progress of a task is shown as: [name, words]. */
+/** Labels for the progress of a task: [name, label]. */
 const PROGRESS = [
   ["time", ({ time_s }) => (Number.isFinite(time_s) ? `${time_s.toFixed(1)} s` : null)],
   ["parts seen", ({ parts_seen, parts_total }) => `${parts_seen} of ${parts_total}`],
@@ -28,7 +28,7 @@ export function tasks(panel, ask) {
   };
   let scenario = null; // its content, where the server tells it
   let changed = false;
-  let paused = null; // the command that starts the task again
+  let paused = null; // the command that restarts the task
   let last = null;
   const send = async (command) => {
     const told = await ask(command, answer);
@@ -88,7 +88,7 @@ export function tasks(panel, ask) {
 /** An input for each number in the scenario that is not a list of points. */
 function fields(node, path, changed) {
   return Object.entries(node).flatMap(([key, value]) => {
-    const here = [...path, value?.class ?? key]; // parts by their class, not by their number
+    const here = [...path, value?.class ?? key]; // identify parts by class, not by number
     if (Array.isArray(value) && value.every((each) => typeof each !== "object" || Array.isArray(each))) return [];
     if (value && typeof value === "object") return fields(value, here, changed);
     if (typeof value !== "number") return [];
