@@ -2,6 +2,7 @@
 
 import ast
 import re
+import subprocess
 import sys
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,9 @@ SHARED = "plate_core"
 """The one package that others may import."""
 COMPOSED = {"plate_bringup", "plate_drives", "plate_gym"}
 """The packages that put stages together."""
+
+AVERAGES = "plate_solver.averages"
+"""What computes mean forces, apart from what steers."""
 
 ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ament_\w+|launch\w*")
 # What a core may import besides the standard library, and the rosdep key that declares it.
@@ -144,6 +148,31 @@ def test_stages_import_no_other_stage():
         for root in sorted(roots(path) & set(PACKAGES) - {package, SHARED})
     ]
     assert not offenders, f"packages import only {SHARED}:\n" + "\n".join(offenders)
+
+
+def test_what_runs_does_without_the_averages():
+    """Only agents of the gym use them, and what is outside `src`; no kernel includes one of
+    theirs."""
+    own = {AVERAGES, *(f"plate_solver.{name}" for name in public(AVERAGES) or ())}
+    door = ROOT / "src/plate_solver/plate_solver/__init__.py"
+    chapter = door.parent / "averages"
+    paths = [path for package in PACKAGES if package != "plate_gym" for path in sources(package)]
+    offenders = [
+        f"{label(path)}: {name}"
+        for path in paths
+        if path != door and not path.is_relative_to(chapter)
+        for name in sorted(imports(path))
+        if name in own or name.startswith(f"{AVERAGES}.")
+    ]
+    offenders += [
+        f"{label(path)}: averages/"
+        for path in files("src/plate_solver/plate_solver/**/*.[ch]pp")
+        if not path.is_relative_to(chapter)
+        if '#include "averages/' in path.read_text(encoding="utf-8")
+    ]
+    assert not offenders, "\n".join(offenders)
+    code = f"import sys, plate_bringup.loop; assert {AVERAGES!r} not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_only_known_libraries_and_package_xml_names_them():

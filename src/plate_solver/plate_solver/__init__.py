@@ -4,13 +4,16 @@ Public: the names below and those of the chapters: `averages`, `cycle_map`, `fit
 `library`, `rotations`, `sinusoids`.
 """
 
-from .averages import Manipulability, average_force, library_force, manipulability
+from typing import TYPE_CHECKING, Any
+
 from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
 from .goal import Goal, Solution, Status
 from .limits import EQUAL_WEIGHT, Limits, limit_use
 from .rehearsal import Rehearsal, Verdict, judge_task, rehearse
-from .rotations.solver import RotationSolver
-from .sinusoids.solver import SinusoidSolver
+
+if TYPE_CHECKING:
+    from .averages import RotationSolver, SinusoidSolver, average_force
+    from .averages.manipulability import Manipulability, library_force, manipulability
 
 __all__ = [
     "DRIFT_TOLERANCE",
@@ -36,3 +39,13 @@ __all__ = [
     "manipulability",
     "rehearse",
 ]
+
+if not TYPE_CHECKING:  # else any name would do
+
+    def __getattr__(name: str) -> Any:
+        """Import the averages where one is asked for: what steers does without them."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from . import averages
+
+        return getattr(averages, name)

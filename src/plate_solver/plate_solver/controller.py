@@ -15,9 +15,9 @@ from plate_core.rig import PartType
 from .cycle_map import after, end_turning, finely_sampled, room_spread
 from .goal import Goal, Solution, Status, Turns
 from .motion_solver import MotionSolver
-from .rotations.solver import RotationSolver
+from .rotations.solver import RotationCycles
 from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
-from .sinusoids.solver import SinusoidSolver
+from .sinusoids.solver import SinusoidCycles
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
 """Names of the methods: the paper's letters and ours."""
@@ -120,8 +120,8 @@ class Controller:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
         self._solvers: dict[str, MotionSolver] = {
-            "rotations": RotationSolver(rig, seed=seed, **EFFORT["rotations"] | effort),
-            "sinusoids": SinusoidSolver(
+            "rotations": RotationCycles(rig, seed=seed, **EFFORT["rotations"] | effort),
+            "sinusoids": SinusoidCycles(
                 rig, seed=seed, threads=threads, **EFFORT["sinusoids"] | effort
             ),
         }

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from plate_solver.averages.tour import filled, nearest_order
 from plate_solver.library import Library, least_time
 from plate_solver.rotations import plan_rotations, with_return_strokes
-from plate_solver.rotations.plan import nearest_order
 
 HALF = np.array([0.3, 0.15])
 LIBRARY = Library.around(HALF)
@@ -105,7 +105,7 @@ def test_plan_gives_the_forces_and_closes(scene, count):
     plan = plan_rotations(LIBRARY, position, force)
     assert plan.met == 1
     assert len(plan.fraction) <= 2 * count + 3
-    for sequence in (plan, plan.filled()):
+    for sequence in (plan, filled(plan)):
         x, y = position.T
         u, v, spin = sequence.twist.T
         slip = np.array([u - np.outer(y, spin), v + np.outer(x, spin)])
@@ -113,7 +113,7 @@ def test_plan_gives_the_forces_and_closes(scene, count):
         np.testing.assert_allclose(got.T, force, atol=1e-8)
         np.testing.assert_allclose(sequence.fraction @ sequence.twist, 0, atol=1e-8)
     assert plan.fraction.sum() == pytest.approx(plan.times.cost, rel=1e-6)
-    assert plan.filled().fraction.sum() == pytest.approx(1)
+    assert filled(plan).fraction.sum() == pytest.approx(1)
     # Closure costs little, strokes that return cost (r + 1)/(r - 1) times the time.
     free = 1 / LIBRARY.reachable_fraction(position, force)
     assert free - 1e-9 <= plan.times.cost <= 1.15 * free

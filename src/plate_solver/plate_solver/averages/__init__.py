@@ -5,12 +5,16 @@ Maps of forces, their inversion for requests, proofs of what is out of reach; no
 
 from .manipulability import Manipulability, library_force, manipulability
 from .mean_force import average_force, step_force_gradient, step_forces
+from .rotation_solver import RotationSolver
 from .sinusoid_force import force_rules, sinusoid_forces
+from .sinusoid_solver import SinusoidSolver
 from .triangular_waves import intervals, triangular_forces
 from .unreachable import is_out_of_reach
 
 __all__ = [
     "Manipulability",
+    "RotationSolver",
+    "SinusoidSolver",
     "average_force",
     "force_rules",
     "intervals",

@@ -15,7 +15,7 @@ from .mean_force import average_force
 from .request import Request
 
 REFINEMENTS = ("none", "velocity", "cycle")
-"""Names of the maps, see `MotionSolver.solve`."""
+"""Names of the maps, see `ForceSolver.solve`."""
 
 CYCLE_CORRECTIONS = 6
 """Times that a motion is corrected for what finer steps show."""

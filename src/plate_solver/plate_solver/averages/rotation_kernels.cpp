@@ -1,5 +1,6 @@
-// What Python sees of the kernels of rotations.hpp.
+// What Python sees of the kernels of rotations.hpp and tour.hpp.
 #include "averages/rotations.hpp"
+#include "averages/tour.hpp"
 #include "fit/fit_record.hpp"
 #include "rotations/sequences_record.hpp"
 
@@ -85,6 +86,14 @@ void bind_average_rotations(nb::module_& m) {
     m.def("force_slopes", slopes_of_forces);
     m.def("fit_mean_force", correct);
     m.def("mean_force_error", miss);
+    m.def("short_tour", [](Table twists, Numbers half) {
+        check("twists", twists, {twists.shape(0), 3}), check("half", half, {2});
+        if (twists.shape(0) == 0) throw nb::value_error("a tour begins somewhere");
+        const std::vector<int> tour = short_tour(changes(view(twists), half.data()));
+        nb::list places;
+        for (size_t k = 1; k < twists.shape(0); k++) places.append(tour[k]);
+        return places;
+    });
 }
 
 }  // namespace plate

@@ -1,7 +1,6 @@
 """Method A (section 3.1): which rotations, for how long, in which order, and the motion they make.
 
-Public: the plan and its motions; `plate_solver.RotationSolver`
-is the door.
+Public: the plan and its motions; `RotationCycles`, for the controller, is in `solver.py`.
 """
 
 from .family import RotationFamily

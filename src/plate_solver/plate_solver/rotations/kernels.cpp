@@ -1,7 +1,6 @@
 // What Python sees of the kernels of rotations.
 #include <stdexcept>
 
-#include "rotations/plan.hpp"
 #include "rotations/sequences_record.hpp"
 
 namespace plate {
@@ -85,14 +84,6 @@ void bind_rotations(nb::module_& m) {
     m.def("gap_slopes", [](Numbers theta, nb::tuple record) {
         return slopes_of(record, theta,
                          [](const Sequences&, const Line& line) { return gap_back(line); });
-    });
-    m.def("short_tour", [](Table twists, Numbers half) {
-        check("twists", twists, {twists.shape(0), 3}), check("half", half, {2});
-        if (twists.shape(0) == 0) throw nb::value_error("a tour begins somewhere");
-        const std::vector<int> tour = short_tour(changes(view(twists), half.data()));
-        nb::list places;
-        for (size_t k = 1; k < twists.shape(0); k++) places.append(tour[k]);
-        return places;
     });
 }
 

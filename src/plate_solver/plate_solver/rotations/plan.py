@@ -1,4 +1,4 @@
-"""From forces to rotations: which ones, for how long, and in which order.
+"""From forces to rotations: which ones, and for how long.
 
 Sums of forces do not depend on the order, real motions do: each change of twist takes time, the
 plate must stay within its stroke, and parts move meanwhile.
@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import _kernels
 from ..library import CURL_LENGTH_M, Library, TimeFractions, least_time
 
 SPEEDS = (1.0, 0.5)
@@ -55,21 +54,6 @@ class RotationPlan:
             twist=self.twist[order],
             fraction=self.fraction[order],
             priority=self.priority[order],
-        )
-
-    def filled(self) -> RotationPlan:
-        """Return the plan with the rest of the time spent on its longest rotation, to and fro.
-
-        On average that does nothing, whereas at rest the slightest motion counts as full friction.
-        """
-        left, j = 1 - float(np.sum(self.fraction)), int(np.argmax(self.fraction))
-        fraction = np.append(self.fraction, left / 2)
-        fraction[j] += left / 2
-        return replace(
-            self,
-            twist=np.vstack([self.twist, -self.twist[j]]),
-            fraction=fraction,
-            priority=np.append(self.priority, self.priority[j]),
         )
 
 
@@ -139,13 +123,3 @@ def with_return_strokes(plan: RotationPlan) -> RotationPlan:
         met=plan.met * fits,
         times=plan.times,
     )
-
-
-def nearest_order(twists: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return the order (J,) of twists (J, 3) in which little changes from one to the next.
-
-    Changes are those of the plate's fastest corner: they are what ramps cost. From rest the nearest
-    neighbour is taken each time, then stretches are turned round as long as that shortens the tour.
-    """
-    tour = _kernels.short_tour(np.vstack([np.zeros(3), twists]), half)
-    return np.array(tour, dtype=int) - 1

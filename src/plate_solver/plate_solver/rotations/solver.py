@@ -1,31 +1,27 @@
-"""Method A: sequences of rotations (section 3.1 of the paper).
+"""Method A (section 3.1 of the paper) on the cycle map: sequences of rotations.
 
 A linear programme picks few rotations out of a library and how long each is to last. Put in order
-they become a motion from rest to rest, whose lengths and twists are then corrected, on the averaged
-map or on the cycle map.
+they become a motion from rest to rest, whose lengths and twists are then corrected.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import PlateCycle, PlateError, Rig
+from plate_core import PlateError, Rig
 
-from ..averages.mean_force import average_force
-from ..averages.refinement import force_solution
-from ..averages.request import Request
-from ..averages.rotations import fit_mean_force, mean_force_error
 from ..fit import Fit, basin_hopping
 from ..goal import Goal, Solution, fit_goal, goal_solution
+from ..library import Library
 from ..limits import within_limits
 from ..motion_solver import MotionSolver, check_options, make_options
 from .family import RotationFamily
-from .plan import RotationPlan, nearest_order, plan_rotations, with_return_strokes
+from .plan import RotationPlan, plan_rotations, with_return_strokes
 
 FEW = (2, 4)
 """Numbers of parts up to which half and three quarters of the period will do on the cycle map: the
@@ -39,10 +35,6 @@ PUSH = 0.04
 
 CLOSURES = ("sequence", "strokes")
 
-AVERAGED, FINE, FINEST = (20, 4), (60, 20), (600, 200)
-"""Steps in every ramp and hold when an average force is corrected, when that is done for good, and
-when a curl is judged: in a ramp the surface may almost stand still under a part."""
-
 FINER, POLISH = 3, 6
 """A search that finer steps do not confirm goes on with so many times the steps, for so long."""
 
@@ -55,7 +47,7 @@ SPREAD = 0.3
 
 @dataclass(frozen=True)
 class RotationOptions:
-    """Options of `RotationSolver`.
+    """Options of `RotationCycles`.
 
     Attributes
     ----------
@@ -69,8 +61,6 @@ class RotationOptions:
     most_price : float
         Most time that a unit of force on a part may cost [cycles / (mu m g)]: what costs more, such
         as parting two parts that almost touch, is given up in the plan.
-    tolerance : float
-        Greatest force error that counts as success [mu m g].
     iterations : int
         Most steps from one start.
     restarts : int
@@ -83,7 +73,6 @@ class RotationOptions:
     speed: float = 0.25
     closure: str = "sequence"
     most_price: float = 30.0
-    tolerance: float = 1e-3
     iterations: int = 40
     restarts: int = 4
     seed: int = 0
@@ -94,7 +83,6 @@ class RotationOptions:
             period=(1e-3, 10.0),
             speed=(1e-3, 10.0),
             most_price=(1.0, 1e6),
-            tolerance=(0.0, 1.0),
             iterations=(1, 10_000),
             restarts=(0, 10_000),
             seed=(0, 2**31 - 1),
@@ -117,8 +105,8 @@ class Try(NamedTuple):
     fit: Fit
 
 
-class RotationSolver(MotionSolver):
-    """Plate motions made of rotations.
+class RotationCycles(MotionSolver):
+    """Cycles made of rotations that take parts to a goal.
 
     Parameters
     ----------
@@ -128,73 +116,22 @@ class RotationSolver(MotionSolver):
         Fields of `RotationOptions`.
     """
 
+    kind = RotationOptions
+
     def __init__(self, rig: Rig, **options: float | str) -> None:
-        self.options: RotationOptions = make_options(RotationOptions, options)
+        self.options: RotationOptions = make_options(self.kind, options)
         super().__init__(rig, self.options.seed)
-        self.library = self._reach
+        self.library = Library.around(rig.plate.half)
         self._warm: Start | None = None
-        self._last: tuple[np.ndarray, Start] | None = None
         self._basis: np.ndarray | None = None
 
     def forget(self) -> None:
-        self._warm = self._basis = self._last = None
+        self._warm = self._basis = None
 
     def steering_period(
         self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
     ) -> float:
         return self.options.period * (0.5 if count <= FEW[0] else 0.75 if count <= FEW[1] else 1.0)
-
-    def _solve(self, request: Request) -> Solution:
-        options, tolerance = self.options, self.options.tolerance
-
-        def attempt(_: None, start: Start, __: int, ___: float) -> tuple[Try, float, int, bool]:
-            found = fit_mean_force(request, *start, tolerance / 4, options.iterations)
-            good = np.max(np.abs(found.error)) <= tolerance
-            return Try(start.family, found), found.cost, found.iterations, bool(good)
-
-        def planned(spread: bool) -> Start:
-            plan = self._plan(request.position, request.force, request.curl, spread, fill=True)
-            return self._family(plan, options.period, averaged=True)
-
-        def propose(_: None, __: int, near: Try, fresh: bool) -> Start:
-            return planned(spread=True) if fresh else self._shaken(near)
-
-        last = self._last
-        known = last is not None and np.array_equal(last[0], request.position)
-        begin = last[1] if last is not None and known else planned(spread=False)
-        search = basin_hopping(propose, attempt)
-        best, iterations, _ = search(None, begin, 1 + options.restarts, 1, False, 0)
-        family, found = best
-        self._last = request.position, Start(family, found.parameters)
-        cycle, error = self._judged(request, family, found.parameters)
-        if np.max(np.abs(error)) > tolerance:  # the samples missed a dip
-            fine = family.finer(FINE)
-            found = fit_mean_force(
-                request, fine, found.parameters, tolerance / 10, options.iterations
-            )
-            iterations += found.iterations
-            cycle, error = self._judged(request, fine, found.parameters)
-        solution = force_solution(request, error, cycle, tolerance, iterations, found.condition)
-        if solution.success or np.any(request.velocity):
-            return solution
-        fraction = self.library.reachable_fraction(request.position, request.force)
-        if fraction >= 1:
-            return solution
-        return replace(
-            solution, message=f"{solution.message}; about {fraction:.2g} of it is in reach"
-        )
-
-    def _judged(
-        self, request: Request, family: RotationFamily, parameters: np.ndarray
-    ) -> tuple[PlateCycle, np.ndarray]:
-        """Return the motion within the limits and its true errors in the rows asked for."""
-        cycle = within_limits(family.cycle(parameters), self._full)
-        error = np.zeros(np.count_nonzero(request.rows))
-        if np.any(np.isfinite(request.curl)):
-            error = mean_force_error(request, family.finer(FINEST), parameters)
-        true = request.force - average_force(cycle, request.position, request.velocity)
-        error[np.flatnonzero(request.rows) % 3 < 2] = true.ravel()
-        return cycle, error
 
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
@@ -256,7 +193,9 @@ class RotationSolver(MotionSolver):
             turns = goal.turns
             curl = turns.middle * 4 / (goal.friction_accel * period**2)
             curl = np.where(turns.weight > 0, curl, np.nan)
-        return self._family(self._plan(goal.position, force, curl, spread), period)
+        plan = self._plan(goal.position, force, curl, spread)
+        order = np.argsort(-plan.priority, kind="stable")
+        return self._family(plan.in_order(order), period)
 
     def _plan(
         self,
@@ -264,23 +203,24 @@ class RotationSolver(MotionSolver):
         force: np.ndarray,
         curl: np.ndarray | None,
         spread: bool,
-        fill: bool = False,
     ) -> RotationPlan:
-        options, half = self.options, self._limits.half
         cost = None
         if spread:
             cost = 1 + SPREAD * self._rng.random(len(self.library.twist))
         plan = plan_rotations(
-            self.library, position, force, curl, options.most_price, self._basis, cost
+            self.library, position, force, curl, self.options.most_price, self._basis, cost
         )
         self._basis = plan.times.basis
-        if fill:
-            plan = plan.filled()
-            return plan.in_order(nearest_order(plan.twist, half))
-        return plan.in_order(np.argsort(-plan.priority, kind="stable"))
+        return plan
 
-    def _family(self, plan: RotationPlan, period: float, averaged: bool = False) -> Start:
-        """Return the plan as a family of motions, and the plan's parameters in it."""
+    def _family(
+        self,
+        plan: RotationPlan,
+        period: float,
+        steps: tuple[int, int] | None = None,
+        within_stroke: bool = False,
+    ) -> Start:
+        """Return the plan as a `RotationFamily`, and the plan's parameters in it."""
         options = self.options
         if options.closure == "strokes":
             plan = with_return_strokes(plan)
@@ -289,7 +229,7 @@ class RotationSolver(MotionSolver):
             self._limits,
             period,
             options.speed,
-            AVERAGED if averaged else None,
-            averaged,
+            steps,
+            within_stroke,
         )
         return Start(family, family.parameters(plan.fraction))

@@ -1,7 +1,7 @@
 """Method B (section 3.2): sinusoidal motions, fitted on the cycle map.
 
-Public: the basis, its families, a descent and the search; `plate_solver.SinusoidSolver` is the
-door.
+Public: the basis, its families, a descent and the search; `SinusoidCycles`, for the controller, is
+in `solver.py`.
 """
 
 from . import steer

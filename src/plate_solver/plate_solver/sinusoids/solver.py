@@ -1,38 +1,18 @@
-"""Method B: sinusoidal motions (section 3.2 of the paper), on the averaged and on the cycle map."""
+"""Method B (section 3.2 of the paper) on the cycle map: cycles made of sinusoids."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
+from plate_core import Rig
 
-from plate_core import PlateCycle, PlateError, Rig
-
-from ..averages.mean_force import step_force_gradient, step_forces
-from ..averages.refinement import force_solution
-from ..averages.request import Request
-from ..averages.sinusoids import FEW_CANDIDATES, Motions, invert, motions_of
-from ..averages.unreachable import is_out_of_reach
-from ..fit import Fit, basin_hopping, fit
 from ..goal import Goal, Solution, goal_solution
-from ..limits import within_limits
 from ..motion_solver import MotionSolver, check_options, make_options
-from .basis import SinusoidFamily, sinusoid_basis
 from .steer import SinusoidSteering
 
-CURL_SAMPLES = 8192
-"""Samples on which curls are judged: their average, of u3/|slip|, feels dips more than a force."""
-
-SPREAD = 0.7
-"""Size of a disturbance of what is known, over that of a random motion, where curls are asked."""
-
-STARTS = 3
-"""Starts of the averaged search for each restart: one takes a tenth of a millisecond."""
-
-MOST_STARTS = 200
-"""Random starts that are drawn; who wants more restarts meets them again."""
+HARMONIC_S = 0.025
+"""Length of a cycle for each of its harmonics [s], where their number is an option."""
 
 EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
 LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
@@ -47,7 +27,7 @@ loop: a plate that shakes little moves parts further in long ones."""
 
 @dataclass(frozen=True)
 class SinusoidOptions:
-    """Options of `SinusoidSolver`.
+    """Options of `SinusoidCycles`.
 
     Attributes
     ----------
@@ -55,15 +35,10 @@ class SinusoidOptions:
         N of equation (13); 0 takes the fewest that the number of parts allows.
     period : float
         Length of the cycle [s]; 0 takes one that suits the number of harmonics.
-    at_rest : bool
-        Whether cycles start and end with the plate at home and at rest. Costs two parameters for
-        each degree of freedom; cycles of `steer` always do.
-    tolerance : float
-        Greatest force error that counts as success [mu m g].
     iterations : int
         Most steps from one start.
     restarts : int
-        Most further starts when the first fails; `STARTS` times as many for averages.
+        Most further starts when the first fails.
     threads : int
         Cores that `steer` may use; its answers are the same.
     seed : int
@@ -72,8 +47,6 @@ class SinusoidOptions:
 
     harmonics: int = 0
     period: float = 0.0
-    at_rest: bool = False
-    tolerance: float = 1e-4
     iterations: int = 40
     restarts: int = 100
     threads: int = 1
@@ -84,18 +57,15 @@ class SinusoidOptions:
             self,
             harmonics=(0, 64),
             period=(0.0, 10.0),
-            tolerance=(0.0, 1.0),
             iterations=(1, 10_000),
             restarts=(0, 10_000),
             threads=(1, 1024),
             seed=(0, 2**31 - 1),
         )
-        if self.at_rest and self.harmonics == 1:
-            raise PlateError("harmonics is 1, allowed with at_rest: 0 (choose) or at least 2")
 
 
-class SinusoidSolver(MotionSolver):
-    """Plate motions made of sinusoids.
+class SinusoidCycles(MotionSolver):
+    """Cycles made of sinusoids that take parts to a goal.
 
     Parameters
     ----------
@@ -105,12 +75,12 @@ class SinusoidSolver(MotionSolver):
         Fields of `SinusoidOptions`.
     """
 
+    kind = SinusoidOptions
+
     def __init__(self, rig: Rig, **options: float) -> None:
-        self.options: SinusoidOptions = make_options(SinusoidOptions, options)
+        self.options: SinusoidOptions = make_options(self.kind, options)
         super().__init__(rig, self.options.seed)
         self._gamma = rig.gamma
-        self._searches: dict[tuple[int, float, bool], tuple[Motions, np.ndarray]] = {}
-        self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
         self._steering = SinusoidSteering(
             self._limits,
             self._full,
@@ -120,86 +90,7 @@ class SinusoidSolver(MotionSolver):
         )
 
     def forget(self) -> None:
-        self._warm.clear()
         self._steering.forget()
-
-    def _solve(self, request: Request) -> Solution:
-        if request.flags.curled:
-            return self._solve_with_curl(request)
-        key = self._key(request.force.size, self.options.at_rest)
-        motions, pool = self.search_of(request.force.size)
-        tolerance = self.options.tolerance
-        warm = self._warm.get(key)
-        found = invert(
-            pool[:0] if warm is None else warm[None],
-            pool,
-            request.position,
-            request.velocity,
-            request.force,
-            motions,
-            tolerance,
-            self.options.iterations,
-            STARTS * self.options.restarts + 1,
-        )
-        self._warm[key] = found.theta
-        cycle = PlateCycle(
-            sinusoid_basis(*key).times, found.pose, found.twist, found.accel, found.spline
-        )
-        message = f"force error {found.worst:.2g} mu m g after {found.iterations} iterations"
-        if found.worst <= tolerance:
-            return Solution(True, message, cycle, found.error, found.iterations, found.condition)
-        got = float(np.sum(request.force * (request.force - found.error)))
-        fraction = got / max(float(np.sum(request.force**2)), 1e-300)
-        return Solution(
-            success=False,
-            message=f"{message}, allowed: {tolerance:g}",
-            cycle=cycle,
-            residual=found.error,
-            iterations=found.iterations,
-            condition=found.condition,
-            fraction=min(max(fraction, 0.0), 1.0),
-        )
-
-    def proven_out_of_reach(self, request: Request) -> bool:
-        flags = request.flags
-        if flags.moving or flags.slack or flags.curled:
-            return False
-        number = self._key(request.force.size, self.options.at_rest)[0]
-        return is_out_of_reach(request.position, request.force, number, self._limits.arm_m)
-
-    def _solve_with_curl(self, request: Request) -> Solution:
-        key = self._key(int(np.sum(request.rows)), self.options.at_rest)
-        basis, options = sinusoid_basis(*key), self.options
-        family = SinusoidFamily(basis, self._limits)
-        fine = SinusoidFamily(sinusoid_basis(*key, steps=CURL_SAMPLES), self._limits)
-        tolerance, most = options.tolerance, options.iterations
-
-        def attempt(
-            _: None, start: np.ndarray, __: int, ___: float
-        ) -> tuple[Fit, float, int, bool]:
-            found = fit_curl(request, family, start, tolerance / 10, most)
-            steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
-            if good:  # by coarse samples, which do not resolve dips
-                found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
-                steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
-            return found, found.cost, steps, bool(good)
-
-        def propose(_: None, __: int, near: Fit, fresh: bool) -> np.ndarray:
-            start = family.random(self._rng)
-            return start if fresh else near.parameters + SPREAD * start
-
-        start = self._warm.get(key)
-        begin = family.random(self._rng) if start is None else start
-        search = basin_hopping(propose, attempt)
-        best, iterations, _ = search(None, begin, 1 + options.restarts, 1, False, 0)
-        best = fit_curl(request, fine, best.parameters, tolerance / 10, most)
-        self._warm[key] = best.parameters
-        cycle = within_limits(family.cycle(best.parameters), self._full)
-        t = (np.arange(CURL_SAMPLES) + 0.5) / CURL_SAMPLES * cycle.period
-        error = curl_error(request, cycle.twist(t))
-        return force_solution(
-            request, error, cycle, tolerance, iterations + best.iterations, best.condition
-        )
 
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
@@ -220,58 +111,14 @@ class SinusoidSolver(MotionSolver):
         """Return harmonics and period of the cycles of `steer`."""
         if lasting and goes_on and not self.options.harmonics:
             return next((n, s) for most, n, s in GOING_ON if self._gamma <= most)
-        return self._key(constraints, True, lasting)[:2]
+        return self._rest_key(constraints, lasting)
 
-    def harmonics(self, constraints: int) -> int:
-        """How many harmonics the motions for so many forces on the averaged map have."""
-        return self._key(constraints, self.options.at_rest)[0]
-
-    def search_of(self, constraints: int) -> tuple[Motions, np.ndarray]:
-        """Return what `invert` takes for so many forces: motions, and random ones to start from."""
-        key = self._key(constraints, self.options.at_rest)
-        if key not in self._searches:
-            basis = sinusoid_basis(*key)
-            size = min(self.options.restarts + 1, MOST_STARTS) * FEW_CANDIDATES
-            pool = np.random.default_rng(self._seed).normal(size=(size, 3 * basis.size))
-            self._searches[key] = motions_of(key[0], basis, self._limits), pool
-        return self._searches[key]
-
-    def _key(
-        self, constraints: int, at_rest: bool, lasting: bool = False
-    ) -> tuple[int, float, bool]:
-        """Return harmonics, period and kind of the motions for so many forces."""
-        number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
-        period = 0.025 * number
-        if at_rest and self.options.harmonics:
-            number, period = max(number, 2), max(period, 0.1)
-        elif at_rest:
+    def _rest_key(self, constraints: int, lasting: bool = False) -> tuple[int, float]:
+        """Return harmonics and period [s] of cycles from rest to rest."""
+        number = self.options.harmonics
+        if number:
+            number, period = max(number, 2), max(HARMONIC_S * number, 0.1)
+        else:
             table = LASTING_CYCLES if lasting else EXACT_CYCLES
             number, period = next((n, s) for most, n, s in table if constraints <= most)
-        return number, self.options.period or period, at_rest
-
-
-def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
-    """Return what is missed in the rows `request.rows` [mu m g] over equal steps."""
-    got = step_forces(request.position, request.velocity, twist, np.ones(len(twist))).ravel()
-    return np.asarray(((request.wanted - got) * request.scale)[request.rows])
-
-
-def fit_curl(
-    request: Request, family: SinusoidFamily, start: np.ndarray, tolerance: float, iterations: int
-) -> Fit:
-    """Correct a motion until its average forces and curls, equations (5) and (12), are as asked.
-
-    Errors are in mu m g, for the rows `request.rows`; `tolerance` is the greatest at which to stop.
-    """
-    rows, scale = request.rows, request.scale[request.rows]
-
-    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
-        _, twist, dt = family.samples(theta)
-
-        def slopes() -> np.ndarray:
-            gradient = step_force_gradient(request.position, request.velocity, twist, dt)
-            return scale[:, None] * family.pull_back(theta, None, gradient)[rows]
-
-        return curl_error(request, twist), slopes
-
-    return fit(evaluate, family.admissible, start, tolerance, iterations)
+        return number, self.options.period or period

@@ -1,4 +1,4 @@
-// The order of rotations: kernels of plan.py.
+// The order of rotations: kernels of tour.py.
 #pragma once
 #include <algorithm>
 #include <cmath>

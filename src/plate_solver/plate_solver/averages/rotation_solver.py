@@ -1,0 +1,119 @@
+"""Method A (section 3.1 of the paper) on the averaged map: rotations with wanted mean forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plate_core import PlateCycle, Rig
+
+from ..fit import basin_hopping
+from ..goal import Solution
+from ..limits import within_limits
+from ..motion_solver import check_options
+from ..rotations.family import RotationFamily
+from ..rotations.solver import RotationCycles, RotationOptions, Start, Try
+from .force_solver import ForceSolver
+from .mean_force import average_force
+from .refinement import force_solution
+from .request import Request
+from .rotations import fit_mean_force, mean_force_error
+from .tour import filled, nearest_order
+
+COARSE, FINE, FINEST = (20, 4), (60, 20), (600, 200)
+"""Steps in every ramp and hold when an average force is corrected, when that is done for good, and
+when a curl is judged: in a ramp the surface may almost stand still under a part."""
+
+
+@dataclass(frozen=True)
+class RotationForceOptions(RotationOptions):
+    """Options of `RotationSolver`: those of `RotationOptions`, and
+
+    Attributes
+    ----------
+    tolerance : float
+        Greatest force error that counts as success [mu m g].
+    """
+
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_options(self, tolerance=(0.0, 1.0))
+
+
+class RotationSolver(ForceSolver, RotationCycles):
+    """Plate motions made of rotations.
+
+    Parameters
+    ----------
+    rig : Rig
+        Plate, friction and limits.
+    **options
+        Fields of `RotationForceOptions`.
+    """
+
+    kind = RotationForceOptions
+    options: RotationForceOptions
+
+    def __init__(self, rig: Rig, **options: float | str) -> None:
+        super().__init__(rig, **options)
+        self._last: tuple[np.ndarray, Start] | None = None
+
+    def forget(self) -> None:
+        super().forget()
+        self._last = None
+
+    def _solve(self, request: Request) -> Solution:
+        options, tolerance = self.options, self.options.tolerance
+
+        def attempt(_: None, start: Start, __: int, ___: float) -> tuple[Try, float, int, bool]:
+            found = fit_mean_force(request, *start, tolerance / 4, options.iterations)
+            good = np.max(np.abs(found.error)) <= tolerance
+            return Try(start.family, found), found.cost, found.iterations, bool(good)
+
+        def planned(spread: bool) -> Start:
+            plan = filled(self._plan(request.position, request.force, request.curl, spread))
+            plan = plan.in_order(nearest_order(plan.twist, self._limits.half))
+            return self._family(plan, options.period, COARSE, within_stroke=True)
+
+        def propose(_: None, __: int, near: Try, fresh: bool) -> Start:
+            return planned(spread=True) if fresh else self._shaken(near)
+
+        last = self._last
+        known = last is not None and np.array_equal(last[0], request.position)
+        begin = last[1] if last is not None and known else planned(spread=False)
+        search = basin_hopping(propose, attempt)
+        best, iterations, _ = search(None, begin, 1 + options.restarts, 1, False, 0)
+        family, found = best
+        self._last = request.position, Start(family, found.parameters)
+        cycle, error = self._judged(request, family, found.parameters)
+        if np.max(np.abs(error)) > tolerance:  # the samples missed a dip
+            fine = family.finer(FINE)
+            found = fit_mean_force(
+                request, fine, found.parameters, tolerance / 10, options.iterations
+            )
+            iterations += found.iterations
+            cycle, error = self._judged(request, fine, found.parameters)
+        solution = force_solution(request, error, cycle, tolerance, iterations, found.condition)
+        if solution.success or np.any(request.velocity):
+            return solution
+        fraction = self.library.reachable_fraction(request.position, request.force)
+        if fraction >= 1:
+            return solution
+        return replace(
+            solution, message=f"{solution.message}; about {fraction:.2g} of it is in reach"
+        )
+
+    def _judged(
+        self, request: Request, family: RotationFamily, parameters: np.ndarray
+    ) -> tuple[PlateCycle, np.ndarray]:
+        """Return the motion within the limits and its true errors in the rows asked for."""
+        cycle = within_limits(family.cycle(parameters), self._full)
+        error = np.zeros(np.count_nonzero(request.rows))
+        if np.any(np.isfinite(request.curl)):
+            error = mean_force_error(request, family.finer(FINEST), parameters)
+        true = request.force - average_force(cycle, request.position, request.velocity)
+        error[np.flatnonzero(request.rows) % 3 < 2] = true.ravel()
+        return cycle, error
