@@ -1,6 +1,6 @@
-"""The plate's tasks, stops and parameters, from Python: `PlateClient`; and the program `plate`.
+"""Tasks, stops and parameters of the plate from Python (`PlateClient`), and the program `plate`.
 
-It talks to the nodes through the same actions, topics and services as any other program.
+Both use the same actions, topics and services as any other program.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,8 @@ __all__ = ["PlateClient", "Task", "TaskError"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the client when it is wanted: the program `plate` must not wait for it to stop."""
+    """Import the client on first use, because the program `plate` must stop the plate without this
+    delay."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from .ros import client

@@ -1,6 +1,6 @@
 """The program `plate`: tasks, stops, states and parameters of a running graph, without `ros2`.
 
-What takes long to import is imported when it is needed: a stop must not wait for it.
+Modules that take long to import are imported only where needed, so that they do not delay a stop.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ OTHERS = {
 
 
 def main() -> None:
-    """Run the command line; exit code 0 if it was done, 1 if not, 2: wrong arguments or files."""
+    """Run the command line; exit code 0: done, 1: failed, 2: wrong arguments or files."""
     signal.signal(signal.SIGINT, _interrupted)  # while modules are imported
     from plate_core import PlateError, ScenarioError, ends
 
@@ -59,7 +59,7 @@ def main() -> None:
             code = 2
     except KeyboardInterrupt as interrupt:
         code = 128 + int(interrupt.args[0])
-    except BrokenPipeError:  # the reader has enough, as in `plate state | head`
+    except BrokenPipeError:  # the reader has closed the pipe, as in `plate state | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
     finally:
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:
-    """End at once: an exception inside of an import may come out as another one."""
+    """Exit at once: an exception inside an import might be converted to another one."""
     os.write(sys.stderr.fileno(), b"plate: interrupted\n")
     os._exit(128 + number)
 
@@ -84,7 +84,7 @@ def _arguments() -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
     for name, what in (SERVICES | OTHERS).items():
         one = commands.add_parser(name, description=what)
-        if name in ("get", "set", "params"):  # what is missing is said with the nodes there are
+        if name in ("get", "set", "params"):  # the error for a missing argument lists the nodes
             one.add_argument("node", nargs="?", metavar="NODE")
         if name in ("get", "set"):
             one.add_argument("name", nargs="?", metavar="NAME")

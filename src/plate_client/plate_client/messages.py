@@ -1,4 +1,4 @@
-"""Handling messages until a condition holds."""
+"""Processing of messages until a condition holds, with deferred signals."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Callable
 from types import FrameType
 
 POLL_S = 0.02
-"""Longest wait for one message [s]."""
+"""Maximum wait for one message [s]."""
 
 _noted: list[int] = []
-"""Signals that have come, and for which nobody has been interrupted yet."""
+"""Received signals that have not raised KeyboardInterrupt yet."""
 
 
 def defer_signals() -> None:
-    """From now on Ctrl-C, SIGTERM and SIGHUP interrupt nothing but `spin_until`."""
+    """From now on Ctrl-C, SIGTERM and SIGHUP interrupt only `spin_until`."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _note)
 
@@ -24,15 +24,15 @@ def defer_signals() -> None:
 def spin_until(
     spin_once: Callable[[float], object], true: Callable[[], bool], timeout_s: float
 ) -> bool:
-    """Handle messages until a condition holds, or for a time [s]; returns whether it holds.
+    """Process messages until a condition holds, or until a timeout [s]. Return whether it holds.
 
-    Ctrl-C raises KeyboardInterrupt between two messages. Inside of one an answer would be lost: the
-    handle of a running task, say, without which it cannot be canceled.
+    Ctrl-C raises KeyboardInterrupt between two messages. Within one, a reply would be lost, for
+    example the handle of a running task, without which the task cannot be canceled.
 
     Raises
     ------
     KeyboardInterrupt
-        With the signal's number.
+        With the number of the signal.
     """
     deferred = (
         threading.current_thread() is threading.main_thread()

@@ -1,5 +1,5 @@
-"""Drives on a CAN bus without a board in between.
+"""Drives on a CAN bus that are commanded by this computer, without a board.
 
-`commission` looks at drives of CiA 402 and fits the rig file to them (it needs python-can);
-`socketcan` is the transport by which this computer leads drives, and `lateness` tells how well.
+`commission` checks CiA 402 drives on the bus and adapts the rig file to them (it needs python-can).
+`socketcan` is the transport to the drives, and `lateness` measures how late its setpoints are.
 """

@@ -1,7 +1,9 @@
-"""One drive, led by the host: set up as the board does it, current, small smooth motions, off.
+"""One drive commanded by the host for commissioning: set it up, enable it, move it a little,
+disable.
 
-Setpoints are counted by bus cycles, not by the clock: a host that is late makes a motion slower,
-never a jump. A host that is gone is missed by the drive itself, after `SILENT_MS`.
+The set-up is the board's. Setpoints are counted by bus cycles, not by the clock: a late host slows
+a motion, but causes no jump. If the host's heartbeat is missing for `SILENT_MS`, the drive stops by
+itself.
 """
 
 from __future__ import annotations
@@ -20,25 +22,25 @@ from .master import HEARTBEAT, NMT, OWN_NODE, RPDO, SYNC, TPDO, Master, Refused,
 from .survey import enabled, in_fault
 
 CYCLE_MS, BEAT_MS, SILENT_MS = 10, 50, 300
-"""Bus cycle, over which the drive interpolates; heartbeats; how long they may be missing [ms]."""
+"""Bus cycle, over which the drive interpolates; period of heartbeats; their timeout [ms]."""
 
 READY_S, OFF_S = 5.0, 0.5
-"""Longest waits until it has current, and until it has none [s]."""
+"""Maximum time until the drive is enabled, and until it is disabled [s]."""
 STILL_CYCLES, STILL_M = 30, 5e-4
-"""How long, and how closely, a motor must stand before it gets current."""
+"""Number of cycles for which a motor must rest before it is enabled, and the maximum motion [m]."""
 MISSED = 3
-"""SYNCs on end that are not answered, or answered twice, that are a fault."""
+"""Number of consecutive SYNCs without a reply, or with two replies, that is a fault."""
 ASTRAY_M = 1e-3
-"""Following error that is a fault where the rig file has none [m]."""
+"""Maximum following error if the rig file has none [m]."""
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x80, 0x81, 0x82
 OPERATIONAL, PDO_OFF, NO_RTR, LED, LEADABLE = 5, 1 << 31, 1 << 30, 0x227, 0x26F
 DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
 
 STEPS = (
-    (0x6040, 0, DISABLE, 2),  # whatever it did before
+    (0x6040, 0, DISABLE, 2),  # whatever its state
     (0x1017, 0, BEAT_MS, 2), (0x1016, 1, OWN_NODE << 16 | SILENT_MS, 4),
-    (0x6007, 0, 3, 2), (0x605A, 0, 2, 2),  # quick stop where we are gone, then without current
+    (0x6007, 0, 3, 2), (0x605A, 0, 2, 2),  # without the host: quick stop, then no current
     (0x60C2, 1, CYCLE_MS, 1), (0x60C2, 2, -3, 1), (0x6060, 0, 8, 1),  # cyclic synchronous position
     (0x1400, 1, PDO_OFF | RPDO, 4), (0x1600, 0, 0, 1), (0x1600, 1, 0x60400010, 4),
     (0x1600, 2, 0x607A0020, 4), (0x1600, 0, 2, 1), (0x1400, 2, 1, 1),
@@ -46,13 +48,13 @@ STEPS = (
     (0x1A00, 2, 0x60640020, 4), (0x1A00, 0, 2, 1), (0x1800, 2, 1, 1),
     (0x1400, 1, RPDO, 4), (0x1800, 1, NO_RTR | TPDO, 4),
 )  # fmt: skip
-"""Object, subindex, value, bytes; as in firmware/drives/cia402.c, but for the times, and PDOs that
-nobody uses here. To values of 1400h:01 and 1800h:01 the number of the node is added."""
+"""Object, subindex, value, bytes; as in firmware/drives/cia402.c, except the times and PDOs that
+are not used here. The node number is added to the values of 1400h:01 and 1800h:01."""
 
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let no signal of a person end what takes the current away."""
+    """Ignore SIGINT, SIGTERM and SIGHUP, so that they cannot interrupt the disabling of drives."""
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(each, signal.SIG_IGN) for each in signals]
     try:
@@ -63,7 +65,8 @@ def uninterrupted() -> Iterator[None]:
 
 
 def switch_off(master: Master, motor: int, node: int) -> None:
-    """Take a drive's current away, and see that it has none; a PlateError if nobody knows."""
+    """Disable a drive and check that it has no current. Raise a PlateError if this is not
+    certain."""
     end = master.now + OFF_S
     try:
         master.write(node, 0x6040, 0, DISABLE, 2)
@@ -83,9 +86,9 @@ def switch_off(master: Master, motor: int, node: int) -> None:
 
 
 class Axis:
-    """A motor's drive; as a context it ends without current, whatever happens within.
+    """A motor's drive. Its context always ends without current.
 
-    All of it raises a PlateError, in the words of `driver_status`, if something is wrong with the
+    All methods raise a PlateError, with the text of `driver_status`, if there is a fault of the
     drive or the bus.
 
     Parameters
@@ -94,15 +97,15 @@ class Axis:
     motor, node : int
         Numbers of the motor, 1 to 4, and of its drive.
     scale : float
-        Counts for a metre along the motor's direction, as far as known; negative if against it.
+        Counts per metre along the motor's direction, as estimated; negative if against it.
     limits : Limits
 
     Attributes
     ----------
     position, start : int
-        Of the motor, now and where it got current [counts].
+        Position of the motor, now and when it was enabled [counts].
     late_s : float
-        By how much the host was late at most [s].
+        Maximum lateness of the host [s].
     """
 
     def __init__(self, master: Master, motor: int, node: int, scale: float, limits: Limits) -> None:
@@ -115,7 +118,7 @@ class Axis:
         self._led = self._astray = False
 
     def __enter__(self) -> Axis:
-        """Set it up, without current."""
+        """Set the drive up, without current."""
         try:
             self._set_up()
         except BaseException as error:
@@ -124,17 +127,17 @@ class Axis:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
-        """Take the current away, after an error by the drive's quick stop; a drive that does not
-        follow would not follow its ramp either."""
+        """Disable the drive, after an error by its quick stop. A drive that does not follow its
+        setpoints would not follow the ramp of a quick stop either."""
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
-            with contextlib.suppress(PlateError):  # of the bus: SDOs will tell
+            with contextlib.suppress(PlateError):  # a bus fault is reported by the SDOs below
                 brakes = error is not None and not self._astray
                 while brakes and enabled(self._status) and master.now < end:
                     self._exchange(QUICK_STOP)
             try:
                 switch_off(master, self._motor, self._node)
-                master.write(self._node, 0x1016, 1, 0, 4)  # or it would miss us
+                master.write(self._node, 0x1016, 1, 0, 4)  # no longer expect our heartbeat
                 self._command(PRE_OPERATIONAL)
             except PlateError as more:
                 if error is None or isinstance(error, PlateError):
@@ -142,7 +145,7 @@ class Axis:
 
     @property
     def travel(self) -> float:
-        """How far it is from where it got current, by its own counts [m]."""
+        """Displacement since the drive was enabled, by its own counts [m]."""
         return (self.position - self.start) / self.scale
 
     def _command(self, order: int) -> None:
@@ -160,19 +163,19 @@ class Axis:
             except Refused:
                 if index != 0x605A:
                     raise
-                master.write(node, 0x6007, 0, 2, 2)  # or else without current at once
+                master.write(node, 0x6007, 0, 2, 2)  # otherwise: no current, at once
         mode = master.read(node, 0x6061, signed=True)
         if mode != 8:
             raise PlateError(words(self._motor, Trouble.WRONG_DRIVE, 0x6061, mode))
         self._command(START)
         master.wait(1e-3 * SILENT_MS, lambda: told.state == OPERATIONAL)
         told.boots, told.emergency, self._due = 0, None, master.now
-        for _ in range(2):  # the first one answers no SYNC of ours
+        for _ in range(2):  # the first one may reply to another SYNC
             self._exchange(None)
         self._missed = self._doubled = 0
 
     def _exchange(self, word: int | None) -> None:
-        """Send a controlword with the target, and SYNC; take what comes in the cycle."""
+        """Send a controlword with the target, and SYNC; receive the frames of the cycle."""
         master, places, cycle_s = self._master, self._told.places, 1e-3 * CYCLE_MS
         places.clear()
         self._beat -= CYCLE_MS
@@ -184,7 +187,7 @@ class Axis:
             master.send(RPDO + self._node, word.to_bytes(2, "little") + target)
         master.send(SYNC)
         self.late_s = max(self.late_s, master.now - self._due)
-        self._due = max(self._due + cycle_s, master.now + cycle_s / 2)  # what is missed is missed
+        self._due = max(self._due + cycle_s, master.now + cycle_s / 2)  # do not catch up
         master.wait(self._due - master.now)
         self._missed = 0 if places else self._missed + 1
         self._doubled = self._doubled + 1 if len(places) > 1 else 0
@@ -193,7 +196,7 @@ class Axis:
             self.position = int.from_bytes(places[-1][2:], "little", signed=True)
 
     def _cycle(self, word: int, target: int) -> None:
-        """Let a bus cycle pass, at the end of which it is to be at a target [counts]."""
+        """Run a bus cycle at whose end the drive must be at a target [counts]; check for faults."""
         reached, self._target = self._target, target
         self._exchange(word)
         told, astray = self._told, abs(self.position - reached) / abs(self.scale)
@@ -220,14 +223,14 @@ class Axis:
             )
 
     def enable(self, room: float, ends: tuple[int, int]) -> None:
-        """Give it current where it stands, once it does.
+        """Enable the drive at its position, after the motor has come to rest.
 
         Parameters
         ----------
         room : float
-            How far it is to move to either side [m].
+            Distance by which it will move to either side [m].
         ends : (int, int)
-            Of its range [counts].
+            Ends of its range [counts].
         """
         end, stands, rest = self._master.now + READY_S, 0, self.position
         while stands < STILL_CYCLES:
@@ -252,12 +255,12 @@ class Axis:
         self.start, self._led = self._target, True
 
     def hold(self) -> None:
-        """Let a bus cycle pass where it is."""
+        """Run a bus cycle at the present target."""
         self._cycle(OPERATE, self._target)
 
     def follow(self, path: Callable[[float], float], seconds: float) -> np.ndarray:
-        """Move along a path of time [s] to travel from where it got current [m], and stay at its
-        end; returns targets, and positions a bus cycle later (2, n), from there [m]."""
+        """Follow a path, a function from time [s] to displacement since enabling [m], and hold its
+        end. Return targets, and positions a bus cycle later (2, n), as displacements [m]."""
         rows = []
         for k in range(1, round(1e3 * seconds / CYCLE_MS) + 1):
             reached = self._target

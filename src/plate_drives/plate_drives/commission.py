@@ -1,4 +1,4 @@
-"""Commission the drives of a rig, guided: `ros2 run plate_drives commission`.
+"""Commission the drives of a rig in a dialogue: `ros2 run plate_drives commission`.
 
 Needs no ROS: `python -m plate_drives.commission RIG` does the same.
 """
@@ -26,27 +26,27 @@ from .survey import Found, doubts, drives_of, enabled, survey
 __all__ = ["Ask", "ask", "commission", "main"]
 
 SIZE_M = 5e-4
-"""Travel of the motions [m]; a quarter of the stroke at most."""
+"""Amplitude of the motions [m]; at most a quarter of the stroke."""
 SHARE = 0.1
-"""Of the rig's speed and acceleration that motions use at most."""
+"""Maximum fraction of the rig's speed and acceleration that the motions use."""
 STAGES = (0.01, 0.1, 1.0)
-"""Of the travel, with a question between: counts_per_m may be far too great."""
+"""Fractions of the amplitude, with a question after each: counts_per_m may be far too large."""
 MOVE_S, SWING_S, SWING_HZ = 0.5, 4.0, 2.0
-"""Least time of a move; time and greatest frequency of the following test."""
+"""Minimum time of a move [s]; time [s] and maximum frequency [Hz] of the following test."""
 ANSWER_S = 60.0
-"""Longest wait for a person while a motor has current [s]."""
+"""Maximum wait for a person while a motor has current [s]."""
 ROUGH = 0.1
-"""What a person reads may be wrong by this share: then the scale of the rig file stays."""
+"""Relative error of a travel read by a person. Within it the scale of the rig file is kept."""
 
 
 Ask = Callable[[str, Callable[[], object]], str]
-"""Asks a question, and lets what is to go on meanwhile go on until there is an answer."""
+"""Asks a question, and calls the second argument repeatedly until there is an answer."""
 
 
 def ask(question: str, meanwhile: Callable[[], object]) -> str:
-    """Ask a person, or a pipe; a PlateError if nobody is there."""
+    """Ask a person, or read from a pipe. Raise a PlateError if the input has ended."""
     print(question, end=" ", flush=True)
-    # Unbuffered: nobody could wait for a line that was read ahead.
+    # Unbuffered, because select does not see lines that were read ahead.
     with open(0, "rb", buffering=0, closefd=False) as lines:
         while not select.select([lines], [], [], 0)[0]:
             meanwhile()
@@ -57,14 +57,14 @@ def ask(question: str, meanwhile: Callable[[], object]) -> str:
 
 
 class Dialogue:
-    """What is asked and done of motor after motor, on a bus whose drives fit the rig."""
+    """The dialogue about each motor, on a bus whose drives fit the rig."""
 
     def __init__(self, rig: Rig, master: Master, found: dict[int, Found], ask: Ask) -> None:
         self._rig, self._master, self._found, self._ask = rig, master, found, ask
         self._size = min(SIZE_M, rig.limits.stroke_m / 4)
 
     def ask(self, question: str, axis: Axis | None = None) -> str:
-        """Ask; while an axis has current it is held, and a person has not all time."""
+        """Ask a question. If an axis has current, hold it, and limit the time for the answer."""
         end = self._master.now + ANSWER_S
 
         def meanwhile() -> None:
@@ -78,7 +78,7 @@ class Dialogue:
         return self._ask(question, meanwhile)
 
     def measured(self) -> tuple[dict[str, Drive], bool]:
-        """Return the drives of the motors that were moved, and whether all went well."""
+        """Return the drives of the motors that were moved, and whether there was no error."""
         new: dict[str, Drive] = {}
         well = True
         for number, drive in enumerate(drives_of(self._rig), 1):
@@ -102,7 +102,7 @@ class Dialogue:
         return new, well
 
     def _axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
-        """Identify, measure and try one drive; returns its motor's name, and what it is."""
+        """Identify, measure and test one drive. Return its motor's name and its new values."""
         limits, size, values = self._rig.limits, self._size, self._found[drive.node].values
         ends = values.get("lowest", 0), values.get("highest", 0)
         scale = drive.sign * drive.counts_per_m
@@ -152,19 +152,19 @@ class Dialogue:
         )  # fmt: skip
 
     def _check_off(self) -> None:
-        """Refuse to give a motor current while another one has kept its own."""
+        """Refuse to enable a motor while another drive is enabled."""
         for number, drive in enumerate(drives_of(self._rig), 1):
             if enabled(self._master.read(drive.node, 0x6041)):
                 raise PlateError(f"motor_{number}: the drive has current, allowed: none has any")
 
     def _serial(self, drive: Drive) -> int:
-        """Return a drive's serial number; where several tell the same, that of the rig file."""
+        """Return a drive's serial number; if several drives report the same, the rig file's."""
         told = [one.values.get("serial", 0) for one in self._found.values()]
         own = self._found[drive.node].values.get("serial", 0)
         return own if told.count(own) == 1 else drive.serial
 
     def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
-        """Follow a sine within the limits, and tell how well."""
+        """Follow a sine within the limits, and print the following error."""
         by_speed, by_accel = SHARE * limits.speed / size, np.sqrt(SHARE * limits.accel / size)
         rate = min(2 * np.pi * SWING_HZ, by_speed, by_accel)
         targets, actual = axis.follow(
@@ -183,19 +183,19 @@ class Dialogue:
 
 
 def _smooth(u: float) -> float:
-    """Rise from 0 to 1 without slope or curvature at both ends."""
+    """Rise from 0 to 1 with zero slope and curvature at both ends: 10 u^3 - 15 u^4 + 6 u^5."""
     u = min(max(u, 0.0), 1.0)
     return u**3 * (10 - u * (15 - 6 * u))
 
 
 def _move(start: float, end: float, seconds: float) -> Callable[[float], float]:
-    """Return a path from one travel to another [m]."""
+    """Return a path from one displacement to another [m]."""
     return lambda t: start + (end - start) * _smooth(t / seconds)
 
 
 def _scale(scale: float, told_mm: float, answer: str) -> float:
-    """Return counts for a metre, negative if against the motor's direction, where a motion of
-    `told_mm` by `scale` was seen as the answer."""
+    """Return counts per metre, negative if against the motor's direction. `told_mm` is the travel
+    by `scale`, `answer` the travel that a person saw [mm]."""
     try:
         seen = float(answer or told_mm)
     except ValueError:
@@ -209,9 +209,9 @@ def _scale(scale: float, told_mm: float, answer: str) -> float:
 
 
 def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> int:
-    """Look at the drives on a bus, and unless `only_check` move, measure and write them down.
+    """Check the drives on a bus. Unless `only_check`, move and measure them, and write the result.
 
-    Returns 0 if all fits, or is written; 1 if something is wrong.
+    Return 0 if all drives fit or are written, 1 otherwise.
     """
     rig = load_rig(path)
     drives, found = drives_of(rig), survey(master)
@@ -243,7 +243,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
 
 
 def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
-    """Take the current of all away, whatever one of them does; returns whether they have none."""
+    """Disable all drives, even if one of them fails. Return whether none has current."""
     off = True
     with uninterrupted():
         for number, drive in enumerate(drives, 1):
@@ -258,7 +258,7 @@ def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
 
 @piped()
 def main() -> None:
-    """Run the command line; exit code 0: all well, 1: not, 2: wrong arguments, files or bus."""
+    """Run the command line; exit code 0: success, 1: failure, 2: wrong arguments, files or bus."""
     parser = argparse.ArgumentParser(
         prog="commission", description="Commission the drives of a rig (CiA 402 on CANopen): find "
         "them on the bus, compare them with the rig file; then, motor by motor and only after you "
@@ -275,7 +275,7 @@ def main() -> None:
         signal.signal(each, signal.default_int_handler)
     try:
         path = rig_path(args.rig)
-        drives_of(load_rig(path))  # before a bus is opened
+        drives_of(load_rig(path))  # check before a bus is opened
         master = Master(open_bus(args.bus, args.channel, args.bitrate))
         try:
             code = commission(path, master, args.check)

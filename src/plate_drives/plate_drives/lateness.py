@@ -48,7 +48,7 @@ def measured(transport: HostTransport, seconds: float) -> np.ndarray:
 
 @piped()
 def main() -> None:
-    """Run the command line; exit code 0: good enough, 1: not, 2: wrong arguments or files."""
+    """Run the command line; exit code 0: in time, 1: too late, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(
         prog="lateness", description="Measure how late this computer is as the master of drives on "
         "a CAN bus, and whether that is good enough for a rig. Use the computer meanwhile as you "
@@ -63,7 +63,7 @@ def main() -> None:
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)  # nobody answers there
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)  # a bus without drives
     with near, far:
         transport = HostTransport(
             lambda: HostPort(program, f"nowhere {os.getpid()}", lambda _: far.dup()),

@@ -1,5 +1,6 @@
-"""A CAN bus as its only master sees it, by any interface of python-can, with the services of
-CANopen (CiA 301). One thread: time passes, and frames are taken, in `Master.wait` alone.
+"""Master of a CAN bus with the services of CANopen (CiA 301), by any interface of python-can.
+
+Single-threaded: time passes, and frames are received, only in `Master.wait`.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ NMT, SYNC, EMERGENCY, TPDO, RPDO = 0x000, 0x080, 0x080, 0x180, 0x200
 ANSWER, REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
 
 LOST_ARBITRATION = 0x002
-"""Identifier of an error frame by which some adapters tell that another node went first."""
+"""Identifier of an error frame by which some adapters report a lost arbitration."""
 
 ANSWER_S = 0.3
-"""Longest wait for a node's answer [s]."""
+"""Maximum wait for a node's reply [s]."""
 
 
 class Refused(PlateError):
-    """A node has answered a request by an abort, the code."""
+    """A node has refused a request by an abort with this code."""
 
     def __init__(self, node: int, index: int, sub: int, code: int) -> None:
         self.code = code
@@ -36,15 +37,15 @@ class Refused(PlateError):
 
 
 def words(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> str:
-    """Return what is wrong with a motor's drive, as `driver_status` says it of a board's."""
+    """Return the text of a fault of a motor's drive, as in `driver_status` of a board."""
     return DriveTrouble(motor, kind, index, code % 2**32).words
 
 
 @dataclass
 class Told:
-    """What a node has told: answers to SDO requests and TPDOs, since they were cleared; when its
-    last heartbeat came [s], and its state in that; boot-ups; code and error register of its first
-    emergency."""
+    """Messages received from a node: replies to SDO requests and TPDOs since they were cleared;
+    time of the last heartbeat [s] and its state; number of boot-ups; code and error register of the
+    first emergency."""
 
     answers: list[bytes] = field(default_factory=list)
     places: list[bytes] = field(default_factory=list)
@@ -61,15 +62,15 @@ class Master:
         self._bus = bus
         self.told = {node: Told() for node in NODES}
         self.rival = False
-        """Whether another master has spoken."""
+        """Whether frames of another master were received."""
 
     @property
     def now(self) -> float:
-        """Time that never runs back [s]."""
+        """Monotonic time [s]."""
         return time.monotonic()
 
     def send(self, identifier: int, data: bytes = b"") -> None:
-        """Send a frame; a PlateError if the bus does not take it."""
+        """Send a frame. Raise a PlateError if the bus does not accept it."""
         import can
 
         frame = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
@@ -82,8 +83,8 @@ class Master:
             ) from None
 
     def heard(self, until: float) -> Iterator[tuple[int, bytes]]:
-        """Yield identifier and data of each frame that comes until then [s]; a PlateError if the
-        bus is gone, or tells of an error."""
+        """Yield identifier and data of each frame received until this time [s]. Raise a PlateError
+        if the bus fails or reports an error."""
         import can
 
         while True:
@@ -102,14 +103,14 @@ class Master:
                 return
 
     def close(self) -> None:
-        """Let go of the bus, also of one that is gone."""
+        """Close the bus, even if it has failed."""
         import can
 
         with contextlib.suppress(can.CanError, OSError):
             self._bus.shutdown()
 
     def wait(self, seconds: float, done: Callable[[], object] = lambda: False) -> None:
-        """Let so much time pass [s], or until something is so."""
+        """Receive frames for a time [s], or until a condition holds."""
         for identifier, data in self.heard(self.now + seconds):
             self._take(identifier, data)
             if done():
@@ -132,11 +133,11 @@ class Master:
             told.emergency = told.emergency or (int.from_bytes(data[:2], "little"), data[2])
 
     def answering(self, index: int) -> list[int]:
-        """Ask all nodes for an object; returns those that answer, whatever they say."""
+        """Request an object from all nodes. Return the nodes that reply, whatever they reply."""
         for node in NODES:
             self.told[node].answers.clear()
             self._request(node, 0x40, index, 0)
-            if node % 16 == 0:  # adapters hold few frames
+            if node % 16 == 0:  # adapters buffer few frames
                 self.wait(0.01)
         self.wait(ANSWER_S)
         return [node for node in NODES if self.told[node].answers]
@@ -147,7 +148,7 @@ class Master:
         Raises
         ------
         PlateError
-            `Refused`, or it does not answer, or by more than four bytes.
+            `Refused`; or if there is no reply, or one of more than four bytes.
         """
         answer = self._asked(node, 0x40, index, sub)
         if answer[0] & 0xE2 != 0x42:
@@ -156,11 +157,11 @@ class Master:
         return int.from_bytes(answer[4 : 4 + size], "little", signed=signed)
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
-        """Give an object of a node a value of 1, 2 or 4 bytes; errors as `read`."""
+        """Set an object of a node to a value of 1, 2 or 4 bytes. Errors as `read`."""
         self._asked(node, 0x23 | (4 - size) << 2, index, sub, value)
 
     def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
-        """Send a request; returns how its answer names the object."""
+        """Send a request. Return the bytes that name the object in its reply."""
         name = index.to_bytes(2, "little") + bytes([sub])
         self.send(REQUEST + node, bytes([command]) + name + (value % 2**32).to_bytes(4, "little"))
         return name
@@ -178,7 +179,8 @@ class Master:
 
 
 def open_bus(interface: str, channel: str, bitrate: int) -> Any:
-    """Return a bus of python-can; a PlateError if that is missing, or the bus does not open."""
+    """Return a bus of python-can. Raise a PlateError if python-can is missing or the bus does not
+    open."""
     try:
         import can
     except ImportError:

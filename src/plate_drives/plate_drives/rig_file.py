@@ -1,4 +1,5 @@
-"""Change values of motors in a rig file and leave all else as it was, comments too."""
+"""Changes of motors' drives in a rig file that leave everything else unchanged, comments
+included."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ Drives = Mapping[str, Drive]
 
 
 def differences(old: Drive, new: Drive) -> dict[str, str]:
-    """Return the keys of a rig file whose values differ, with the new ones as they are written."""
+    """Return the keys of a rig file whose values differ, with the text of the new values."""
     values = {
         "node": str(new.node), "counts_per_m": re.sub(r"e\+?0*", "e", f"{new.counts_per_m:.6g}"),
         "sign": str(new.sign), "home": "absolute" if new.absolute else "here",
@@ -26,12 +27,12 @@ def differences(old: Drive, new: Drive) -> dict[str, str]:
 
 
 def write(path: Path, drives: Drives) -> None:
-    """Give motors of a rig file other drives: all of it or nothing.
+    """Write new drives of motors into a rig file, completely or not at all.
 
     Raises
     ------
     PlateError
-        If the file cannot be written, or would not be a rig file that says so.
+        If the file cannot be written, or the new file would not give these drives.
     """
     motors = [replace(m, drive=drives.get(m.name, m.drive)) for m in load_rig(path).motors]
     old = {m.name: m.drive for m in load_rig(path).motors if m.drive is not None}

@@ -1,8 +1,9 @@
-"""The transport `socketcan`: this computer leads the drives by a CAN interface of Linux.
+"""The transport `socketcan`: this computer commands the drives by a CAN interface of Linux.
 
-The board's own firmware runs as a process beside the driver, in real time: firmware/boards/linux.
-The driver speaks to it as to a board, so tables, limits, tails, stops and drives are the board's.
-What a board would not be is late: that is measured, and what is too late for the rig is refused.
+The board's firmware runs as a separate real-time process: firmware/boards/linux. The driver talks
+to it as to a board, so tables, limits, tails, stops and drives are those of the board. In contrast
+to a board the process may be late. The lateness is measured, and the plate is stopped if it is too
+large for the rig.
 """
 
 from __future__ import annotations
@@ -33,27 +34,27 @@ from plate_sim.device import DeviceLimits, c_header
 __all__ = ["HostPort", "HostTransport", "build", "make", "open_can", "program_of"]
 
 SOURCES = Path(__file__).parent / "firmware"
-"""A link in the source tree, a copy where the package is installed."""
+"""Link in the source tree, copy in the installed package."""
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 ENDED = "the process that leads the drives has ended"
 FADE = 1e-3
-"""Of the greatest lateness, with each telemetry: it is forgotten in 10 s."""
+"""Decay of the maximum lateness with each telemetry message: it is forgotten in about 10 s."""
 
 
 def build(header: str, kind: str, folder: Path, *files: str) -> Path:
-    """Compile the firmware for this computer; returns the program.
+    """Compile the firmware for this computer. Return the path of the program.
 
     Parameters
     ----------
     header : str
-        A rig's limits and drives, see `plate_sim.device.c_header`.
+        Limits and drives of a rig, see `plate_sim.device.c_header`.
     kind : str
-        Of the drives: cia402 or odrive.
+        Kind of the drives: cia402 or odrive.
     folder : Path
-        Where to.
+        Folder of the program.
     files : str
-        Sources in firmware/ that are its board.
+        Sources in firmware/ for its board.
 
     Raises
     ------
@@ -76,8 +77,8 @@ def build(header: str, kind: str, folder: Path, *files: str) -> Path:
 
 @lru_cache(maxsize=1)
 def _built(header: str, kind: str) -> tuple[Path, tempfile.TemporaryDirectory[str]]:
-    """The program, kept while this process lives: to compile takes a second or more, and a stop may
-    have to open a transport."""
+    """Compile the program once per process: it takes a second or more, and a stop may have to open
+    a transport."""
     folder = tempfile.TemporaryDirectory(prefix="plate-")
     return build(header, kind, Path(folder.name), "boards/linux/board.c"), folder
 
@@ -88,7 +89,7 @@ def program_of(rig: Rig) -> Path:
     Raises
     ------
     PlateError
-        If the rig is none for it, or it cannot be compiled.
+        If the rig does not suit this transport, or the firmware cannot be compiled.
     """
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
     if not drives:
@@ -101,12 +102,12 @@ def program_of(rig: Rig) -> Path:
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
     try:
         return _built(header, drives[0].kind)[0]
-    except (OSError, subprocess.TimeoutExpired) as error:  # a full disk, above all
+    except (OSError, subprocess.TimeoutExpired) as error:  # most likely a full disk
         raise PlateError(f"the firmware cannot be compiled: {error}") from None
 
 
 def open_can(channel: str) -> socket.socket:
-    """Open a CAN interface of Linux; a PlateError if it is not there, or down."""
+    """Open a CAN interface of Linux. Raise a PlateError if it is absent or down."""
     try:
         can = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         can.bind((channel,))
@@ -118,24 +119,25 @@ def open_can(channel: str) -> socket.socket:
 
 
 class HostPort:
-    """The firmware in a process of its own, as a serial port.
+    """The firmware in a separate process, with the interface of a serial port.
 
-    When it is closed, or we are gone, the process brakes, takes the current away and ends.
+    When the port is closed, or this process ends, the firmware brakes, disables the drives and
+    ends.
 
     Parameters
     ----------
     program : path
     channel : str
-        Name of the bus: one process each.
+        Name of the bus. Each bus has one process.
     opened : callable
-        Opens it: datagrams of `struct can_frame`.
+        Opens the bus: a socket with datagrams of `struct can_frame`.
     ticks : int, optional
-        Descriptor that gives the ticks, in place of a timer.
+        File descriptor that provides the ticks instead of a timer.
 
     Raises
     ------
     PlateError
-        If the bus does not open, another process still leads it, or the program does not start.
+        If the bus does not open, another process still commands it, or the program does not start.
     """
 
     def __init__(
@@ -147,7 +149,7 @@ class HostPort:
     ) -> None:
         with socket.socket(socket.AF_UNIX) as lock, opened(channel) as can:
             try:
-                lock.bind(f"\0plate_drives {channel}")  # until the process has ended
+                lock.bind(f"\0plate_drives {channel}")  # held until the process has ended
             except OSError:
                 raise PlateError(f"{channel} is still led by another process of ours") from None
             passed = (can.fileno(), *(() if ticks is None else (ticks,)))
@@ -168,7 +170,7 @@ class HostPort:
             os.set_blocking(pipe.fileno(), False)
 
     def read(self, size: int) -> bytes:
-        """Return what has come; an OSError if the process has ended."""
+        """Return the available bytes. Raise an OSError if the process has ended."""
         try:
             data = os.read(self._out.fileno(), size)
         except BlockingIOError:
@@ -178,7 +180,8 @@ class HostPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Write what fits; returns how many bytes that is; an OSError if the process has ended."""
+        """Write bytes without blocking; return their number. Raise an OSError if the process has
+        ended."""
         try:
             return os.write(self._in.fileno(), data)
         except BlockingIOError:
@@ -187,31 +190,31 @@ class HostPort:
             raise OSError(ENDED) from None
 
     def close(self) -> None:
-        """Let it end."""
+        """Close the pipes, so that the process ends."""
         self._in.close()
         self._out.close()
         threading.Thread(target=self._process.wait, daemon=True).start()
 
 
 class HostTransport(SerialTransport):
-    """To the firmware on this computer.
+    """Transport to the firmware on this computer.
 
     Parameters
     ----------
     make_port : callable
-        Starts it.
+        Starts the firmware.
     limits : Limits
-        Of the rig.
+        Limits of the rig.
     clock : callable
-        Time that never runs back [s].
+        Monotonic time [s].
     seed : int
-        Where session numbers begin: another one for each run.
+        First session number, different for each run.
 
     Attributes
     ----------
     allowed_ms : float
-        By how much a setpoint may be late: as long as the plate, at its greatest speed, needs for
-        the following error that is a fault [ms].
+        Maximum lateness of a setpoint: the time in which the plate, at its maximum speed, moves by
+        the maximum following error [ms].
     """
 
     def __init__(
@@ -223,7 +226,7 @@ class HostTransport(SerialTransport):
         self._too_late = ""
 
     def poll(self) -> list[Measured]:
-        """Poll, and brake where setpoints come too late for the rig."""
+        """Poll, and brake if setpoints are too late for the rig."""
         measured = super().poll()
         self._late_ms = max(
             self.load, self._late_ms * (1 - FADE) ** len(measured)
@@ -235,21 +238,21 @@ class HostTransport(SerialTransport):
         return measured
 
     def enable(self) -> Order:
-        """Enable as a board, unless this computer is too late for the rig."""
+        """Enable as with a board, unless this computer is too late for the rig."""
         if self._late_ms > self.allowed_ms:
             return Order().settle(self._lateness())
         self._too_late = ""
         return super().enable()
 
     def report(self) -> Report:
-        """Say what the motors do, and whether lateness has stopped them."""
+        """Return the state of the motors, and whether lateness has stopped them."""
         report = super().report()
         if self._too_late and report.condition in (Condition.OFF, Condition.BRAKING):
             return Report(report.condition, DriverReason.OTHER, self._too_late)
         return report
 
     def values(self) -> dict[str, str]:
-        """Return what is to be reported, name to value."""
+        """Return values for diagnostics, by name."""
         values = super().values()
         if "device_load" in values:
             values["setpoints_late_ms"] = values.pop("device_load")
@@ -263,7 +266,7 @@ class HostTransport(SerialTransport):
 
 
 def make(context: TransportContext) -> HostTransport:
-    """Return the transport to the drives on the CAN interface that the parameter `port` names."""
+    """Return the transport to the drives on the CAN interface of the parameter `port`."""
     channel, rig = str(context.parameters["port"]), context.rig
     if not channel:
         raise PlateError("port is '', allowed with socketcan: a CAN interface, such as can0")

@@ -1,4 +1,4 @@
-"""What drives are on the bus, what they say of themselves, and whether that fits the rig."""
+"""Survey of the drives on a bus: their objects, and a comparison with the rig."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ OBJECTS = {
     "lowest": (0x607D, 1), "highest": (0x607D, 2), "speed": (0x607F, 0), "window": (0x6065, 0),
     "period": (0x60C2, 1), "exponent": (0x60C2, 2), "consumer": (0x1016, 1), "abort": (0x6007, 0),
 }  # fmt: skip
-"""What is read of a node: object and subindex."""
+"""Objects that are read from a node: object and subindex."""
 SIGNED = ("position", "lowest", "highest", "exponent")
 
 NEEDED = ("consumer", "abort", "exponent")
-"""Without these nobody could stop a drive once its master is gone, or it would not interpolate."""
+"""Objects that a drive needs: it must stop if its master fails, and interpolate."""
 
 PROFILE, CYCLIC_POSITION, UNWATCHED = 402, 1 << 7, 2**32 - 1
 
@@ -32,14 +32,14 @@ def enabled(status: int) -> bool:
 
 
 def in_fault(status: int) -> bool:
-    """Whether a drive with this statusword is in fault, or on its way there."""
+    """Whether a drive with this statusword is in fault, or in its fault reaction."""
     return status & 0x48 == 0x08
 
 
 @dataclass(frozen=True)
 class Found:
-    """A node on the bus: its number, values by the names of `OBJECTS`, why it refuses the others,
-    and whether two nodes have this number."""
+    """A node on the bus: its number, its values by the names of `OBJECTS`, its reasons to refuse
+    other objects, and whether two nodes have this number."""
 
     node: int
     values: Mapping[str, int]
@@ -48,7 +48,7 @@ class Found:
 
     @property
     def is_drive(self) -> bool:
-        """Whether it is a drive of CiA 402."""
+        """Whether it is a CiA 402 drive."""
         return self.values.get("device type", 0) & 0xFFFF == PROFILE
 
     def __str__(self) -> str:
@@ -63,12 +63,12 @@ class Found:
 
 
 def survey(master: Master) -> dict[int, Found]:
-    """Return all nodes on the bus, by their numbers. It only reads.
+    """Return all nodes on the bus by their numbers. Nothing is written.
 
     Raises
     ------
     PlateError
-        If the bus is gone, or a node falls silent meanwhile.
+        If the bus fails, or a node does not reply.
     """
     found = {}
     for node in master.answering(0x1000):
@@ -83,7 +83,8 @@ def survey(master: Master) -> dict[int, Found]:
 
 
 def drives_of(rig: Rig) -> list[Drive]:
-    """Return the drives of motor_1 to motor_4; a PlateError if they are none of CiA 402."""
+    """Return the drives of motor_1 to motor_4. Raise a PlateError if they are not CiA 402
+    drives."""
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
     kinds = {drive.kind for drive in drives} or {"bridge"}
     if kinds != {"cia402"}:
@@ -92,7 +93,7 @@ def drives_of(rig: Rig) -> list[Drive]:
 
 
 def doubts(rig: Rig, found: Mapping[int, Found], rival: bool) -> Iterator[Doubt]:
-    """Yield what on the bus does not fit the rig; `impossible` is what has to be mended first."""
+    """Yield the differences between bus and rig; `impossible` ones must be corrected first."""
     if rival:
         yield Doubt("bus", words(0, Trouble.OTHER_MASTER), True)
     drives = drives_of(rig)
@@ -137,7 +138,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
 
 
 def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:
-    """What the drive's own limits do within the rig's, and whether it is then wrong."""
+    """Yield the drive's own limits that affect the rig's, and whether each is an error."""
     low, high, speed, window = (
         one.values.get(name, 0) / drive.counts_per_m
         for name in ("lowest", "highest", "speed", "window")

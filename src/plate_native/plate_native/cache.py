@@ -1,9 +1,11 @@
-"""What a user compiled before, in any clone: python cache.py take|keep PACKAGE BUILT ROOT
+"""The user's cache of compiled files, for all clones: python cache.py take|keep PACKAGE BUILT ROOT
 
-Entries of a folder are found by a digest of all that they were made of. One that is damaged counts
-as none, and where nothing can be written nothing is kept. As a program it takes or keeps the folder
-BUILT, a package of messages that was built of the folder PACKAGE; both are below the folder ROOT,
-whose path is put in place of that of another clone. It fails where there is no such entry.
+The key of an entry is a digest of everything from which it was made. A damaged entry is ignored. If
+the folder cannot be written, nothing is kept.
+
+As a program it takes or keeps the folder BUILT, a package of messages built from the folder
+PACKAGE. Both are below the folder ROOT, whose path replaces that of the clone which made the entry.
+The exit code is not 0 if there is no such entry.
 """
 
 from __future__ import annotations
@@ -20,23 +22,23 @@ from contextlib import suppress
 from pathlib import Path
 
 MOST_BYTES = 100_000_000
-"""Of all entries; those that were not used for longest go."""
+"""Maximum size of all entries [bytes]. The entries unused for longest are removed."""
 
 ROOT = b"@the root of the clone@"
-"""In place of its path, in packages that are kept."""
+"""Placeholder of the clone's path in kept packages."""
 
 TOOLS = ("ros_", "catkin", "cmake", "empy", "lark", "numpy")
-"""How the names of Python packages begin that a package of messages depends on."""
+"""Name prefixes of the Python packages on which a package of messages depends."""
 
 
 def of_user() -> Path:
-    """Return the folder of the user who runs this."""
+    """Return the cache folder of the current user."""
     place = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return Path(place if os.path.isabs(place) else os.devnull, "vibrating-plate/compiled")
 
 
 def key_of(*made_of: str | bytes) -> str:
-    """Return the name of what was made of these."""
+    """Return the key of an entry made from these contents."""
     digest = hashlib.sha256()
     for part in made_of:
         content = part.encode() if isinstance(part, str) else part
@@ -45,7 +47,7 @@ def key_of(*made_of: str | bytes) -> str:
 
 
 def take(folder: Path, key: str) -> bytes | None:
-    """Return an entry, or None."""
+    """Return the content of an entry; None if it is missing or damaged."""
     with suppress(OSError):
         data = (folder / key).read_bytes() if (folder / key).is_file() else b""
         if hashlib.sha256(data[32:]).digest() == data[:32]:
@@ -56,7 +58,7 @@ def take(folder: Path, key: str) -> bytes | None:
 
 
 def keep(folder: Path, key: str, content: bytes) -> None:
-    """Make an entry, in whole or not at all."""
+    """Write an entry atomically."""
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         part = folder / f"{key}-{os.getpid()}"
@@ -73,11 +75,11 @@ def keep(folder: Path, key: str, content: bytes) -> None:
 
 
 def compiler(words: list[str]) -> bytes:
-    """Return what a command for C++ stands for: version, target, where headers are looked for."""
+    """Return a C++ compiler's description: version, target, and search path of headers."""
     asked = [*words, "-v", "-E", "-x", "c++", os.devnull]
     try:
         return subprocess.run(asked, capture_output=True, check=False).stderr
-    except FileNotFoundError:  # as who calls it to compile will find
+    except FileNotFoundError:  # reported by the compilation itself
         return b""
 
 
@@ -101,7 +103,7 @@ def _moved(content: bytes, here: bytes, there: bytes) -> bytes:
 
 
 def _is_clear(content: bytes, root: bytes) -> bool:
-    """Whether the path stands in a text only where it is meant, not within other words."""
+    """Whether the path occurs in a text only as a whole path, not within other words."""
     meant = re.findall(rb"(?<![\w.+-])" + re.escape(root) + rb"(?![\w.+-])", content)
     return b"\0" in content or len(meant) == content.count(root)
 
@@ -114,7 +116,7 @@ def _packed(built: Path, root: str) -> bytes:
                 raise PermissionError(f"{root} is also a part of other words in {path}")
             content = _moved(path.read_bytes(), os.fsencode(root), ROOT)
             info = tarfile.TarInfo(str(path.relative_to(built)))
-            info.size, info.mtime = len(content), int(path.stat().st_mtime)  # known to bytecode
+            info.size, info.mtime = len(content), int(path.stat().st_mtime)  # bytecode refers to it
             archive.addfile(info, io.BytesIO(content))
     return packed.getvalue()
 
@@ -123,17 +125,17 @@ def _unpack(packed: bytes, built: Path, root: str) -> None:
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         for info in archive:
             path, content = built / info.name, archive.extractfile(info)
-            assert content is not None  # as all entries are files
+            assert content is not None  # all entries are files
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(_moved(content.read(), ROOT, os.fsencode(root)))
             os.utime(path, (info.mtime, info.mtime))
 
 
 def main(action: str, package: str, built: str, root: str) -> int:
-    """Take or keep a package; returns the exit code."""
+    """Take or keep a package. Return the exit code."""
     key = _key_of_messages(Path(package), root)
     if action == "keep":
-        if root == os.path.realpath(root):  # else tools may have written the one path or the other
+        if root == os.path.realpath(root):  # otherwise tools may have written either path
             with suppress(PermissionError):
                 keep(of_user(), key, _packed(Path(built), root))
         return 0

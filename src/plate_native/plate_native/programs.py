@@ -1,4 +1,4 @@
-"""Programs of nodes, which Ctrl-C ends at any time, at once and without a traceback."""
+"""Programs that start nodes. Ctrl-C ends them at any time, at once and without a traceback."""
 
 from __future__ import annotations
 

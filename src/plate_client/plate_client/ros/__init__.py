@@ -1,1 +1,1 @@
-"""What asks the running nodes. It imports nothing by itself: a stop must not wait for the rest."""
+"""Calls of the running nodes. This file imports nothing, so that it does not delay a stop."""

@@ -1,4 +1,4 @@
-"""Tasks for the plate, from Python: goals of the planner's actions, and what becomes of them.
+"""Client of the planner's actions: send goals, follow their progress, wait for their results.
 
 with PlateClient.connect() as plate:
     status = plate.run(load_scenario("sort_4"))
@@ -27,26 +27,27 @@ from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 from ..messages import spin_until
 
 FOUND_S = 5.0
-"""Longest wait for the planner to be found [s]."""
+"""Maximum time to discover the planner [s]."""
 
 SILENT_S = 2.0
-"""A planner that says nothing of a running task for longer may be gone [s]."""
+"""Time without feedback on a running task after which the planner counts as ended [s]."""
 
 CANCEL_S = 5.0
-"""Longest wait until a task that was canceled has ended [s]."""
+"""Maximum time for a canceled task to end [s]."""
 
 AGAIN_S, ANSWER_S = 0.2, 1.0
-"""Between two tries of a goal for which the graph is not ready yet, and before one that is not
-answered is sent again [s]: DDS may lose the first answer of a planner that was just found."""
+"""Time between two attempts while the graph is not ready for a goal; time without a reply after
+which the goal is sent again [s]. DDS may lose the first reply of a planner that was just
+discovered."""
 
 Callback = Callable[[Any], None]
 
 Until = Callable[[Callable[[], bool], float], bool]
-"""Handles messages until a condition holds, or for a time [s]; returns whether it holds."""
+"""Processes messages until a condition holds, or until a timeout [s]. Returns whether it holds."""
 
 
 class TaskError(PlateError):
-    """A task was not done; `status` says why."""
+    """A task was not completed. `status` gives the reason."""
 
     def __init__(self, status: TaskStatus) -> None:
         super().__init__(status.text)
@@ -54,65 +55,65 @@ class TaskError(PlateError):
 
 
 class Task:
-    """A goal that was sent, and what becomes of it.
+    """A goal that was sent, with its progress and result.
 
     Parameters
     ----------
     name : str
     send : callable
-        Sends it, with the callbacks for its feedback and for its answer. However often it is sent,
-        it has one id, so that it is begun once.
+        Sends the goal, with callbacks for feedback and reply. All repetitions use one id, so that
+        the planner executes it once.
 
     Attributes
     ----------
     name : str
-        Of the action.
+        Name of the action.
     progress : TaskProgress
-        The newest.
+        Newest progress.
     status : TaskStatus or None
-        How it ended; None while it runs.
+        Result; None while the task runs.
     """
 
     def __init__(self, name: str, send: Callable[[Callback, Callback], None]) -> None:
         self.name, self._send, self._sent = name, send, 0
         self.progress = TaskProgress()
-        self.heard = 0  # how often the planner has said how it gets on
+        self.heard = 0  # number of feedback messages
         self.status: TaskStatus | None = None
         self._handle: Any = None
         self._cancel = False
 
     @property
     def ended(self) -> bool:
-        """Whether it is over, well or not."""
+        """Whether the task has ended, successfully or not."""
         return self.status is not None
 
     @property
     def done(self) -> bool:
-        """Whether it is over, and its goal reached."""
+        """Whether the task has ended, and its goal is reached."""
         return self.status is not None and self.status.state == TaskStatus.DONE
 
     @property
     def accepted(self) -> bool:
-        """Whether the planner has answered, so that `cancel` reaches it."""
+        """Whether the planner has replied, so that `cancel` reaches it."""
         return self._handle is not None
 
     def has_begun(self) -> bool:
-        """Whether the planner does it, or has done with it."""
+        """Whether the planner executes the task, or has ended it."""
         return self.ended or (self.accepted and self.progress.parts_total > 0)
 
     def send(self) -> None:
-        """Send the goal, or send it once more."""
+        """Send the goal, or send it again."""
         self._sent += 1
         self._sent_at = time.monotonic()
         self._send(self._on_feedback, self._on_answer)
 
     def send_again(self) -> None:
-        """Send it once more if it is not answered in time."""
+        """Send the goal again if there is no reply in time."""
         if not self.accepted and not self.ended and time.monotonic() - self._sent_at > ANSWER_S:
             self.send()
 
     def cancel(self) -> None:
-        """Ask for its end; `PlateClient.wait` tells when it is over."""
+        """Request the end of the task. `PlateClient.wait` returns when it has ended."""
         self._cancel = True
         if self._handle is not None and not self.ended:
             self._handle.cancel_goal_async()
@@ -125,7 +126,7 @@ class Task:
         if self.accepted:
             return
         self._handle = handle = future.result()
-        if not handle.accepted and self._sent == 1:  # rclpy refuses an id that it knows already
+        if not handle.accepted and self._sent == 1:  # rclpy refuses a repeated id
             self.status = TaskStatus(state=TaskStatus.ABORTED, text="the planner refused the goal")
             return
         handle.get_result_async().add_done_callback(self._on_result)
@@ -134,20 +135,20 @@ class Task:
 
     def _on_result(self, future: Any) -> None:
         status = future.result().result.status
-        if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):  # a result that nobody filled
+        if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):  # a default result
             status.state, status.text = TaskStatus.ABORTED, "the planner has forgotten the goal"
         self.status = status
 
 
 class PlateClient:
-    """The planner's actions, for a node of yours.
+    """Client of the planner's actions that uses an existing node.
 
     Parameters
     ----------
     node : Node
-        In the planner's namespace.
+        Node in the planner's namespace.
     until : callable
-        Handles the node's messages, see `Until`; left out: `rclpy.spin_once`.
+        Processes the node's messages, see `Until`. Default: `rclpy.spin_once`.
     """
 
     def __init__(self, node: Node, until: Until | None = None) -> None:
@@ -159,7 +160,7 @@ class PlateClient:
     @classmethod
     @contextmanager
     def connect(cls, namespace: str = "") -> Iterator[PlateClient]:
-        """Make a client with a node of its own, in the domain ROS_DOMAIN_ID."""
+        """Make a client with a separate node, in the domain ROS_DOMAIN_ID."""
         choose_network(os.environ)
         context = rclpy.Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -180,23 +181,23 @@ class PlateClient:
             rclpy.shutdown(context=context)
 
     def close(self) -> None:
-        """Let go of the actions; the node stays."""
+        """Destroy the action clients. The node is not destroyed."""
         for client in self._clients.values():
             client.destroy()
         self.node.destroy_publisher(self._targets)
 
     def found(self, name: str) -> bool:
-        """Whether there is an action of this name."""
+        """Whether an action server with this name exists."""
         return bool(self._clients[name].server_is_ready())
 
     def send(self, task: Scenario | Any, waiting: Callable[[str], None] = lambda why: None) -> Task:
-        """Send a scenario, or a goal of one of the actions, and return at once; `waiting` is called
-        with why not yet, while the planner is looked for.
+        """Send a scenario, or a goal of one of the actions, without waiting for its result. While
+        the planner is not found, `waiting` is called with the reason.
 
         Raises
         ------
         PlateError
-            If there is no planner.
+            If no planner is found.
         """
         if isinstance(task, Scenario):
             name, goal = scenario_to_goal(task)
@@ -218,13 +219,13 @@ class PlateClient:
         return sent
 
     def move_targets(self, targets: Sequence[PartTarget]) -> None:
-        """Replace the targets of parts in a running task of `move`; others keep theirs. What the
-        planner refuses it says in log and diagnostics.
+        """Replace targets of parts in a running task `move`. Other parts keep their targets.
+        Targets that the planner refuses appear in its log and diagnostics.
 
         Raises
         ------
         PlateError
-            If there is no planner.
+            If no planner is found.
         """
         if not self._until(lambda: self._targets.get_subscription_count() > 0, FOUND_S):
             raise PlateError("nobody hears targets: does the planner run, in this ROS domain?")
@@ -236,12 +237,12 @@ class PlateClient:
         timeout_s: float = float("inf"),
         meanwhile: Callable[[], None] = lambda: None,
     ) -> TaskStatus:
-        """Return how a task ended; `meanwhile` is called again and again until then.
+        """Return the last status of a task. `meanwhile` is called repeatedly until it has ended.
 
         Raises
         ------
         PlateError
-            If it does not end in time, or the planner says nothing of it any more.
+            If the task does not end in time, or the planner sends no more feedback.
         """
         end, heard, silent_s = time.monotonic() + timeout_s, task.heard, 0.0
         while not self._until(lambda: task.ended, AGAIN_S):
@@ -265,13 +266,13 @@ class PlateClient:
         ready_timeout_s: float = FOUND_S,
         waiting: Callable[[str], None] = lambda why: None,
     ) -> Task:
-        """Send a goal; again, while the graph is not ready for it, for so long [s]: then `waiting`
-        is called with the reason, again and again.
+        """Send a goal, repeatedly while the graph is not ready, for at most `ready_timeout_s` [s].
+        During this time `waiting` is called with the reason.
 
         Raises
         ------
         TaskError
-            If it is refused.
+            If the goal is refused.
         """
         end = time.monotonic() + ready_timeout_s
         while True:
@@ -281,10 +282,10 @@ class PlateClient:
                     if self._until(task.has_begun, AGAIN_S):
                         break
                     task.send_again()
-            except KeyboardInterrupt:  # nobody else knows of the task
+            except KeyboardInterrupt:  # the caller has no handle of the task yet
                 raise TaskError(self.cancel(task)) from None
             if not task.accepted:
-                task.cancel()  # should the goal still arrive
+                task.cancel()  # in case that the goal still arrives
                 raise PlateError("the planner does not answer the goal: does it hang?")
             if task.status is None or task.status.reason not in REFUSED:
                 return task
@@ -294,12 +295,12 @@ class PlateClient:
             self._until(lambda: False, AGAIN_S)
 
     def run(self, scenario: Scenario | Any, timeout_s: float = float("inf")) -> TaskStatus:
-        """Do a task; returns its last status.
+        """Execute a task; return its last status.
 
         Raises
         ------
         TaskError
-            If it is refused, or ends without being done.
+            If the task is refused, or ends without reaching its goal.
         PlateError
             As `wait`.
         """
@@ -309,9 +310,9 @@ class PlateClient:
         return status
 
     def cancel(self, task: Task) -> TaskStatus:
-        """End a task: nothing is asked of the parts any more; returns its last status.
+        """Cancel a task; return its last status.
 
-        Ctrl-C ends the wait for it when the planner has been asked.
+        Ctrl-C ends the wait, but only after the request has reached the planner.
         """
         task.cancel()
         while True:
@@ -328,4 +329,4 @@ class PlateClient:
 
 
 REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
-"""Reasons why a task has never begun."""
+"""Reasons for which a task does not begin."""

@@ -308,7 +308,7 @@ class Graph(Services):
             if isinstance(before, float) and type(value) is int:
                 value = float(value)
             allowed = type(value) is kind
-        except (yaml.YAMLError, ValueError):  # the latter: an invalid date
+        except (yaml.YAMLError, ValueError):  # ValueError: an invalid date
             allowed = False
         if not allowed:
             raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")

@@ -1,4 +1,4 @@
-"""Calls of the running nodes' services, with no more imports than a stop needs."""
+"""Calls of the running nodes' services, with only the imports that a stop needs."""
 
 from __future__ import annotations
 
@@ -20,35 +20,36 @@ from plate_core import PlateError, choose_network, ros_domain
 from ..messages import spin_until
 
 NOBODY_S, FOUND_S, ANSWER_S, READY_S = 1.0, 3.0, 15.0, 15.0
-"""Longest waits: for any node to be seen, for a service to be found, for its answer, and for motors
-that are being enabled [s]."""
+"""Maximum waits [s]: to discover any node; to discover a service; for its reply; for motors that
+are being enabled."""
 
 URGENT = ("emergency_stop", "cut_power", "disable")
-"""These are tried for longer, also where nobody is seen."""
+"""Commands that are tried longer, even if no node is discovered."""
 
 ONCE, AGAIN_S = ("home", "calibrate", "call"), 0.5
-"""Commands of which each call counts, as of enable; all others are called again after so long
-without an answer [s]: DDS may lose the first one of a service that was just found."""
+"""Commands that must not be repeated, as enable; time without a reply after which other commands
+are repeated [s]. DDS may lose the first reply of a service that was just discovered."""
 
 SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
-"""Names of services."""
+"""Valid names of services."""
 
 CALLS = QoSProfile(depth=1000)
-"""As in plate_core.ros, which takes too long to import."""
+"""Same as in plate_core.ros, whose import takes too long."""
 
 NAME = "plate_command"
 
 DDS_PORT, PORTS_PER_DOMAIN, DOMAINS = 7400, 250, range(102)
-"""UDP ports of a ROS domain (DDSI-RTPS 9.6.1.1), and the domains whose ports are nobody else's."""
+"""UDP ports of a ROS domain (DDSI-RTPS 9.6.1.1), and the domains with ports below the ephemeral
+range."""
 
 
 def start_ros(namespace: str) -> None:
-    """Start ROS, for nodes of a namespace.
+    """Initialise ROS for nodes of a namespace.
 
     Raises
     ------
     PlateError
-        If the environment names no ROS domain, or the namespace is none.
+        If ROS_DOMAIN_ID or the namespace is not valid.
     """
     choose_network(os.environ)
     ros_domain(os.environ)
@@ -61,19 +62,19 @@ def start_ros(namespace: str) -> None:
 
 
 def end_ros(services: Services | None) -> None:
-    """End ROS, and the node that was made for it, if it was."""
+    """Shut down ROS, and destroy the node if there is one."""
     if services is not None:
         services.node.destroy_node()
     rclpy.try_shutdown()
 
 
 class Services:
-    """The services of the running nodes, as seen by a node of our own.
+    """The services of the running nodes, called by a separate node.
 
     Parameters
     ----------
     namespace : str
-        Of the nodes.
+        Namespace of the nodes.
     """
 
     def __init__(self, namespace: str) -> None:
@@ -82,12 +83,12 @@ class Services:
         )
 
     def run(self, args: argparse.Namespace) -> str:
-        """Do what is asked, and return what there is to tell.
+        """Execute a command, and return its output.
 
         Raises
         ------
         PlateError
-            If it was not done.
+            If the command failed.
         """
         service, urgent = args.command, args.command in URGENT
         if service == "call":
@@ -109,12 +110,12 @@ class Services:
         return str(answer.message)
 
     def _enable(self) -> str:
-        """Enable the motors, and wait until they are ready: that may take longer than the answer.
+        """Enable the motors, and wait until they are ready. This may take longer than the reply.
 
         Raises
         ------
         PlateError
-            If they are not: why.
+            If they are not ready, with the reason.
         """
         from plate_core.ros import LATCHED
         from plate_interfaces.msg import DriverStatus
@@ -147,7 +148,7 @@ class Services:
     ) -> Any:
         client = self.node.create_client(kind, service, qos_profile=CALLS)
 
-        def there() -> bool:  # a service may be known before the name of its node is
+        def there() -> bool:  # a service may be discovered before the name of its node
             return urgent or client.service_is_ready() or bool(self._seen())
 
         cut = ": cut the power by hand" if urgent else ""
@@ -163,26 +164,26 @@ class Services:
         raise PlateError(f"{service} does not answer{cut}")
 
     def _missing(self, service: str) -> str:
-        """Say why there is no such service."""
+        """Return the reason why the service is missing."""
         here = self._seen()
         return f"no service {service}: {'nodes here: ' + ', '.join(here) if here else nobody()}"
 
     def _find_nodes(self) -> None:
-        """Wait until a node of our namespace is seen.
+        """Wait until a node of this namespace is discovered.
 
         Raises
         ------
         PlateError
-            If none is.
+            If no node is discovered.
         """
         if not self._until(lambda: bool(self._seen()), NOBODY_S):
             raise PlateError(nobody())
 
     def _seen(self) -> list[str]:
-        """Return the names of the nodes of our namespace."""
+        """Return the names of the nodes in this namespace."""
         ours = self.node.get_namespace()
         found = self.node.get_node_names_and_namespaces()
-        return sorted(  # names with _ are hidden: tools, such as the daemon of the ros2 command
+        return sorted(  # names with _ are hidden nodes of tools, such as the ros2 daemon
             name
             for name, where in found
             if name != NAME and where == ours and not name.startswith("_")
@@ -195,25 +196,25 @@ class Services:
 
 
 def nobody() -> str:
-    """Say that no graph is there, and in which domains of this machine there may be one."""
+    """Return an error text that no graph runs, with the ROS domains in use on this machine."""
     ours = ros_domain(os.environ)
     others = sorted(domains_in_use() - {ours})
     text = f"no graph runs in ROS domain {ours}"
     if others:
         listed = ", ".join(map(str, others))
         text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID="
-        text += listed if len(others) == 1 else "that of yours"  # one may be another's plate
+        text += listed if len(others) == 1 else "that of yours"  # some may be others' graphs
     return text
 
 
 def domains_in_use() -> set[int]:
-    """Return the ROS domains of this machine's processes, as their UDP ports tell."""
+    """Return the ROS domains of this machine's processes, from their UDP ports."""
     found = set()
     for table in ("/proc/net/udp", "/proc/net/udp6"):
         path = Path(table)
         for line in path.read_text("ascii").splitlines()[1:] if path.exists() else ():
             port = int(line.split()[1].rsplit(":", 1)[1], 16)
             domain, offset = divmod(port - DDS_PORT, PORTS_PER_DOMAIN)
-            if domain in DOMAINS and offset >= 10:  # below: multicast
+            if domain in DOMAINS and offset >= 10:  # lower ports are for multicast
                 found.add(domain)
     return found

@@ -1,4 +1,4 @@
-// From arrays of Python to views of C++: type, axes and order are checked, nothing is copied.
+// Conversion of Python arrays to C++ views: type, axes and order are checked, nothing is copied.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -16,7 +16,7 @@ namespace nb = nanobind;
 template <class T, nb::ssize_t N>
 using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 
-// What becomes a view with the number of axes that is wanted.
+// Converts an array to a view with the required number of axes.
 template <class Source>
 struct Viewed {
     const Source& array;
@@ -48,7 +48,7 @@ SamplesOf<Number> samples(const Array<const Number, 2>& array) {
     return {array.data(), static_cast<int>(array.shape(0)), 3, 1};
 }
 
-// An array of numpy that owns what a vector held.
+// A numpy array that takes over the memory of a vector.
 template <int N, class T = double, class Memory = std::allocator<T>>
 nb::ndarray<nb::numpy, T, nb::ndim<N>> to_numpy(std::vector<T, Memory>&& numbers,
                                                 std::array<size_t, N> shape) {

@@ -2,7 +2,7 @@
 //
 // C libraries round std::hypot differently. IEEE 754 fixes sums, products and square roots, so
 // |(x, y)| = sqrt(x x + y y) has one value everywhere. A square overflows beyond 1e154 and loses
-// digits below 1e-146: only lengths that may be so large or small need `scaled_length`.
+// digits below 1e-146. Only lengths that may reach these limits need `scaled_length`.
 #pragma once
 #include <algorithm>
 #include <cmath>

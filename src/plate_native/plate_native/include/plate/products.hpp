@@ -1,6 +1,7 @@
-// Products of small matrices whose sums have one order, whatever the processor's vectors are.
+// Products of small matrices. The order of summation does not depend on the processor's vectors.
 //
-// Vector instructions go along a row of the result, so each sum is done term by term, as written.
+// Vector instructions run along a row of the result, so each sum is computed term by term, as
+// written.
 #pragma once
 #include <algorithm>
 
@@ -8,7 +9,7 @@
 
 namespace plate {
 
-// Numbers in a vector of 256 bits.
+// Count of numbers in a vector of 256 bits.
 template <class Number>
 constexpr int LANES_OF = 32 / sizeof(Number);
 

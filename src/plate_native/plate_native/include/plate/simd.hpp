@@ -1,4 +1,4 @@
-// Vectors of numbers for the vector instructions of the processor: + - * / act on each number.
+// Vectors of numbers for the processor's vector instructions; + - * / act on each number.
 #pragma once
 #include <cstring>
 

@@ -1,4 +1,4 @@
-// Arrays that somebody else owns, and one that owns its numbers: rows one after the other in memory.
+// Views of arrays in memory that others own, and a matrix that owns its memory; both in row order.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -24,7 +24,7 @@ struct View {
         return data[offset];
     }
 
-    // Where the entries of the first axis' index begin.
+    // Pointer to the entries at an index of the first axis.
     T* operator[](int index) const {
         int each = 1;
         for (int axis = 1; axis < N; axis++) each *= shape[axis];
@@ -32,7 +32,7 @@ struct View {
     }
 };
 
-// Memory that begins where a line of the cache does: no vector lies across two of them.
+// Allocator aligned to a cache line, so that no vector spans two lines.
 template <class T>
 struct Aligned {
     using value_type = T;
@@ -68,7 +68,7 @@ struct MatrixOf {
 
 using Matrix = MatrixOf<double>;
 
-// Three numbers for each instant of a motion, in either order: x, y and theta of pose or twist.
+// Three numbers for each instant of a motion: x, y and theta of poses or twists, with strides.
 template <class Number>
 struct SamplesOf {
     const Number* data;

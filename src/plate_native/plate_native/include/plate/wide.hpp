@@ -1,7 +1,7 @@
-// Functions whose loops run on vectors: compiled for several widths, chosen when they are loaded.
+// PLATE_WIDE: the function is compiled for several vector widths; the loader chooses one.
 //
-// What they return is the same: no sum changes its order, no product is fused with a sum. Not for 512
-// bits: there GCC 12 loads past the ends of arrays (test_native.py).
+// Results do not depend on the width: the order of sums is fixed, and products are not fused with
+// sums. 512 bits are excluded: there GCC 12 loads past the ends of arrays (test_native.py).
 #pragma once
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
