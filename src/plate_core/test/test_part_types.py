@@ -46,7 +46,23 @@ def test_moments_of_a_polygon_agree_with_a_grid():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("nut_3: {radius_m: 0.01}", r"type 'nut_3', allowed: small letters"),
+        *(
+            (f"{name}: {{radius_m: 0.01}}", f"type '{name}', allowed: small letters")
+            for name in (
+                "nut_3",
+                "Nut",
+                "4nut",
+                "_nut",
+                "nut_",
+                "nut__m4",
+                "nut-m4",
+                "n" * 33,
+                "black",
+                "grey",
+                "unknown",
+                "group",
+            )
+        ),
         ("nut: {}", r"nut: outline_m or radius_m is missing"),
         ("nut: {radius_m: 0.01, outline_m: [[0, 0]]}", "outline_m and radius_m are given"),
         ("nut: {outline_m: [[0, 0], [1, 1], [1, 0], [0, 1]]}", "no two edges of which cross"),
@@ -75,6 +91,13 @@ def test_bad_types_are_refused_in_one_line(tmp_path, text, message):
     with pytest.raises(RigError, match=message) as info:
         load_part_types(write(tmp_path, text))
     assert "\n" not in str(info.value)
+
+
+def test_a_name_of_32_letters_with_digits_is_allowed(tmp_path):
+    names = ["n" * 32, "n", "m4", "nut_m4", "nut_4m_a2", "blacks"]
+    text = "\n".join(f"{name}: {{radius_m: 0.01}}" for name in names)
+    types = load_part_types(write(tmp_path, text))
+    assert list(types) == [part.name for part in types.values()] == names
 
 
 def test_corners_on_a_straight_edge_do_not_hide_a_symmetry(tmp_path):

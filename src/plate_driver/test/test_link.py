@@ -35,6 +35,7 @@ from plate_driver.transports.link import (
     GREETING_TRIES,
     LATER_GREETING_S,
     QUEUE_S,
+    SCATTER,
     SILENCE_S,
     Link,
 )  # fmt: skip
@@ -179,6 +180,38 @@ def test_lost_knots_are_sent_one_by_one():
     link, again = link.due(0.05)
     assert said(again) == [Knots(3, i, (KNOTS[i],)) for i in range(4)]
     assert link.retries == 4
+
+
+@pytest.mark.parametrize("start", [40, 2**16 - 30])
+def test_commands_have_consecutive_numbers_of_65536(start):
+    """Also those of lost knots, which are sent one by one: else an answer would fit several."""
+    link, first = replace(met(), sequence=start).uploading(3, KNOTS, 5).due(0.01)
+    link, some = done(link, first, 0.01).due(0.01)
+    assert [p.sequence for p in said_packets(first + some)] == [
+        (start + i) % 2**16 for i in range(9)
+    ]
+    link, _ = link.due(0.05)
+    parted = [p.sequence for p in link.queue if len(getattr(p.message, "knots", ())) == 1]
+    # After Begin, 13 messages of knots, of which the last has one, and Commit.
+    assert parted == [(start + i) % 2**16 for i in (*range(15, 47), 13)]
+    stop = link.stopping().queue[0]
+    assert stop.sequence == (start + 47) % 2**16
+
+
+def test_sessions_begin_with_numbers_far_apart():
+    numbers = [Link.begun(session, 0.0).queue[0].sequence for session in range(1, 9)]
+    assert numbers[0] == SCATTER
+    gaps = [abs(a - b) for a, b in itertools.combinations(numbers, 2)]
+    assert min(*gaps, *(2**16 - gap for gap in gaps)) > 1000
+
+
+def test_setpoints_of_a_stream_are_numbered_by_65536():
+    link, packets = met().adding(3, 2**16 - 6, KNOTS[:12]).due(0.01)
+    assert [m.first for m in said(packets)] == [2**16 - 6, 2**16 - 2, 2]
+    assert [k for m in said(packets) for k in m.knots] == KNOTS[:12]
+    again = said(link.due(0.05)[1])
+    assert [m.first for m in again] == [(2**16 - 6 + i) % 2**16 for i in range(12)]
+    assert [k for m in again for k in m.knots] == KNOTS[:12]
 
 
 def said_packets(packets: list[Packet]) -> list[Packet]:

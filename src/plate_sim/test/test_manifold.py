@@ -1,5 +1,7 @@
 """Finite parts that touch: against impulses worked out by hand, invariants, and seen overlaps."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -120,13 +122,17 @@ def test_an_inner_corner_holds_a_disc():
     assert w == pytest.approx(0, abs=0.2)
 
 
-def depth(one, other):
-    """Deepest overlap of two convex polygons [m], by separating axes in numpy."""
+def depth(one, other, shared=None):
+    """Deepest overlap of two convex polygons [m], by separating axes in numpy, but for a side of
+    the first one that is no part of its rim."""
     least = np.inf
     for a, b in ((one, other), (other, one)):
         side = np.roll(a, -1, axis=0) - a
         out = np.column_stack([side[:, 1], -side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
-        least = min(least, -np.max((out @ b.T - np.sum(out * a, axis=1)[:, None]).min(axis=1)))
+        apart = (out @ b.T - np.sum(out * a, axis=1)[:, None]).min(axis=1)
+        if a is one and shared is not None:
+            apart[shared] = -np.inf
+        least = min(least, -np.max(apart))
     return max(least, 0.0)
 
 
@@ -274,3 +280,39 @@ def test_the_push_of_two_parts_acts_where_they_touch(seed):
     for k, sign in ((0, 1), (1, -1)):
         arm = sign * parts[k].inertia * run.spin[hit, k] / np.hypot(*push)
         assert low <= run.position[hit, k] @ across + arm <= high
+
+
+def told_depth(parts, place, angle):
+    """Depth [m] of the overlap for which two parts are refused, to three digits."""
+    still = np.zeros((2, 2)), np.zeros(2)
+    with pytest.raises(PlateError, match="overlap by") as error:
+        run_plates(
+            [PlateCycle.rest(0.1)], [500], Shapes.of(parts), columns([(place, angle, *still)]),
+            np.ones((1, 2), bool), np.ones((1, 2)), [LEVEL.effect(G)], Contacts(), HALF, 1, 0,
+            ["a", "b"],
+        )  # fmt: skip
+    return 1e-3 * float(re.search(r"overlap by (\S+) mm", str(error.value))[1])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_overlap_is_as_deep_as_along_the_side_that_separates_most(seed):
+    rng = np.random.default_rng(seed)
+    parts = [bar(0.04, 0.012), TRIANGLE] if seed % 2 else [bar(0.02, 0.02), bar(0.04, 0.012)]
+    angle, place = rng.uniform(0, 6, 2), np.zeros((2, 2))
+    while True:
+        place[1] = rng.uniform(-0.02, 0.02, 2)
+        expected = depth(*(corners_at(parts[k], place[k], angle[k]) for k in (0, 1)))
+        if expected > 2e-3:
+            break
+    assert told_depth(parts, place, angle) == pytest.approx(expected, rel=6e-3)
+
+
+def test_the_side_that_two_pieces_of_a_part_share_does_not_bound_an_overlap():
+    """A slim bar across an L, whose arm it faces with a side beyond the ends of the arm's."""
+    parts, angle = [L_SHAPE, bar(0.04, 0.004)], np.array([0.0, 0.7626])
+    place = np.array([[0, 0], L_SHAPE.outline[0].min(axis=0) + [-0.00823, -0.00134]])
+    arm, other = L_SHAPE.outline[1], corners_at(parts[1], place[1], angle[1])
+    assert np.all(arm[:2, 1] == arm[:, 1].min())  # the shared side is its first
+    expected = depth(arm, other, shared=0)
+    assert expected > 1.3 * depth(arm, other)
+    assert told_depth(parts, place, angle) == pytest.approx(expected, rel=6e-3)

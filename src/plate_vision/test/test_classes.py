@@ -10,7 +10,7 @@ from plate_core.rig import load_part_types
 from plate_vision import calibrate_by_scale
 from plate_vision.recognition import camera_limits, find_parts, find_types
 from plate_vision.shapes import model_background
-from plate_vision.shapes.catalogue import make_catalogue
+from plate_vision.shapes.catalogue import lay_on, make_catalogue, make_template
 from plate_vision.shapes.outlines import distances, fit_pose, make_outline
 
 TYPES = load_part_types(config_path("parts.yaml"))
@@ -114,6 +114,39 @@ def test_head_and_tail_of_a_screw_are_told_apart(draw_types, catalogue):
     found = find_parts(draw_types(TYPES, poses, rng, blur=1.5), catalogue)
     assert [one["label"] for one in found] == ["screw"] * 20
     assert max(abs(turn_error(one, pose)) for pose, one, _ in paired(found, poses)) < 1.5
+
+
+TURNS = 96
+"""Angles for which spectra are compared."""
+
+
+def turned(template, turn):
+    """The outline of a type turned by `turn` of `TURNS`."""
+    c, s = np.cos(2 * np.pi * turn / TURNS), np.sin(2 * np.pi * turn / TURNS)
+    return make_outline([ring @ np.array([[c, s], [-s, c]]) for ring in template.outline.rings])
+
+
+def laid(turn, decoys, weight):
+    """How far the fit of a screw is off (angle [rad], RMS [m]), where its spectrum is likest in
+    other angles: weights of the spectra of these (`decoys`) and of the right one."""
+    template = make_template(TYPES["screw"])
+    outline = turned(template, turn)
+    spectrum = weight * outline.spectrum
+    for other, much in decoys.items():
+        spectrum = spectrum + much * turned(template, other).spectrum
+    fit = lay_on(template, replace(outline, spectrum=spectrum), 1e3)
+    return abs(np.angle(np.exp(1j * (fit[2] - 2 * np.pi * turn / TURNS)))), fit[4]
+
+
+@pytest.mark.parametrize("turn", [0, 1, 7, 48, TURNS - 1])
+def test_a_type_is_laid_on_from_each_likely_angle(turn):
+    off, rest = laid(turn, {}, 1.0)
+    assert off < 1e-3
+    assert rest < 1e-5
+    decoys = {(turn + 24) % TURNS: 1.0, (turn + 48) % TURNS: 0.9, (turn + 72) % TURNS: 0.8}
+    off, rest = laid(turn, decoys, 0.6)
+    assert off < 1e-3  # the fourth
+    assert rest < 1e-5
 
 
 def test_without_colours_outlines_do(draw_types, catalogue):

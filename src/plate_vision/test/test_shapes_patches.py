@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from plate_vision import ImageError, detect, make_region
-from plate_vision.shapes import Patch, find_patches, learn_plate, model_background
+from plate_vision.shapes import Patch, find_outlines, find_patches, learn_plate, model_background
+from plate_vision.shapes.grouping import pieces_of
 
 SUB = 8
 """Sub-pixels along each side of a pixel."""
@@ -298,3 +299,85 @@ def test_a_gap_that_four_bars_enclose_is_no_part(seed):
     image = picture([(bar, BLUE) for bar in bars], seed=seed)
     areas = [patch.area_px2 for patch in find_patches(image, model_background(image))]
     assert areas == pytest.approx(12 * [280], rel=0.25)
+
+
+def pieces(*patches):
+    """Pieces of patches, each of several shapes that touch."""
+    solids = []
+    for shapes in patches:
+        cover = np.max([cover_of(shape) for shape in shapes], axis=0).astype(np.float32)
+        solids.append((cover > 0.5, cover, np.full((*SIZE, 3), GREY, np.uint8)))
+    found = pieces_of(solids, 30, 8.75, SIZE[0] * SIZE[1])
+    for rank, (inside, _, _) in enumerate(solids):  # they share each patch out, whole
+        own = [piece.inside for piece in found if piece.rank == rank]
+        np.testing.assert_array_equal(np.sum(own, axis=0), inside)
+    return found
+
+
+def shares(found, shapes):
+    """Intersection over union of each shape with the nearest piece."""
+    insides = [cover_of(shape) > 0.5 for shape in shapes]
+    return [
+        max(np.sum(piece.inside & inside) / np.sum(piece.inside | inside) for piece in found)
+        for inside in insides
+    ]
+
+
+def test_touching_parts_with_narrow_necks_are_pieces_of_one_patch():
+    chain = [disc(40 + 23.4 * k, 60, 12) for k in range(4)]
+    single = disc(200, 150, 14)
+    found = pieces([single], chain)
+    traits = sorted((piece.rank, piece.alone, piece.group) for piece in found)
+    assert traits == [(0, True, False), *[(1, False, False)] * 4]
+    assert min(shares(found, [single, *chain])) > 0.95
+
+
+def test_what_a_wider_neck_joins_is_two_parts_if_both_are_large_or_like_others():
+    large, knob = disc(80, 60, 12), disc(97, 60, 6)
+    found = pieces([large, knob])
+    assert len(found) == 1
+    assert not found[0].group
+    pair = [large, disc(100.9, 60, 12)]
+    assert min(shares(pieces(pair), pair)) > 0.9
+    apart = [[disc(40, 150, 12)], [disc(180, 150, 6)]]
+    parted = [piece for piece in pieces([large, knob], *apart) if piece.rank == 0]
+    assert len(parted) == 2
+    assert min(shares(parted, [large, knob])) > 0.85
+
+
+def test_outlines_of_a_photograph_are_measured():
+    """Each number against that of the drawn shape, also where the image is made smaller first."""
+    shapes = [
+        (disc(50.3, 60.4, 16), (150, 40, 60)), (box(150.6, 60.2, 40, 16, 0.5), (30, 235, 30)),
+        (bracket(60, 130), (60, 40, 60)), (ring(190.2, 140.5, 18, 8), (60, 100, 60)),
+    ]  # fmt: skip
+    image = picture(shapes, (120, 130, 125))
+    for scale, seen in ((1, image), (5, cv2.resize(image, None, fx=5, fy=5))):
+        found = find_outlines(seen)
+        truth = [(50.3, 60.4), (150.6, 60.2), (68.8, 138.8), (190.2, 140.5)]
+        place = (np.column_stack([found["x_px"], found["y_px"]]) + 0.5) / scale - 0.5
+        gap = np.linalg.norm(place[:, None] - truth, axis=2)
+        assert sorted(gap.argmin(axis=0)) == [0, 1, 2, 3]
+        assert gap.min(axis=0).max() < 0.3
+        one, bar_, corner, washer = found[gap.argmin(axis=0)]
+        assert [part["round"] for part in (one, bar_, corner, washer)] == [True, False, False, True]
+        assert not found["group"].any()
+        areas = [np.pi * 16**2, 640, 320, np.pi * (18**2 - 8**2)]
+        for part, area in zip((one, bar_, corner, washer), areas, strict=True):
+            assert part["radius_px"] == pytest.approx(scale * np.sqrt(area / np.pi), rel=0.03)
+            assert part["background"] == pytest.approx(130, abs=2)
+        assert one["angle_rad"] == washer["angle_rad"] == 0
+        assert bar_["angle_rad"] == pytest.approx(np.pi - 0.5, abs=0.03)
+        assert one["contrast"] == pytest.approx(-90, abs=4)  # of the middle channel
+        assert bar_["contrast"] == pytest.approx(105, abs=4)
+        assert washer["contrast"] == pytest.approx(-30, abs=4)
+        assert one["confidence"] == pytest.approx(1, abs=0.03)
+        assert corner["confidence"] == pytest.approx(320 / (24**2 - 16**2 / 2), abs=0.06)
+        assert washer["confidence"] == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_patch_is_a_part_if_it_fills_its_hull_or_ends_at_an_edge():
+    frayed, filled = (bracket(60, 60), DARK), (disc(180, 120, 22), GREY)
+    assert len(find_outlines(picture([frayed, filled]))) == 2
+    (one,) = find_outlines(picture([filled], blur=12))
+    assert one["x_px"] == pytest.approx(180, abs=0.5)
