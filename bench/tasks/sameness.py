@@ -113,10 +113,11 @@ def trace(scenario: str, seed: int) -> list[str]:
 def made(moment: Moment) -> Iterator[list[np.ndarray]]:
     """Yield what each of `PIECES` made."""
     world, parts, wanted, cycle = moment.world, moment.parts, moment.wanted, moment.answer.cycle
+    forces, start = wanted.forces, [] if wanted.start is None else [wanted.start]
     yield [world.position, world.angle]
     yield [moment.image]
     yield [parts.position, parts.angle]
-    yield [wanted.force, wanted.tolerance, *([] if wanted.start is None else [wanted.start])]
+    yield [forces.force, forces.tolerance, *start]
     yield [cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel]
 
 

@@ -362,7 +362,7 @@ def _checked(wanted: object, path: str) -> Wanted:
             f"planner {path}: plan returned {type(wanted).__name__}, allowed: a plate_core.Wanted"
         )
     for name in ("force", "tolerance", "torque"):
-        values = getattr(wanted, name)
+        values = getattr(wanted.forces, name)
         if not np.all(np.isfinite(values)) or (name == "tolerance" and np.any(values < 0)):
             allowed = "finite, at least 0" if name == "tolerance" else "finite"
             raise PlateError(

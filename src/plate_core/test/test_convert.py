@@ -86,8 +86,10 @@ def test_parts_there_and_back():
         found, right = getattr(back.parts, name), getattr(sent.parts, name)
         np.testing.assert_allclose(found, right, atol=1e-12)
     for name in ("force", "tolerance", "torque"):
-        np.testing.assert_allclose(getattr(back, name), getattr(sent, name), atol=1e-12)
-    assert back.period == sent.period
+        found, right = getattr(back.forces, name), getattr(sent.forces, name)
+        np.testing.assert_allclose(found, right, atol=1e-12)
+    assert back.forces.period == sent.forces.period
+    assert back.request is back.forces
 
 
 def test_how_well_parts_were_seen_is_told():
@@ -151,8 +153,9 @@ def test_angles_there_and_back():
         ("target_angle_max", -9.0, "black_1 has target_angle_min .*, allowed: min not above max"),
         ("target_x_min", np.nan, "black_1 has target_x_min nan and .*, allowed: min not above max"),
         ("target_y_max", -1.0, "black_1 has target_y_min .* -1, allowed: min not above max"),
-        ("weight_x", -1.0, "weight is -1, allowed: at least 0"),
-        ("weight_y", np.inf, "black_1 has a value of inf, allowed: up to 1e.09"),
+        ("weight_x", -1.0, r"black_1 has weight_x -1, allowed: 0 to 1e\+09"),
+        ("weight_angle", -2.0, r"black_1 has weight_angle -2, allowed: 0 to 1e\+09"),
+        ("weight_y", np.inf, r"black_1 has weight_y inf, allowed: -1e\+09 to 1e\+09"),
     ],
 )
 def test_wrong_targets(name, value, message):
@@ -163,7 +166,7 @@ def test_wrong_targets(name, value, message):
         convert.msg_to_wanted(msg)
     msg = convert.wanted_to_msg(replace(wanted(), targets=targets), STAMP)
     msg.gap_m = -1.0
-    with pytest.raises(PlateError, match="gap_m is -1, allowed: at least 0"):
+    with pytest.raises(PlateError, match=r"gap_m is -1, allowed: 0 to 1e\+09"):
         convert.msg_to_wanted(msg)
 
 
@@ -204,11 +207,11 @@ def test_an_interval_without_an_end():
     msg = convert.wanted_to_msg(wanted(), STAMP)
     msg.forces[0].force_x_min, msg.forces[0].force_x_max = -float("inf"), 0.01
     msg.forces[1].torque_min = -float("inf")
-    back = convert.msg_to_wanted(over_the_wire(msg))
+    back = convert.msg_to_wanted(over_the_wire(msg)).forces
     assert back.force[0, 0] + back.tolerance[0, 0] == pytest.approx(0.01, abs=1e-6)
     assert back.force[0, 0] - back.tolerance[0, 0] < -1e8
     assert back.torque[1] == 0
-    assert back.torque[0] == pytest.approx(wanted().torque[0])
+    assert back.torque[0] == pytest.approx(wanted().forces.torque[0])
 
 
 def test_no_parts():
@@ -277,11 +280,11 @@ def test_wrong_cycles(change, message):
     ("change", "message"),
     [
         (lambda m: setattr(m.forces[2], "id", "black_1"), "a name is given twice"),
-        (lambda m: setattr(m.forces[1], "x", float("nan")), "white_1 has a value of nan"),
-        (lambda m: setattr(m.forces[1], "vy", float("inf")), "white_1 has a value of inf"),
+        (lambda m: setattr(m.forces[1], "x", float("nan")), "white_1 has x nan"),
+        (lambda m: setattr(m.forces[1], "vy", float("inf")), "white_1 has vy inf"),
         (
             lambda m: setattr(m.forces[1], "friction_limit", -1e200),
-            "value of -1e.200, allowed: up to 1e.09",
+            r"white_1 has friction_limit -1e.200, allowed: -1e.09 to 1e.09",
         ),
         (
             lambda m: setattr(m.forces[1], "force_y_min", float("nan")),

@@ -195,7 +195,7 @@ class Averaged(Ours):
         mu_mass = np.array([[own.mu, own.mass_kg] for own in types], float)
         limit = np.prod(mu_mass, axis=1, keepdims=True) * self._rig.friction.gravity
         place = parts.position if wanted.start is None else wanted.start[:, :2]
-        force, tolerance = wanted.force / limit, wanted.tolerance / limit
+        force, tolerance = wanted.forces.force / limit, wanted.forces.tolerance / limit
         return self._solver.solve(place, force, tolerance=tolerance).cycle
 
 

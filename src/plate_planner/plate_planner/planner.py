@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, part_class
+from plate_core import Parts, PlateCycle, PlateError, Rig, Targets, Wanted, part_class
 from plate_core.tasks import (
     FeedMode,
     FeedOrder,
@@ -48,7 +48,7 @@ from .supervision import (
     stopped,
     without_surplus,
 )
-from .tasks import CROWD, Assessment, DriftRequest, Situation, TaskOptions, TaskRules, rules_for
+from .tasks import CROWD, Assessment, DriftInterval, Situation, TaskOptions, TaskRules, rules_for
 
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Nothing is asked of any part: the plate rests."""
@@ -444,10 +444,13 @@ class Planner:
         self,
         state: PlannerState,
         parts: Parts,
-        request: DriftRequest,
+        request: DriftInterval | Targets,
     ) -> tuple[PlannerState, Wanted]:
-        """Put a request into forces, and remember the drift that they lead to."""
+        """Build the request for the solver, and remember the drift that it leads to."""
         estimator, period = state.estimator, state.estimator.period
+        targets = request if isinstance(request, Targets) else None
+        if isinstance(request, Targets):
+            request = DriftInterval.towards(parts.position, request)
         axes = self.rules.bias_axes(state.memory, parts, estimator.next_start + period / 2)
         request = request.less(estimator.bias.along(axes))
         force, tolerance = request.force(parts, self.rig, period)
@@ -457,9 +460,7 @@ class Planner:
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
         in_time = not estimator.log.reported or self.options.answer_s < IN_MOTION_S
         plate = estimator.next_plate if in_time and len(parts) <= CROWD else None
-        return state, Wanted.make(
-            parts, force, tolerance, None, period, start, request.targets, plate
-        )
+        return state, Wanted.make(parts, force, tolerance, None, period, start, targets, plate)
 
     def _progress(self, state: PlannerState, present: Parts, found: Assessment) -> Progress:
         estimator, task = state.estimator, state.task

@@ -46,7 +46,7 @@ class Plant:
         drift = np.zeros_like(self.position)
         for i, part_id in enumerate(asked.parts.ids):
             row = self.ids.index(part_id)
-            drift[row] = self.drift[row] + asked.force[i] * T / MASS
+            drift[row] = self.drift[row] + asked.forces.force[i] * T / MASS
         return drift
 
 

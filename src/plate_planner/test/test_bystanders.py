@@ -1,12 +1,10 @@
 """Things that belong to no class of the task: they are kept on the plate, and reported."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from plant import RIG, Plant, T, ready
 
-from plate_core import OverlookedThing, Parts, PlateCycle
+from plate_core import OverlookedThing, Parts, PlateCycle, Wanted
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
 from plate_planner.supervision import Overlooked, Reason
@@ -40,7 +38,7 @@ def test_a_task_ends_well_beside_unknown_things_and_names_them():
             rows = [asked.parts.ids.index(name) for name in THINGS]
             assert not np.any(asked.targets.weight[rows])  # but they need not move
         rows = np.flatnonzero([name not in THINGS for name in asked.parts.ids])
-        plant.step(replace(asked, parts=asked.parts.take(rows), force=asked.force[rows]))
+        plant.step(Wanted.make(asked.parts.take(rows), asked.forces.force[rows]))
     things = "2 unknown things are on the plate (unknown_1 at (0.050, 0.020) m, group_2 at "
     assert progress.phase == "done"
     assert f"4 of 4 parts in their regions; {things}" in progress.text

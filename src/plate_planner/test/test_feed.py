@@ -70,7 +70,7 @@ def test_parts_too_near_each_other_are_parted(other):
         TASK, parts(black_1=(0.0, 0.0), black_4=other, black_2=(0.1, 0), black_3=(0.2, 0))
     )  # fmt: skip
     assert found.request is not None, "only two are ready"
-    targets = found.request.targets
+    targets = found.request
     assert targets.gap_m > TASK.clearance_m
     assert set(memory.report.ready.ids) <= {"black_2", "black_3"}
     assert "black_1" in memory.chosen or "black_4" in memory.chosen
@@ -82,7 +82,7 @@ def test_parts_outside_the_window_are_led_there_the_nearest_first():
     })  # fmt: skip
     memory, found = run(TASK, seen)
     assert memory.chosen == ("black_1", "black_2", "black_3"), "as many as are to be ready"
-    targets = found.request.targets
+    targets = found.request
     asked = dict(zip(seen.ids, targets.weight[:, 0], strict=True))
     assert asked["black_1"] == asked["black_2"]
     assert 0 < 10 * asked["black_5"] < asked["black_2"]
@@ -198,41 +198,41 @@ def test_a_hidden_part_is_still_in_the_way():
 def test_what_nobody_wants_goes_to_the_chute():
     seen = parts(**LONE, grey_1=(-0.2, 0.0), grey_2=(-0.1, 0.0))
     _, found = run(TASK, seen)
-    targets = found.request.targets
+    targets = found.request
     assert targets.high[3, 0] < -RIG.plate.half[0]
     assert targets.weight[3, 0] > targets.weight[4, 0] > 0, "the nearer one first"
     waiting = parts(black_4=(-0.1, 0.05), grey_1=(-0.2, 0.0), grey_2=(-0.1, 0.0))
     _, found = run(TASK, waiting)
-    asked = found.request.targets
+    asked = found.request
     assert np.all(asked.weight[0] > 0), "others get ready meanwhile"
     assert np.all(asked.weight[1] > asked.weight[2])
     assert np.all(asked.weight[2] > 0)
     _, found = run(replace(TASK, chute=None), waiting)
-    asked = found.request.targets
+    asked = found.request
     assert np.all(asked.weight[1:] == 0)
     assert np.all(asked.low[1:] <= -RIG.plate.half), "anywhere, not where they are: the edge counts"
     assert np.all(asked.high[1:] >= RIG.plate.half)
     many = parts(black_4=(-0.1, 0.05), **{f"grey_{k}": (-0.2, 0.03 * k - 0.1) for k in range(5)})
     _, found = run(TASK, many)
-    assert np.all(found.request.targets.weight[1:] > 0)
+    assert np.all(found.request.weight[1:] > 0)
     fed = {"black_4": (-0.1, 0.05), "black_5": (-0.285, 0.09)}
     beside = {f"grey_{k}": (-0.29, 0.03 * k - 0.1) for k in range(5)}
     _, found = run(TASK, parts(**fed, **beside, grey_5=(0.2, 0.0)))
-    asked, alone = found.request.targets, run(TASK, parts(**fed))[1].request.targets
+    asked, alone = found.request, run(TASK, parts(**fed))[1].request
     assert asked.weight[:2] == pytest.approx(alone.weight), "they take nothing from those fed"
     assert asked.low[:2] == pytest.approx(alone.low), "also beside the chute"
     few = parts(black_4=(-0.1, 0.05), grey_3=(-0.2, 0.02))
     memory, _ = run(TASK, many)
     _, found = run(TASK, few, memory=memory)
-    assert np.all(found.request.targets.weight[1] > 0), "then all of them go"
+    assert np.all(found.request.weight[1] > 0), "then all of them go"
     _, found = run(replace(TASK, chute=None), seen)
     assert found.request is None, "without a chute they stay"
 
 
 def test_a_purge_takes_all_of_them():
     _, found = run(replace(TASK, order=FeedOrder(FeedMode.PURGE)), parts(**LONE))
-    assert np.all(found.request.targets.high[:, 0] < -RIG.plate.half[0])
-    assert np.all(found.request.targets.weight > 0)
+    assert np.all(found.request.high[:, 0] < -RIG.plate.half[0])
+    assert np.all(found.request.weight > 0)
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_bars_are_turned_the_shorter_way():
     )  # fmt: skip
     task = replace(scenario.task, picks=(replace(scenario.task.picks[0], ready=3),))
     memory, found = Feeder(task, rig).assess(None, situation(seen))
-    angles = found.request.targets.angles
+    angles = found.request.angles
     assert np.degrees(angles.low[0]) == pytest.approx(178.5), "a turn of half a round is none"
     assert np.all(angles.weight > 0), "those that are ready keep theirs"
     assert angles.weight[0] > 4 * angles.weight[2], "the nearest one first"

@@ -12,7 +12,7 @@ from plate_core import Parts, ScenarioError
 from plate_core.tasks import PathTask, load_scenario
 from plate_planner import FollowOptions, Planner, PlannerOptions
 from plate_planner.estimation import LastRequest
-from plate_planner.tasks import DriftRequest, Follower, Situation, pd_drift
+from plate_planner.tasks import DriftInterval, Follower, Situation, pd_drift
 from plate_planner.tasks.follow import TURN
 from plate_planner.tasks.path import PolygonPath
 
@@ -112,7 +112,7 @@ def closed_loop(reference, start, cycles, kp, drift_gain=1.0, noise=0.0, limit=1
             np.array([limit]),
         )
         part = Parts.make(("black_1",), seen, v)
-        force, tolerance = DriftRequest(wanted, wanted).force(part, RIG, T)
+        force, tolerance = DriftInterval(wanted, wanted).force(part, RIG, T)
         assert np.all(tolerance == 0)
         assert np.all(np.abs(force) <= RIG.force_unit + 1e-15)
         seen_before, x = seen, x + T * drift_gain * coming
@@ -172,7 +172,7 @@ def test_the_drift_asked_for_is_bounded_in_magnitude_not_in_direction():
 def test_force_gives_back_the_wanted_interval():
     rng = np.random.default_rng(1)
     velocity = 0.01 * rng.normal(size=(5, 2))
-    request = DriftRequest(np.full((5, 2), -0.01), np.full((5, 2), 0.03))
+    request = DriftInterval(np.full((5, 2), -0.01), np.full((5, 2), 0.03))
     ids = tuple(f"black_{k}" for k in range(5))
     parts = Parts.make(ids, 0 * velocity, velocity)
     force, tolerance = request.force(parts, RIG, T)

@@ -90,8 +90,8 @@ def test_a_task_from_goal_to_done(graph):
     handle = graph.send()
     asked = graph.image(100.1, APART)
     assert asked.parts.ids == IDS
-    assert np.all(asked.force[:2, 0] < 0)
-    assert np.all(asked.force[2:, 0] > 0)
+    assert np.all(asked.forces.force[:2, 0] < 0)
+    assert np.all(asked.forces.force[2:, 0] > 0)
     assert np.all(asked.targets.high[:2, 0] < 0)
     assert np.all(asked.targets.low[2:, 0] > 0)
     for k in range(2, 8):
@@ -503,9 +503,9 @@ def test_forces_are_drawn_for_those_who_look(graph):
     asked = graph.image(1.3, APART)
     graph.until(lambda: len(drawn) >= 3)
     unit = load_rig().force_unit
-    assert np.abs(asked.force).max() > 0.01 * unit
+    assert np.abs(asked.forces.force).max() > 0.01 * unit
     for marker, place, force in zip(
-        drawn[-1].markers, asked.parts.position, asked.force, strict=True
+        drawn[-1].markers, asked.parts.position, asked.forces.force, strict=True
     ):
         assert (marker.ns, marker.header.frame_id) == ("forces", "plate_home")
         tail, tip = marker.points
@@ -538,7 +538,7 @@ def asked_of_the_next_image(graph):
             node.answer()
         node.until(lambda: len(node.forces) > count)
         assert node.forces[count].header.stamp == stamp
-        return msg_to_wanted(node.forces[count]).force
+        return msg_to_wanted(node.forces[count]).forces.force
 
     return ask
 

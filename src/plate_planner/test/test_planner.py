@@ -255,8 +255,8 @@ def test_a_part_of_an_unknown_class_is_free_and_does_not_count(name):
     plant.drift = plant.coming = np.zeros_like(plant.position)
     _, asked, progress = planner.plan(ready(planner, plant.seen()), plant.seen(), 0.0)
     assert progress.phase == "running"
-    assert np.all(np.abs(asked.force[-1]) < 0.02 * RIG.force_unit)
-    assert np.all(asked.tolerance[-1] > 0)
+    assert np.all(np.abs(asked.forces.force[-1]) < 0.02 * RIG.force_unit)
+    assert np.all(asked.forces.tolerance[-1] > 0)
     _, _, progress = run(planner, plant)
     assert progress.phase == "done"
 
@@ -335,7 +335,7 @@ def test_forces_are_bounded_however_wild_the_measured_drift():
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     parts = replace(plant.seen(), velocity=np.full((4, 2), 5.0))
     _, asked, _ = planner.plan(ready(planner, parts), parts, 0.0)
-    assert np.all(np.abs(asked.force) <= RIG.force_unit)
+    assert np.all(np.abs(asked.forces.force) <= RIG.force_unit)
 
 
 def test_a_scenario_that_does_not_fit_the_plate_is_refused_at_once():

@@ -43,7 +43,7 @@ def test_a_part_turns_to_the_nearest_angle_at_which_it_looks_the_same():
     bar = parts([[0.0, 0.0]], [np.radians(160)], ("bar_1",))
     state = poser.begin(bar)
     assert np.degrees(poser.errors(state, bar)[1]) == pytest.approx([20])
-    targets = poser.request(state, bar).targets
+    targets = poser.request(state, bar)
     assert np.degrees((targets.angles.low + targets.angles.high) / 2) == pytest.approx([180])
     assert np.all(targets.weight == 0)  # it may be anywhere
     assert np.isnan(poser.begin(bar).place).all()
@@ -56,7 +56,7 @@ def test_it_gets_there_where_the_plate_gives_less_or_more(gain):
     seen = parts([[0.06, 0.0], [-0.1, 0.0]], [-2.0, 2.9])
     state = poser.begin(seen)
     for _ in range(80):
-        to = poser.request(state, seen).targets
+        to = poser.request(state, seen)
         place = np.clip(seen.position, to.low, to.high) - seen.position
         turn = np.clip(seen.angle, to.angles.low, to.angles.high) - seen.angle
         place, turn = np.clip(gain * place, -2e-3, 2e-3), np.clip(gain * turn, -0.1, 0.1)

@@ -24,7 +24,7 @@ def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
     assembly = Assembler(task, RIG)
     distance = assembly.distance(parts)
     assert distance == pytest.approx([np.hypot(0.1, 0.01), np.nan, 0.02, 0.01], nan_ok=True)
-    to = assembly.request(parts).targets
+    to = assembly.request(parts)
     assert (to.low + to.high)[[0, 2, 3]] / 2 == pytest.approx(place[[1, 2, 0]])
     assert np.all(to.high - to.low < 0.003)
     assert np.all(to.weight[1] == 0)

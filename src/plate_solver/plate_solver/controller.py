@@ -161,7 +161,7 @@ class Controller:
             return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
         solver = self._solvers[self.method]
         targets = wanted.targets
-        turning = wanted.torque if targets is None else np.zeros(0)
+        turning = wanted.forces.torque if targets is None else np.zeros(0)
         if targets is not None and targets.angles is not None:
             turning = targets.angles.weight
         far = self._far(wanted)
@@ -173,7 +173,7 @@ class Controller:
         goal = self._goal(wanted, running, period, goes_on, COAST_S if far else 0.0)
         asked = 0.0 if goal.lasting else goal.size
         unit = goal.friction_accel[:, None] * period**2
-        missable = GOOD_MISS if np.all(np.any(wanted.tolerance > 0, axis=1)) else EXACT_MISS
+        missable = GOOD_MISS if np.all(np.any(wanted.forces.tolerance > 0, axis=1)) else EXACT_MISS
         least = period * (WAY_TOLERANCE if goal.lasting else DRIFT_TOLERANCE)
         rest = PlateCycle.rest(period)
         if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
@@ -275,9 +275,9 @@ class Controller:
                 plate=plate,
                 free_end=goes_on,
             )
-        gain = wanted.period / np.array([[t.mass_kg] for t in types])
-        displacement = (parts.velocity + gain * wanted.force) * period
-        tolerance = gain * wanted.tolerance * period
+        gain = wanted.forces.period / np.array([[t.mass_kg] for t in types])
+        displacement = (parts.velocity + gain * wanted.forces.force) * period
+        tolerance = gain * wanted.forces.tolerance * period
         # What leads off the plate is not asked for, so it does not keep the others waiting.
         edge = half - radius[:, None]
         low = np.clip(displacement - tolerance, -edge - position, edge - position)
@@ -328,11 +328,11 @@ class Controller:
                 return None
             low, high = to.angles.low - parts.angle, to.angles.high - parts.angle
             return Turns(spin, self._spread(types, parts.angle), low, high, to.angles.weight)
-        if not np.any(wanted.torque):
+        if not np.any(wanted.forces.torque):
             return None
         inertia = np.array([(t.mass_kg or 0.0) * np.trace(t.spread_m2) for t in types])
-        turn = (parts.spin + wanted.period / inertia * wanted.torque) * period
-        arc = np.where(wanted.torque != 0, [t.reach_m for t in types], 0.0)
+        turn = (parts.spin + wanted.forces.period / inertia * wanted.forces.torque) * period
+        arc = np.where(wanted.forces.torque != 0, [t.reach_m for t in types], 0.0)
         return Turns(spin, self._spread(types, parts.angle), turn, turn, arc)
 
     def _leaves_plate(self, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:

@@ -117,7 +117,7 @@ def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
             ]
             for i in range(count)
         ]
-    force = _rounded(np.clip(wanted.force / rig.force_unit, -9, 9), 3)
+    force = _rounded(np.clip(wanted.forces.force / rig.force_unit, -9, 9), 3)
     rows = zip(wanted.parts.ids, intervals, force, strict=True)
     return {
         "kind": "wanted",

@@ -23,9 +23,10 @@ from plate_interfaces.msg import Targets as TargetsMsg
 from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import MOST_PARTS, AngleTargets, OverlookedThing, Parts, Targets, Wanted, part_class
+from ..parts import MOST_PARTS, OverlookedThing, Parts, part_class
 from ..rig import Camera, Rig
 from ..tasks import PartTarget
+from ..wanted import AngleTargets, Targets, Wanted
 from .frames import CAMERA_FRAME, FRAME
 
 PLATE_JOINTS = ["x", "y", "theta"]
@@ -163,19 +164,27 @@ def msg_to_overlooked(msg: PartsMsg) -> tuple[OverlookedThing, ...]:
 
 
 def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> PartForces:
-    """Return what is wanted of parts as a message; `stamp` is that of the image or cycle that it
-    answers, and the answer begins at `start`, if that is known."""
-    parts, at_start = wanted.parts, wanted.start is not None
+    """Return the planner's request as a message.
+
+    Parameters
+    ----------
+    wanted : Wanted
+    stamp : Time
+        Stamp of the image, or of the start of the cycle, that the request follows.
+    start : Time, optional
+        Start of the requested cycle, if it is known.
+    """
+    parts, forces, at_start = wanted.parts, wanted.forces, wanted.start is not None
     msg = PartForces(
         header=Header(stamp=stamp, frame_id=FRAME), start=start or Time(), at_start=at_start,
-        period_s=float(wanted.period),
+        period_s=float(forces.period),
     )  # fmt: skip
     if wanted.plate is not None:
         msg.plate_known, msg.plate = True, wanted.plate.ravel()
     state = wanted.start
     if state is None:
         state = np.hstack([parts.position, np.zeros((len(parts), 2))])
-    low, high = wanted.force - wanted.tolerance, wanted.force + wanted.tolerance
+    low, high = forces.force - forces.tolerance, forces.force + forces.tolerance
     to = wanted.targets
     if to is None:
         sought = np.zeros((len(parts), 9))
@@ -186,11 +195,11 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
             [to.low[:, 0], to.high[:, 0], to.low[:, 1], to.high[:, 1], angles.low, angles.high,
              to.weight, angles.weight]
         )  # fmt: skip
-    turned = np.where(wanted.torque == 0, np.inf, 0.0)  # without: any turning will do
+    free = np.where(forces.torque == 0, np.inf, 0.0)  # no torque requested: no limits
     rows = np.column_stack(
         [state[:, :2], parts.angle, state[:, 2:], parts.velocity, parts.spin, parts.friction_limit,
-         low[:, 0], high[:, 0], low[:, 1], high[:, 1], wanted.torque - turned,
-         wanted.torque + turned, sought]
+         low[:, 0], high[:, 0], low[:, 1], high[:, 1], forces.torque - free,
+         forces.torque + free, sought]
     ).tolist()  # fmt: skip
     msg.forces = [
         PartForce(
@@ -203,7 +212,7 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
 
 
 def msg_to_wanted(msg: PartForces) -> Wanted:
-    """Return what a message wants of parts.
+    """Return the planner's request of a message.
 
     Raises
     ------
@@ -213,12 +222,14 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
         period is not above 0.
     """
     if msg.plate_known and not np.all(np.abs(msg.plate) <= MOST):
-        raise PlateError(f"part_forces: plate is {list(msg.plate)}, allowed: up to {MOST:g}")
+        raise PlateError(f"part_forces: plate is {list(msg.plate)}, allowed: -{MOST:g} to {MOST:g}")
     if len(msg.forces) > MOST_PARTS:
         raise PlateError(f"part_forces: {len(msg.forces)} parts, allowed: at most {MOST_PARTS}")
     ids = tuple(force.id for force in msg.forces)
     if ids and not 0 < msg.period_s <= MOST:
-        raise PlateError(f"part_forces: period_s is {msg.period_s:g}, allowed: above 0")
+        raise PlateError(
+            f"part_forces: period_s is {msg.period_s:g}, allowed: above 0, at most {MOST:g}"
+        )
     rows = _checked("part_forces", ids, msg.forces, START)
     ends = _intervals(ids, msg.forces, INTERVALS)
     asked = np.all(np.isfinite(ends[:, 4:]), axis=1)
@@ -273,12 +284,23 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
 
 
 def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
-    """Return where a message wants parts to come, if that is sane."""
+    """Return the targets of a message.
+
+    Raises
+    ------
+    PlateError
+        If an interval ends before it begins, or a weight or `gap_m` is outside 0 to `MOST`.
+    """
     ends = np.clip(_intervals(ids, msg.forces, TARGETS), -MOST, MOST)
     weight = _checked("part_forces", ids, msg.forces, WEIGHTS)
-    for name, least in (("weight", weight.min(initial=0.0)), ("gap_m", msg.gap_m)):
-        if not 0 <= least <= MOST:
-            raise PlateError(f"part_forces: {name} is {least:g}, allowed: at least 0")
+    if not 0 <= msg.gap_m <= MOST:
+        raise PlateError(f"part_forces: gap_m is {msg.gap_m:g}, allowed: 0 to {MOST:g}")
+    if np.any(weight < 0):
+        row, column = np.argwhere(weight < 0)[0]
+        raise PlateError(
+            f"part_forces: {ids[row]} has {WEIGHTS[column]} {weight[row, column]:g}, allowed: 0 to "
+            f"{MOST:g}"
+        )
     angles = None
     if np.any(weight[:, 2]):
         angles = AngleTargets(ends[:, 4], ends[:, 5], weight[:, 2])
@@ -321,7 +343,8 @@ def _checked(
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(
-            f"{what}: {ids[row]} has a value of {array[row, column]:g}, allowed: up to {MOST:g}"
+            f"{what}: {ids[row]} has {keys[column]} {array[row, column]:g}, allowed: -{MOST:g} to "
+            f"{MOST:g}"
         )
     return array
 

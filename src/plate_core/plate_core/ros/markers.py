@@ -12,8 +12,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ..colours import FORCE, PLATE, TURNING, VELOCITY, Colour, class_colour, part_colour
 from ..motion import PlateCycle
-from ..parts import Parts, Wanted, part_class
+from ..parts import Parts, part_class
 from ..rig import Rig
+from ..wanted import Wanted
 from .convert import pose_to_msg
 from .frames import FRAME
 
@@ -84,9 +85,9 @@ def scene_to_msg(
 
 
 def forces_to_msg(rig: Rig, wanted: Wanted, stamp: Time) -> MarkerArray:
-    """Return the wanted forces as arrows."""
+    """Return the forces of a request as arrows; with targets, those that lead there."""
     starts = wanted.parts.position
-    ends = starts + FORCE_M / rig.force_unit * wanted.force
+    ends = starts + FORCE_M / rig.force_unit * wanted.forces.force
     pairs = enumerate(zip(starts, ends, strict=True))
     return MarkerArray(
         markers=[_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]

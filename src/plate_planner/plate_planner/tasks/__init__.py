@@ -12,13 +12,14 @@ from plate_core import Rig
 from plate_core.tasks import AssembleTask, FeedTask, FollowTask, MoveTask, PoseTask, SortTask, Task
 
 from .assemble import Assembler
+from .drift import DriftInterval
 from .feed import Feeder, FeedMemory, FeedReport
 from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
 from .targets import CROWD, assign
-from .task import SIGHT_M, SIGHT_RAD, Assessment, DriftRequest, Situation, TaskRules
+from .task import SIGHT_M, SIGHT_RAD, Assessment, Situation, TaskRules
 
 __all__ = [
     "CROWD",
@@ -27,7 +28,7 @@ __all__ = [
     "SLOWED",
     "Assembler",
     "Assessment",
-    "DriftRequest",
+    "DriftInterval",
     "FeedMemory",
     "FeedReport",
     "Feeder",

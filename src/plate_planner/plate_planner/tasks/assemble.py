@@ -10,7 +10,7 @@ from plate_core import Parts, Rig, Targets
 from plate_core.tasks import AssembleTask
 
 from .targets import GAP, assign, way_weight
-from .task import Assessment, DriftRequest, Situation, TaskRules
+from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
 """Where a part may stay: a square of this half side round its place [tolerance]."""
@@ -50,13 +50,12 @@ class Assembler(TaskRules):
         aim, placed = self._aim(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
-    def request(self, parts: Parts) -> DriftRequest:
+    def request(self, parts: Parts) -> Targets:
         """Return the place of each part, as seen (M); one without is only kept on the plate."""
         aim, placed = self._aim(parts)
         band, rows = BAND * self.task.tolerance_m, placed[:, None] & [True, True]
         weight = np.where(rows, way_weight(aim - parts.position), 0.0)
-        targets = Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
-        return DriftRequest.towards(parts.position, targets)
+        return Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Place (M, 2) [m] of each part, its own where it has none, and whether it has one (M,)."""

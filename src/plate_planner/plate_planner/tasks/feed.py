@@ -33,7 +33,7 @@ from plate_core.tasks import (
 
 from ..estimation import SETTLE_S
 from .targets import FULL_WAY_M, way_weight
-from .task import Assessment, DriftRequest, Situation, TaskRules
+from .task import Assessment, Situation, TaskRules
 
 STILL_M = 1e-3
 """On a plate at rest a part that has moved further since the last image is not ready [m]."""
@@ -283,7 +283,7 @@ class Feeder(TaskRules):
         near: np.ndarray,
         gap: np.ndarray,
         clearing: bool,
-    ) -> tuple[DriftRequest | None, tuple[str, ...]]:
+    ) -> tuple[Targets | None, tuple[str, ...]]:
         """Return what is wanted of parts (M,), which are ready (picks, M) or not, and those that
         are to become so; nothing if enough are, and nothing is to be cleared."""
         aims, chosen = Aims.none(parts, self.rig), []
@@ -304,7 +304,7 @@ class Feeder(TaskRules):
         unwanted = np.flatnonzero([not self._is_wanted(name) for name in parts.ids])
         if self._chute is not None and len(unwanted):
             self._aim_at_chute(aims, unwanted)
-        return DriftRequest.towards(parts.position, aims.targets(self._keep)), tuple(chosen)
+        return aims.targets(self._keep), tuple(chosen)
 
     @property
     def _keep(self) -> float:

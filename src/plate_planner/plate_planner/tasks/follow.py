@@ -25,9 +25,10 @@ from plate_core import Parts, Rig, ScenarioError
 from plate_core.tasks import AssembleTask, FollowTask, Scenario
 
 from .assemble import Assembler
+from .drift import DriftInterval
 from .path import PolygonPath
 from .targets import UNMATCHED, match_targets, matched_rows, rematch_targets, stay_within
-from .task import Assessment, DriftRequest, Situation, TaskRules
+from .task import Assessment, Situation, TaskRules
 
 EDGE = (0.70, 0.85)
 """Where parts without a path are held back from the edges [fraction of the half side]."""
@@ -434,7 +435,7 @@ class Follower(TaskRules):
             limit[part] = BIAS_MAX * self._speeds[path]
         return limit
 
-    def _request(self, memory: FollowMemory, now: Situation) -> DriftRequest:
+    def _request(self, memory: FollowMemory, now: Situation) -> DriftInterval:
         """Return the drift wanted of each part; parts without a path are only kept on the plate."""
         speed, half = float(np.max(self._speeds)), self.rig.plate.half
         intervals = [
@@ -455,7 +456,7 @@ class Follower(TaskRules):
             self.options.kp / times,
             max(SPEED_RATIO_MAX / times, 1.0) * scaling * self._speeds[path],
         )
-        return DriftRequest(low, high)
+        return DriftInterval(low, high)
 
     @property
     def _labels(self) -> list[str]:

@@ -18,7 +18,7 @@ from plate_core.tasks import MoveTask
 
 from ..estimation import rows_of
 from .targets import GAP, way_weight
-from .task import Assessment, DriftRequest, Situation, TaskRules
+from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
 """How near to its target a part is asked for [tolerance]."""
@@ -127,7 +127,7 @@ class Mover(TaskRules):
                 missing[part] -= period / 2
         return Ways(row >= 0, aim, np.hypot(*(aim - parts.position).T), missing, turned)
 
-    def request(self, parts: Parts, ways: Ways) -> DriftRequest:
+    def request(self, parts: Parts, ways: Ways) -> Targets:
         """Return targets of the parts, as seen (M)."""
         reach = np.array([part.reach_m for part in self._types(parts)])
         left = np.where(ways.asked, np.maximum(ways.distance, reach * np.abs(ways.missing)), 0.0)
@@ -139,8 +139,7 @@ class Mover(TaskRules):
             goal, slack = parts.angle + ways.missing, BAND * self.task.tolerance_rad
             angles = AngleTargets(goal - slack, goal + slack, counts * reach * ways.turned)
         gap = GAP * self.rig.parts.radius_m
-        targets = Targets(ways.aim - band, ways.aim + band, weight, gap, angles)
-        return DriftRequest.towards(parts.position, targets)
+        return Targets(ways.aim - band, ways.aim + band, weight, gap, angles)
 
     def _in_the_way(self, parts: Parts, ways: Ways, there: np.ndarray) -> list[str]:
         """Say which parts lie on targets of others."""

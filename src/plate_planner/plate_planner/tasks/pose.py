@@ -15,7 +15,7 @@ from plate_core import AngleTargets, Parts, Rig, Targets, part_class
 from plate_core.tasks import Pose, PoseTask
 
 from .targets import GAP, UNMATCHED, match_by_cost, matched_rows, way_weight
-from .task import Assessment, DriftRequest, Situation, TaskRules
+from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
 """How near to its place and angle a part is asked for [tolerance]."""
@@ -127,7 +127,7 @@ class Poser(TaskRules):
             "room from the plate's ends, a greater tolerance, or anywhere: true would do"
         )
 
-    def request(self, memory: PoseMemory, parts: Parts) -> DriftRequest:
+    def request(self, memory: PoseMemory, parts: Parts) -> Targets:
         """Return places and angles of the parts, as seen (M); one without a pose is only kept on
         the plate."""
         _, missing = self.errors(memory, parts)
@@ -146,8 +146,7 @@ class Poser(TaskRules):
         goal = parts.angle + missing
         angles = AngleTargets(goal - angle_band, goal + angle_band, turned)
         gap = GAP * self.rig.parts.radius_m
-        targets = Targets(aim - band, aim + band, weight, gap, angles)
-        return DriftRequest.towards(parts.position, targets)
+        return Targets(aim - band, aim + band, weight, gap, angles)
 
     def _reach(self, label: str) -> float:
         """Return the reach of parts of a class [m]."""

@@ -17,7 +17,7 @@ from plate_core.rig import contains, rim_distance
 from plate_core.tasks import Bin, Scenario, Side, SortTask, behind_wall
 
 from .targets import CROWD, GAP, assign, way_weight
-from .task import Assessment, DriftRequest, Situation, TaskRules
+from .task import Assessment, Situation, TaskRules
 
 MARGIN, END = 0.03, 0.85
 """How far beyond the goal line parts are to go, and how much of a side or corner holds parts
@@ -138,8 +138,8 @@ class Sorter(TaskRules):
             return 1.0 if above >= 0 else -1.0
         return before
 
-    def request(self, parts: Parts, hand: float) -> DriftRequest:
-        """Return where each part is to go, as seen (M), and the drift that leads there."""
+    def request(self, parts: Parts, hand: float) -> Targets:
+        """Return the target of each part, as seen (M)."""
         sign, half = self._signs(parts), self.rig.plate.half
         line = (self.task.goal_fraction + MARGIN) * half
         way = self._ways(parts, sign)
@@ -167,8 +167,7 @@ class Sorter(TaskRules):
         low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
         high[:, 1] = np.where((lane > 0) & ~upper, -middle, high[:, 1])
         weight[:, 1] = np.where(lane > 0, lane, weight[:, 1])
-        gap = GAP * self.rig.parts.radius_m
-        return DriftRequest.towards(parts.position, Targets(low, high, weight, gap))
+        return Targets(low, high, weight, GAP * self.rig.parts.radius_m)
 
     def _ways(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
         """Ways (M, 2) [m] to a little beyond the goal lines of sides (M, 2)."""

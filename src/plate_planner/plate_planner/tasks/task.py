@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
-from plate_core import Parts, Rig, Targets, part_class
+from plate_core import Parts, Targets
 from plate_core.tasks import Scenario
+
+from .drift import DriftInterval
 
 SIGHT_M, SIGHT_RAD = 3e-4, 0.01
 """A task is judged by what the camera sees: the truth may differ by so much [m, rad]."""
@@ -21,73 +23,6 @@ BIAS_GAIN = 0.3
 
 BIAS_M = 5e-3
 """A part further from its prediction was pushed: as far as this it counts as drift bias [m]."""
-
-
-APPROACH = 1.5
-"""Drift towards a target, for each metre to go [1/s]."""
-
-DRIFT = 0.05
-"""At most [m/s]: as fast as many parts at once get on at best."""
-
-
-@dataclass(frozen=True)
-class DriftRequest:
-    """Any drift from `low` to `high`, each (M, 2) [m/s, plate_home], is as good as any other.
-
-    Attributes
-    ----------
-    targets : Targets or None
-        Where the drift is to lead the parts; then it only says which way that is.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    targets: Targets | None = None
-
-    @classmethod
-    def towards(cls, position: np.ndarray, targets: Targets) -> DriftRequest:
-        """Ask parts at (M, 2) [m] for what leads to their targets."""
-        low, high = (
-            np.where(targets.weight > 0, np.clip(APPROACH * (end - position), -DRIFT, DRIFT), free)
-            for end, free in ((targets.low, -DRIFT), (targets.high, DRIFT))
-        )
-        return cls(low, high, targets)
-
-    @property
-    def centre(self) -> np.ndarray:
-        """Middle of the interval (M, 2) [m/s]."""
-        return (self.low + self.high) / 2
-
-    def less(self, bias: np.ndarray) -> DriftRequest:
-        """Return what is left to ask for if parts have a drift of their own (M, 2) [m/s]."""
-        return replace(self, low=self.low - bias, high=self.high - bias)
-
-    def force(self, parts: Parts, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean force over a cycle that leads from the present drift to the wanted.
-
-        F = m (v_wanted - v)/T. If v is known, v_wanted results, so an error of v, as
-        measured, does not matter, as long as no component of F is beyond mu m g.
-
-        Parameters
-        ----------
-        parts : Parts
-            M parts with their present drift.
-        rig : Rig
-        period : float
-            Length of a cycle, T [s].
-
-        Returns
-        -------
-        force, tolerance : (M, 2)
-            Middle and half width of the wanted force [N].
-        """
-        types = [rig.part_type(part_class(name)) for name in parts.ids]
-        gain = np.array([[part.mass_kg] for part in types]) / period
-        bound = gain * period * np.array([[part.mu] for part in types]) * rig.friction.gravity
-        return (
-            np.clip(gain * (self.centre - parts.velocity), -bound, bound),
-            gain * (self.high - self.low) / 2,
-        )
 
 
 @dataclass(frozen=True)
@@ -151,8 +86,9 @@ class Assessment:
 
     Attributes
     ----------
-    request : DriftRequest or None
-        What is wanted of the M parts; None: nothing.
+    request : DriftInterval or Targets or None
+        Request for the M parts: their drift in the next cycle, or their targets. None: the plate
+        rests.
     goal_met : bool
         Whether the goal is met in this image.
     count : int
@@ -179,7 +115,7 @@ class Assessment:
         What there is to tell while it runs.
     """
 
-    request: DriftRequest | None = None
+    request: DriftInterval | Targets | None = None
     goal_met: bool = False
     count: int = 0
     total: int = 0

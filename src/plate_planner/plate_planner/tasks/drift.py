@@ -1,0 +1,77 @@
+"""Drift intervals: the request of a task that leads parts along, and their mean forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plate_core import Parts, Rig, Targets, part_class
+
+APPROACH = 1.5
+"""Drift towards a target, for each metre to go [1/s]."""
+
+MAX_DRIFT = 0.05
+"""Maximum drift towards a target [m/s]: the fastest that many parts at once reach."""
+
+
+@dataclass(frozen=True)
+class DriftInterval:
+    """Requested drift of M parts: every drift from `low` to `high`, each (M, 2) [m/s, plate_home],
+    is as good."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def towards(cls, position: np.ndarray, targets: Targets) -> DriftInterval:
+        """Return the drift that leads parts at (M, 2) [m] to their targets.
+
+        v = APPROACH (target - position), at most `MAX_DRIFT`; every drift up to `MAX_DRIFT` along
+        an axis without a target.
+        """
+        low, high = (
+            np.where(
+                targets.weight > 0,
+                np.clip(APPROACH * (end - position), -MAX_DRIFT, MAX_DRIFT),
+                free,
+            )
+            for end, free in ((targets.low, -MAX_DRIFT), (targets.high, MAX_DRIFT))
+        )
+        return cls(low, high)
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Middle of the interval (M, 2) [m/s]."""
+        return (self.low + self.high) / 2
+
+    def less(self, bias: np.ndarray) -> DriftInterval:
+        """Return the interval minus a drift (M, 2) [m/s] that parts have by themselves."""
+        return DriftInterval(self.low - bias, self.high - bias)
+
+    def force(self, parts: Parts, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean force over a cycle that changes the present drift into the requested.
+
+        F = m (v_requested - v)/T. The solver computes v + F T/m with the same v, so an error of the
+        measured v cancels, unless F is limited to mu m g.
+
+        Parameters
+        ----------
+        parts : Parts
+            M parts with their present drift.
+        rig : Rig
+        period : float
+            Length of a cycle, T [s].
+
+        Returns
+        -------
+        force, tolerance : (M, 2)
+            Middle and half width of the interval of forces [N].
+        """
+        types = [rig.part_type(part_class(name)) for name in parts.ids]
+        gain = np.array([[part.mass_kg] for part in types]) / period
+        bound = gain * period * np.array([[part.mu] for part in types]) * rig.friction.gravity
+        return (
+            np.clip(gain * (self.centre - parts.velocity), -bound, bound),
+            gain * (self.high - self.low) / 2,
+        )
