@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import time
 
 import numpy as np
 import pytest
@@ -620,6 +621,45 @@ def test_the_plate_goes_on_from_where_it_is_told_to_be(reported, lockstep):
     assert np.array_equal(first.plate, np.zeros((3, 3)))
     assert np.array_equal(second.plate, STATE)
     assert np.array_equal(third.plate, np.zeros((3, 3)))
+
+
+@pytest.fixture
+def at_once(clock):
+    """Function that waits until something is true, while the nodes' time stands."""
+
+    def wait(graph, true):
+        begun = clock.ns
+        for _ in range(500):
+            graph.executor.settle()
+            if true():
+                break
+            time.sleep(0.002)  # for threads of the middleware
+        assert true()
+        assert clock.ns == begun
+
+    return wait
+
+
+@pytest.mark.parametrize("last", ["cycle", "start", "parts"])
+def test_in_lockstep_an_image_is_planned_at_once_when_the_last_message_came(graph, at_once, last):
+    graph = graph(lockstep=True)
+    graph.begin(1.0)
+    graph.answering = False
+    graph.image(1.3, APART)
+    count, stamp = len(graph.forces), to_time(1_400_000_000)
+    publish = {
+        "cycle": graph.answer,
+        "start": lambda: graph.starts.publish(cycle_to_msg(graph.cycle, stamp)),
+        "parts": lambda: graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp)),
+    }
+    for name in publish:
+        if name != last:
+            publish[name]()
+            graph.executor.spin_for(STEP_S)
+    assert len(graph.forces) == count
+    publish[last]()
+    at_once(graph, lambda: len(graph.forces) > count)
+    assert msg_to_wanted(graph.forces[-1]).parts.ids == IDS
 
 
 def test_in_lockstep_a_player_that_does_not_report_is_not_waited_for_twice(graph):
