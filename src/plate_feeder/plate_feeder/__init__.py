@@ -1,4 +1,4 @@
-"""A feeder: hands out parts to a robot one by one, and has the planner get the next ones ready."""
+"""A feeder: dispenses parts to a robot one by one, while the planner gets the next ones ready."""
 
 from .codes import MEANINGS, Code
 from .feeder import Feeder

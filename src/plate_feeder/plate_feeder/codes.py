@@ -1,4 +1,4 @@
-"""The answers of the feeder: one table of codes for ROS and TCP."""
+"""Reply codes of the feeder: one table for ROS and TCP."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Code(IntEnum):
-    """2xx: done. 4xx: the client has to ask otherwise. 5xx: the feeder cannot do it now."""
+    """2xx: done. 4xx: the request must be changed. 5xx: the feeder cannot do it at present."""
 
     DONE = 200
     BAD_LINE = 400
@@ -25,7 +25,7 @@ class Code(IntEnum):
 
     @property
     def done(self) -> bool:
-        """Whether what was asked for is done."""
+        """Whether the request was fulfilled."""
         return self < 300
 
 
@@ -46,4 +46,4 @@ MEANINGS = {
     Code.HOPPER_EMPTY: "no part is left, and nothing came from the hopper",
     Code.NOT_PURGED: "there is no chute, or parts are left after the time",
 }
-"""What each code says, as docs/guide/feeder.md has it."""
+"""Meaning of each code, as in docs/guide/feeder.md."""

@@ -1,42 +1,46 @@
 """The feeder's rules, without ROS: which part a robot gets, when the plate rests, when the hopper
 opens.
 
-A `Feeder` takes the planner's statuses (`hear`) and commands; `step` says after each of
-them, and every 0.1 s or so, what is to be done. All times are of one steady clock and arguments.
-A loop without ROS runs it like this::
+A `Feeder` receives the planner's statuses (`hear`) and commands. After each of them, and about
+every 0.1 s, `step` returns the actions to take. All times are arguments, from one steady clock. A
+loop without ROS uses it like this::
 
     feeder = Feeder(task, rig)
-    reply = feeder.get_part("robot", now=t)  # None: it comes with a later `step`
+    reply = feeder.get_part("robot", now=t)  # None: the reply comes with a later `step`
     output = feeder.step(t)
-    # do output.order and output.open_s, read output.replies; then, for each image:
+    # execute output.order and output.open_s, read output.replies; then, for each image:
     feeder.hear(status, t)
     output = feeder.step(t)
 
 The rules:
 
-- The planner gets parts ready (`FEED`) until it has nothing left to do and rests; then it is
-  ordered to stay so (`REST`), and a robot need not wait. A command that waits has the plate rest as
-  soon as one part is ready.
-- A part is offered only from a status that the planner made under an order to rest, and that says
-  that the plate is at rest. An order is not changed before a status has shown that it is in force:
-  so no status of an earlier rest is mistaken for one of this.
-- From the answer on the part is reserved, and the plate rests, until `part_taken`, `prepare_part`
-  or the end of its time. Only one part is reserved, for one client. If the same client asks for the
-  next one, or for a purge, it gives the part up; others get `BUSY`. Its client alone may report it,
-  and gets its id; once that has gone, any client that knows the id may.
-- After a `stop` nothing begins before `resume`, which a person calls.
-- A part that was reserved is not told again before an image that is `SEEN_ANEW_S` younger than the
-  newest one then shows it ready. After `MOST_FAILURES` failed picks at one place it is left aside
-  until it lies elsewhere. Meanwhile one more is got ready in its place, for the planner counts it.
-- Of several parts the one with the fewest failed picks is offered; of these the one nearest to the
-  middle of its pick window.
-- The hopper is opened for what is missing to `fill` when there are fewer parts than `least`, or
-  none of the class that is waited for, unless a part is reserved or the plate is purged, and not
-  again within `FALLEN_S` of its closing, nor before an image that was taken while no part was
-  reserved: the planner counts nothing new while a robot hides parts. Until then no part is offered
-  that lies within two spreads of the place where they fall, and no plate counts as purged. It is
-  shut when a purge begins, and when the task ends. After `MOST_OPENINGS` that brought nothing it
-  counts as empty; each new command has it tried once more.
+- The planner gets parts ready (`FEED`) until it has nothing left to do and rests. Then it is
+ordered
+  to keep resting (`REST`), so that a robot need not wait. While a command waits, the plate is
+  ordered to rest as soon as one part is ready.
+- A part is offered only from a status that was made under an order to rest, and that reports the
+  plate at rest. An order is not changed before a status has confirmed it. So a status of an earlier
+  rest is never taken for one of the present rest.
+- From the reply on, the part is reserved and the plate rests, until `part_taken`, `prepare_part` or
+  the end of its validity. Only one part is reserved, for one client. If the same client requests
+  the next part, or a purge, the reservation ends; other clients get `BUSY`. Only its client may
+  report the part, and knows its id. If this client has disconnected, any client that knows the id
+  may.
+- After a `stop` nothing starts before `resume`, which a person calls.
+- A part that was reserved is not offered again before an image, `SEEN_ANEW_S` younger than the
+  newest one at the end of the reservation, shows it ready. After `MOST_FAILURES` failed picks at
+  one place a part is not offered until it is elsewhere. Meanwhile one more part is requested,
+  because the planner counts this one as ready.
+- Among several parts the one with the fewest failed picks is offered; among equals the one nearest
+  to the centre of its pick window.
+- The hopper is opened for the parts missing to `fill` if there are fewer parts than `least`, or
+none
+  of the class that a command waits for. It is not opened while a part is reserved or the plate is
+  purged, nor within `FALLEN_S` of its closing, nor before an image taken without a reservation: the
+  planner counts no new parts while a robot hides some. Until then no part within two spreads of the
+  place where parts fall is offered, and the plate does not count as purged. The hopper is closed
+  when a purge begins and when the task ends. After `MOST_OPENINGS` openings without new parts it
+  counts as empty; each new command opens it once more.
 """
 
 from __future__ import annotations
@@ -53,45 +57,47 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""An image so much younger than the newest known one was taken after now [s]: images are late."""
+"""Age difference to the newest known image above which an image was certainly taken after now [s]:
+images are late."""
 
 SEEN_ANEW_S = 1.0
-"""One so much younger does not show a part that is gone by now either [s]: the tracker keeps it for
-some images."""
+"""Age difference above which an image also does not show parts that are gone now [s]: the tracker
+keeps a missing part for some images."""
 
 SILENT_S = 1.0
-"""Longest time between two statuses of a task that runs [s]: ten usual cycles."""
+"""Maximum time between two statuses of a running task [s]: ten typical cycles."""
 
 START_S = 10.0
-"""Longest time from a command to the first status of the task that does it [s]."""
+"""Maximum time from a command to the first status of its task [s]."""
 
 SETTLED = 2
-"""In the first image at rest a part may have moved since the one before, and so not be ready; in
-one more it is."""
+"""Number of statuses at rest before the plate counts as settled. In the first one a part may have
+moved since the previous image, and therefore not be ready."""
 
 FALLEN_S = 1.0
-"""So long after the hopper has closed everything that fell is seen [s]."""
+"""Delay after the hopper closes until all dropped parts are visible [s]."""
 
 LONGEST_OPEN_S = 60.0
-"""The hopper is not opened for longer at once [s]: the simulator's refuses more."""
+"""Maximum duration of one opening of the hopper [s]; the simulator's hopper refuses more."""
 
 MOST_OPENINGS = 3
-"""After so many openings that brought nothing the hopper is empty."""
+"""Number of consecutive openings without a new part after which the hopper counts as empty."""
 
 MOST_FAILURES = 3
-"""After so many failed picks at one place a part is left aside."""
+"""Number of failed picks at one place after which a part is not offered."""
 
 MOVED_M = 0.002
-"""A part that is further from there lies elsewhere [m]: more than the camera errs."""
+"""Distance from that place above which a part counts as moved [m]; larger than the camera's
+error."""
 
 SPREADS = 2.0
-"""Parts fall no further from the hopper's place than this [its spread]."""
+"""Maximum distance of falling parts from the hopper's place [its spread]."""
 
 WAITS = "stopped until a person calls resume_feeding: "
-"""Begins the words of a stop; the reason follows."""
+"""Beginning of the text of a stop; the reason follows."""
 
 LONGEST_S = 3600.0
-"""Longest `timeout_s` that may be asked for [s]."""
+"""Maximum `timeout_s` of a command [s]."""
 
 
 class _Task(Enum):
@@ -102,7 +108,7 @@ class _Task(Enum):
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What a command asks for: a class, or any (""), and perhaps another pick than the recipe's."""
+    """Request of a command: a class, or any (""), and optionally another pick than the recipe's."""
 
     label: str = ""
     pick: Pick | None = None
@@ -110,7 +116,7 @@ class _Wanted:
 
 @dataclass(frozen=True)
 class _Waiting:
-    """A command that waits."""
+    """A waiting command."""
 
     client: Hashable
     wanted: _Wanted
@@ -121,7 +127,7 @@ class _Waiting:
 
 @dataclass(frozen=True)
 class _Failures:
-    """Failed picks of a part at a place [m]."""
+    """Number of failed picks of a part at a place [m]."""
 
     count: int
     x: float
@@ -129,7 +135,7 @@ class _Failures:
 
 
 class Feeder:
-    """Hands out parts to robots, one at a time; see the top of this file.
+    """Dispenses parts to robots, one at a time; see the top of this file.
 
     Parameters
     ----------
@@ -139,40 +145,40 @@ class Feeder:
 
     Notes
     -----
-    A `client` is any key but None that tells one from another. Commands answer at once by a
-    `Reply`; `get_part` and `purge` return None if they wait: then it comes with a later `step`.
+    A `client` is any key other than None that identifies a client. Commands return a `Reply` at
+    once. `get_part` and `purge` return None if they wait; the reply then comes with a later `step`.
     """
 
     def __init__(self, task: FeedTask, rig: Rig) -> None:
         self.task, self._rig = task, rig
         self._status: FeedStatus | None = None
         self._ended = False  # whether the task was stopped, or has failed
-        self._stop = ""  # why nothing begins before `resume`
-        self._task, self._since = _Task.IDLE, -math.inf  # since the command, or the last status
+        self._stop = ""  # reason why nothing starts before `resume`
+        self._task, self._since = _Task.IDLE, -math.inf  # time of the command or the last status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
-        self._rested = 0  # statuses since the plate rests by order
-        self._content = False  # whether the planner has rested by itself since the last part
+        self._rested = 0  # number of statuses since the plate rests by order
+        self._content = False  # whether the planner came to rest by itself since the last part
         self._waiting: _Waiting | None = None
         self._prepared: _Wanted | None = None
         self._reserved: Reserved | None = None
-        self._late: Reserved | None = None  # given up, and not reported yet
-        self._held: dict[str, float] = {}  # newest stamp when it was given up, by id
+        self._late: Reserved | None = None  # reservation ended, result not reported yet
+        self._held: dict[str, float] = {}  # newest stamp at the end of the reservation, by id
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
-        self._taken = self._discharged = self._lost = 0  # the latter two: by tasks that have ended
-        self._untold = 0  # parts given up, of which no report says whether they were taken
-        self._opened: int | None = None  # parts that had come until it was opened
+        self._taken = self._discharged = self._lost = 0  # the last two: by tasks that have ended
+        self._untold = 0  # reservations that ended without a report whether the part was taken
+        self._opened: int | None = None  # number of parts that had come before it was opened
         self._look_at, self._barren = -math.inf, 0
 
-    # What it takes in
+    # Inputs
 
     def hear(self, status: FeedStatus, now: float) -> None:
-        """Take a status of the planner."""
+        """Receive a status of the planner."""
         self._status = status
         self._held = {
             part: since
             for part, since in self._held.items()
-            # A clock that was set back holds nothing back for ever.
+            # If the clock was set back, the part is offered again.
             if -SEEN_ANEW_S < status.stamp - since < SEEN_ANEW_S
         }
         if self._task is _Task.IDLE:
@@ -183,19 +189,20 @@ class Feeder:
         self._content |= status.mode is FeedMode.FEED and status.at_rest
 
     def task_ended(self, text: str) -> None:
-        """The planner's task has ended, was refused, or is to end: what waits is answered so."""
+        """The planner's task has ended or was refused, or must end. A waiting command gets this
+        reply."""
         self._answer_waiting(Code.STOPPED, text)
         self._end()
         self._ended = True
 
     def stop(self, why: str) -> None:
-        """The plate was stopped by a person, or so that a person is needed anyway: the task is to
-        end, and until `resume` each command that would move the plate is answered so."""
+        """The plate was stopped by a person, or a person is needed for another reason. End the
+        task, and refuse each command that would move the plate until `resume`."""
         self._stop = WAITS + why
         self.task_ended(self._stop)
 
     def resume(self) -> None:
-        """A person lets the next command begin the task again."""
+        """A person permits the next command to start the task again."""
         if self._stop:
             self._stop, self._ended = "", False
 
@@ -214,18 +221,18 @@ class Feeder:
         ----------
         client : hashable
         label : str
-            Its class; empty: that of `pick`, or what was prepared, or any of the recipe's.
+            Class of the part; empty: that of `pick`, of `prepare_part`, or any of the recipe's.
         pick : Pick, optional
-            Another window, angle or number than the recipe's, for this command.
+            Window, angle or number that replaces the recipe's for this command.
         timeout_s : float
-            Longest wait [s]; 0: the recipe's.
+            Maximum wait [s]; 0: the recipe's.
         now : float
             [s]
 
         Returns
         -------
         Reply or None
-            None: it waits.
+            None if the command waits.
         """
         wanted = self._read(label, pick, timeout_s)
         if isinstance(wanted, Reply):
@@ -244,7 +251,7 @@ class Feeder:
     def prepare_part(
         self, client: Hashable, label: str = "", pick: Pick | None = None, *, now: float
     ) -> Reply:
-        """Get a part ready for the next `get_part` that names none; as there."""
+        """Get a part ready for the next `get_part` without a class. Parameters as in `get_part`."""
         wanted = self._read(label, pick)
         if isinstance(wanted, Reply):
             return wanted
@@ -256,23 +263,23 @@ class Feeder:
         return Reply(Code.DONE, f"{wanted.label or 'a part'} is being got ready")
 
     def part_taken(self, client: Hashable, part: str = "", taken: bool = True) -> Reply:
-        """The robot has tried to take a part, and no longer stands over it.
+        """Report that the robot has tried to take a part, and is no longer above it.
 
         Parameters
         ----------
         client : hashable
         part : str
-            Its id; empty: the one reserved for this client. A part whose client has gone is
-            reported with its id. A part whose time is over may still be reported, until the next
-            one is reserved.
+            Its id; empty: the part reserved for this client. A part whose client has disconnected
+            is reported with its id. A part whose validity has ended may still be reported, until
+            the next one is reserved.
         taken : bool
-            False: it lies there still.
+            Whether the robot has the part. If False, it is still there.
         """
         known = self._reserved or self._late
         if known is None:
             return Reply(Code.NOT_RESERVED, "no part is reserved")
         if known.client != client and (known.client is not None or part != known.part.id):
-            # The same whatever is named: ids are not to be found out by asking.
+            # The same text for all ids, so that ids cannot be guessed.
             text = "the part is another client's, allowed: yours; with its id, once that has gone"
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
@@ -297,7 +304,7 @@ class Feeder:
         return Reply(Code.DONE, f"{name} lies there still, picks failed there: {count}{late}")
 
     def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
-        """Bring all parts to the chute, and end the task then; None: it waits."""
+        """Bring all parts to the chute, then end the task. None if the command waits."""
         problem = _time_problem(timeout_s)
         if problem:
             return Reply(Code.BAD_ARGUMENT, problem)
@@ -314,8 +321,8 @@ class Feeder:
         return None
 
     def cancel(self, client: Hashable) -> None:
-        """Withdraw the command of a client that waits: it gets no reply. A part that is reserved
-        stays so, for the robot may stand over it. A purge ends the task."""
+        """Withdraw the waiting command of a client, without a reply. A reserved part remains
+        reserved, because the robot may be above it. A withdrawn purge ends the task."""
         waiting = self._waiting
         if waiting is not None and waiting.client == client:
             self._waiting = None
@@ -323,22 +330,22 @@ class Feeder:
                 self._end()
 
     def gone(self, client: Hashable) -> None:
-        """Forget a client: what waits is withdrawn. Its part stays reserved, and is nobody's."""
+        """Remove a client and withdraw its command. Its part remains reserved, without an owner."""
         self.cancel(client)
         self._reserved, self._late = (
             replace(each, client=None) if each is not None and each.client == client else each
             for each in (self._reserved, self._late)
         )
 
-    # What it tells
+    # Outputs
 
     def step(self, now: float) -> Output:
-        """Return what is to be done now [s]."""
+        """Return the actions to take now [s]."""
         if self._reserved is not None and now >= self._reserved.until:
             self._give_up()
         if self._waiting is not None:
             self._answer(self._waiting, now)
-        if self._task is _Task.ASKED and self.silence(now):  # later nobody would expect it
+        if self._task is _Task.ASKED and self.silence(now):  # it must not start later
             self._end()
         open_s = self._open(now)
         self._decide()
@@ -346,7 +353,7 @@ class Feeder:
         return Output(self._task is not _Task.IDLE, self._sent, open_s, replies)
 
     def quantity(self) -> Quantity:
-        """Return how many parts there are, and were."""
+        """Return the numbers of parts: on the plate, ready, and taken or gone so far."""
         status = self._status or FeedStatus(0.0, FeedMode.FEED, False)
         running = self._task is _Task.RUNNING
         return Quantity(
@@ -358,7 +365,7 @@ class Feeder:
         )
 
     def state(self, now: float) -> State:
-        """Return what it does, in a word."""
+        """Return the state of the feeder."""
         waiting = self._waiting
         if self._ended:
             return State.STOPPED
@@ -376,22 +383,22 @@ class Feeder:
 
     @property
     def stopped(self) -> str:
-        """Why nothing begins before `resume`, in words for a robot; empty if the next command may
-        begin the task."""
+        """Reason why nothing starts before `resume`, as text for a robot; empty if the next command
+        may start the task."""
         return self._stop
 
     @property
     def reserved(self) -> Reserved | None:
-        """The part that is reserved."""
+        """The reserved part; None if there is none."""
         return self._reserved
 
     @property
     def hopper_empty(self) -> bool:
-        """Whether the last openings of the hopper brought nothing."""
+        """Whether the last openings of the hopper brought no parts."""
         return self._barren >= MOST_OPENINGS
 
     def silence(self, now: float) -> str:
-        """Say what is silent for too long; empty if nothing is."""
+        """Return a text about missing messages of the planner; empty if none are missing."""
         silent = now - self._since
         if self._task is _Task.ASKED and silent > START_S:
             return f"the planner has not begun feed_parts within {START_S:g} s"
@@ -403,7 +410,7 @@ class Feeder:
     # Commands
 
     def _read(self, label: str, pick: Pick | None, timeout_s: float = 0.0) -> _Wanted | Reply:
-        """Return what is asked for, or why that is wrong."""
+        """Return the request of a command, or a reply with its error."""
         labels = [each.label for each in self.task.picks]
         problem = _time_problem(timeout_s)
         if pick is not None:
@@ -420,7 +427,7 @@ class Feeder:
         return Reply(Code.BAD_ARGUMENT, problem) if problem else _Wanted(label, pick)
 
     def _refusal(self, client: Hashable) -> Reply | None:
-        """Say why a command that would move the plate is not taken now."""
+        """Return the reason to refuse a command that would move the plate; None to accept it."""
         if self._stop:
             return Reply(Code.STOPPED, self._stop)
         waiting, reserved = self._waiting, self._reserved
@@ -434,7 +441,7 @@ class Feeder:
     def _begin(self, now: float) -> None:
         self._barren = min(self._barren, MOST_OPENINGS - 1)
         if self._task is _Task.IDLE:
-            if now >= self._look_at:  # who knows what has come and gone since
+            if now >= self._look_at:  # the parts may have changed since
                 self._opened = None
             self._task, self._since, self._ended = _Task.ASKED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
@@ -446,17 +453,17 @@ class Feeder:
         self._task, self._prepared = _Task.IDLE, None
 
     def _give_up(self) -> None:
-        """End the reservation; whether the part is still there is seen later."""
+        """End the reservation. Later images show whether the part is still there."""
         if self._reserved is not None:
             self._hold(self._reserved.part)
             self._late, self._reserved = self._reserved, None
             self._untold += 1
 
     def _hold(self, part: ReadyPart) -> None:
-        assert self._status is not None  # it was told from one
+        assert self._status is not None  # the part was offered from a status
         self._held[part.id] = self._status.stamp
 
-    # Answers to commands that wait
+    # Replies to waiting commands
 
     def _answer_waiting(
         self, code: Code, text: str, part: ReadyPart | None = None, until: float = math.nan
@@ -498,7 +505,7 @@ class Feeder:
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
-        if purging and not left and self._opened is None:  # nothing falls any more
+        if purging and not left and self._opened is None:  # no more parts fall
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()
         elif now >= waiting.until:
@@ -507,7 +514,7 @@ class Feeder:
             self._end()
 
     def _rests(self) -> bool:
-        """Whether the newest status is of a plate that rests until the order is changed."""
+        """Whether the newest status is of a plate that rests until the order changes."""
         status = self._status
         return (
             self._task is _Task.RUNNING
@@ -521,7 +528,7 @@ class Feeder:
     # Parts
 
     def _picks(self) -> tuple[Pick, ...]:
-        """Return what is to be ready; more of a class of which some parts are not offered."""
+        """Return the picks to get ready, with more of a class whose ready parts are not offered."""
         wanted = self._waiting.wanted if self._waiting is not None else self._prepared
         other = None if wanted is None else wanted.pick
         picks = [
@@ -536,7 +543,7 @@ class Feeder:
         )
 
     def _sees_all(self) -> bool:
-        """Whether the newest image shows all parts: while one was reserved, a robot hid some."""
+        """Whether the newest image shows all parts. A robot hides some during a reservation."""
         newest = -math.inf if self._status is None else self._status.stamp
         return self._reserved is None and all(
             newest >= since + LATE_S for since in self._held.values()
@@ -546,7 +553,7 @@ class Feeder:
         return () if self._status is None else self._status.ready
 
     def _offers(self, wanted: _Wanted) -> list[ReadyPart]:
-        """Return the parts of the newest status that a robot may get."""
+        """Return the parts in the newest status that a robot may get."""
         picks = {pick.label: pick for pick in self._picks()}
         return [
             part
@@ -568,7 +575,7 @@ class Feeder:
         )
 
     def _is_fallen_on(self, part: ReadyPart) -> bool:
-        """Whether parts may fall on it, or have done so since the image."""
+        """Whether parts may fall on it, or may have fallen on it since the image."""
         hopper = self.task.hopper
         if hopper is None or self._opened is None:
             return False
@@ -597,7 +604,7 @@ class Feeder:
     # Orders
 
     def _decide(self) -> None:
-        """Change the order, if the one before is in force."""
+        """Change the order if the previous one is in force."""
         if self._task is not _Task.RUNNING:
             return
         order = FeedOrder(self._mode(), self._picks(), hidden=self._reserved is not None)
@@ -614,7 +621,7 @@ class Feeder:
             return FeedMode.PURGE
         if waiting is not None:
             stopping = self._sent.mode is FeedMode.REST and self._rested < SETTLED
-            ready = stopping or self._offers(waiting.wanted)  # which is it when the plate rests?
+            ready = stopping or self._offers(waiting.wanted)  # wait for a status at rest
             return FeedMode.REST if ready else FeedMode.FEED
         offers = [part.label for part in self._offers(self._prepared or _Wanted())]
         wanted = {pick.label: pick.ready for pick in self.task.picks}
@@ -628,7 +635,7 @@ class Feeder:
     # The hopper
 
     def _open(self, now: float) -> float | None:
-        """Return for how long the hopper is to be open from now on [s], as `Output.open_s`."""
+        """Return how long the hopper must be open from now [s], as `Output.open_s`."""
         hopper, status = self.task.hopper, self._status
         purging = self._waiting is not None and self._waiting.purge
         is_open = self._opened is not None and now < self._look_at - FALLEN_S

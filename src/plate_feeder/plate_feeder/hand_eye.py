@@ -1,4 +1,4 @@
-"""Where the plate is in the robot's frame: by points that the robot's tool has touched."""
+"""The plate's pose in the robot's frame, fitted to points that the robot's tool has touched."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
 from .interface import ReadyPart
 
 LARGEST_RESIDUAL_M = 1e-3
-"""A point that lies further from where the others say was measured wrongly [m]."""
+"""Maximum residual of a point [m]. A larger one means a measurement error."""
 
 LEAST_BASE_M = 0.05
-"""The points on the plate reach at least so far [m]: nearer ones give no angle."""
+"""Minimum extent of the points on the plate [m]. Nearer points do not determine the angle."""
 
 FAR_M = 10.0
-"""No coordinate is greater [m]."""
+"""Maximum magnitude of a coordinate [m]."""
 
 FILE = Section(
     "hand-eye file",
@@ -42,22 +42,22 @@ POINT = Section(
 
 
 class HandEyeError(PlateError):
-    """The points do not say where the plate is."""
+    """The points do not determine the plate's pose."""
 
 
 @dataclass(frozen=True)
 class HandEye:
-    """The plate in a frame: turned, then shifted.
+    """The plate's pose in a frame: a rotation followed by a shift.
 
     Attributes
     ----------
     frame : str
     angle : float
-        Of the plate's x in this frame [rad].
+        Angle of the plate's x axis in this frame [rad].
     x, y : float
-        Of the plate's middle in this frame [m].
+        Centre of the plate in this frame [m].
     residual_m : float
-        Greatest distance of a point from where the plate's says it is [m].
+        Maximum residual of a point [m].
     """
 
     frame: str = "plate_home"
@@ -67,7 +67,7 @@ class HandEye:
     residual_m: float = 0.0
 
     def part(self, part: ReadyPart) -> ReadyPart:
-        """Return a part of plate_home as it is in this frame."""
+        """Transform a part from plate_home to this frame."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         covariance = part.covariance
         if covariance[0] >= 0:  # known
@@ -89,7 +89,7 @@ def load_hand_eye(path: str | Path) -> HandEye:
     Raises
     ------
     HandEyeError
-        Names the file, the key, its value and what is allowed.
+        With the file, the key, its value and what is allowed.
     """
     fields = read_yaml(path, HandEyeError)
     frame = fields.value(FILE["frame"])
@@ -105,7 +105,7 @@ def load_hand_eye(path: str | Path) -> HandEye:
 
 
 def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
-    """Return the rigid motion that brings points nearest to others, by least squares.
+    """Return the rigid motion from points to points by least squares.
 
     Parameters
     ----------
@@ -117,13 +117,13 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     Raises
     ------
     HandEyeError
-        If there are too few, they are too near together, or do not fit.
+        If there are too few points, or too near to each other, or the residual is too large.
 
     Notes
     -----
-    In the plane the best turn about the points' means has a closed form: the angle of the sum of
-    conj(p) q over the points as complex numbers (Horn 1987, J. Opt. Soc. Am. A 4(4), 629-642, in
-    three dimensions).
+    With the points p and q as complex numbers, relative to their means, the best rotation in the
+    plane has the angle of sum(conj(p) q) (Horn 1987, J. Opt. Soc. Am. A 4(4), 629-642, in three
+    dimensions).
     """
     count = len(plate)
     if count < 2:
@@ -150,7 +150,7 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
 
 
 def _fit(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, complex, complex]:
-    """Return residuals (N,) [m], turn and shift of points (N,) as complex numbers [m]."""
+    """Return residuals (N,) [m], and rotation and shift as complex numbers [-, m]."""
     turn = np.sum((p - p.mean()).conj() * (q - q.mean()))
     turn = turn / max(abs(turn), np.finfo(float).tiny)
     shift = q.mean() - turn * p.mean()

@@ -1,4 +1,4 @@
-"""Data that the feeder takes from the planner, and gives to clients, planner and hopper."""
+"""Data exchanged by the feeder with planner, clients and hopper."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class ReadyPart:
     x, y : float
         Centre [m, plate_home].
     angle : float
-        Counter-clockwise from x [rad].
+        Angle, counter-clockwise from x [rad].
     covariance : tuple of 9 floats
-        Of (x, y, angle), row by row [m2, m rad, rad2]. The first value is -1 if it is unknown.
+        Covariance of (x, y, angle), row by row [m2, m rad, rad2]. The first value is -1 if unknown.
     """
 
     id: str
@@ -55,16 +55,16 @@ class FeedStatus:
     Attributes
     ----------
     stamp : float
-        Of the image [s, the camera's clock: compared with other stamps only].
+        Stamp of the image [s], by the camera's clock; compared only with other stamps.
     mode : FeedMode
         Current mode of the planner.
     at_rest : bool
         Whether the parts are still where the image shows them.
     ready : tuple of ReadyPart
     seen : mapping of str to int
-        Parts on the plate, by class.
+        Number of parts on the plate, by class.
     discharged, lost : int
-        Parts that have left over the chute and elsewhere since this task began.
+        Parts that have left over the chute, and over other edges, since this task began.
     """
 
     stamp: float
@@ -77,7 +77,7 @@ class FeedStatus:
 
     @property
     def total(self) -> int:
-        """Parts on the plate."""
+        """Number of parts on the plate."""
         return sum(self.seen.values())
 
 
@@ -129,8 +129,8 @@ class Output:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Numbers of parts: on the plate by class, and ready. Since the feeder began: taken by the
-    robot, gone over the chute, and gone over other edges."""
+    """Numbers of parts: on the plate by class; ready; and, since the feeder began, taken by the
+    robot, discharged over the chute, and lost over other edges."""
 
     seen: Mapping[str, int]
     ready: int

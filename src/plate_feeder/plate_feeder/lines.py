@@ -1,4 +1,4 @@
-"""What robots say and hear over TCP: one line per command, one numbered line as its answer."""
+"""Text protocol for robots over TCP: one line per command, one reply line with a code."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .codes import Code
 from .interface import Quantity, ReadyPart
 
 LONGEST_LINE = 256
-"""Of a robot [bytes]."""
+"""Maximum length of a robot's line [bytes]."""
 
 LONGEST_ANSWER = 250
-"""Characters; longer texts are cut, between two words."""
+"""Maximum length of a reply line [characters]. Longer texts are cut between two words."""
 
 NUMBER = re.compile(r"[-+.\d]")
-"""What begins so is to be a number: no class and no id does."""
+"""First character of a number. Classes and ids do not begin with it."""
 
 SECONDS = re.compile(r"\d{1,6}(\.\d{1,6})?")
 
@@ -32,14 +32,14 @@ COMMANDS: Mapping[str, str] = {
     "state": "",
     "help": "",
 }
-"""All commands, and what may follow."""
+"""Commands and their arguments."""
 
 WAITING = ("get_part", "purge")
-"""Those whose answer may take long."""
+"""Commands whose reply may take long."""
 
 
 class LineError(PlateError):
-    """A line is no command; `code` says why."""
+    """A line is not a valid command. `code` gives the reason."""
 
     def __init__(self, code: Code, text: str) -> None:
         super().__init__(text)
@@ -55,9 +55,9 @@ class Command:
     name : str
         One of `COMMANDS`.
     label, part : str
-        Class and id; empty: none given.
+        Class and id; empty: not given.
     timeout_s : float
-        [s]; 0: none given.
+        Timeout [s]; 0: not given.
     taken : bool
         Whether the pick has succeeded.
     """
@@ -70,12 +70,12 @@ class Command:
 
 
 def read_line(line: bytes) -> Command:
-    """Return the command of a line, without its end.
+    """Parse a line, without its line end, to a command.
 
     Raises
     ------
     LineError
-        Names what is wrong and what is allowed.
+        With the error and what is allowed.
     """
     if len(line) > LONGEST_LINE:
         raise LineError(Code.BAD_LINE, f"more than {LONGEST_LINE} bytes in a line")
@@ -112,16 +112,16 @@ def _seconds(word: str) -> float:
 
 
 def answer_line(code: Code, text: str) -> bytes:
-    """Return the line that answers a command."""
+    """Return the reply line for a command."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
     line = f"{code:d} {plain}"
-    if len(line) > LONGEST_ANSWER:  # half a number is another one
+    if len(line) > LONGEST_ANSWER:  # cut at a space: half a number would be a wrong number
         line = line[: LONGEST_ANSWER + 1].rpartition(" ")[0]
     return line.encode() + b"\r\n"
 
 
 def part_text(part: ReadyPart, valid_s: float) -> str:
-    """Say where a part lies, in the robot's frame: mm and degrees; and for how long [s]."""
+    """Return a part's place in the robot's frame [mm, degrees] and its validity [s] as text."""
     degrees = math.degrees(math.remainder(part.angle, 2 * math.pi))
     return (
         f"x={_rounded(1e3 * part.x)} y={_rounded(1e3 * part.y)} angle={_rounded(degrees)} "
@@ -130,7 +130,7 @@ def part_text(part: ReadyPart, valid_s: float) -> str:
 
 
 def quantity_text(quantity: Quantity) -> str:
-    """Say how many parts there are, on the plate also by class."""
+    """Return the numbers of parts as text, including those on the plate by class."""
     counts = {
         "seen": sum(quantity.seen.values()), "ready": quantity.ready, "taken": quantity.taken,
         "discharged": quantity.discharged, "lost": quantity.lost, **quantity.seen,
@@ -139,7 +139,7 @@ def quantity_text(quantity: Quantity) -> str:
 
 
 def help_text() -> str:
-    """Name all commands."""
+    """Return all commands with their arguments as text."""
     return "; ".join(f"{name} {usage}".strip() for name, usage in COMMANDS.items())
 
 

@@ -1,4 +1,4 @@
-"""The node `feeder`: hands out parts to a robot, by actions and services or over TCP."""
+"""The node `feeder`: dispenses parts to a robot, by actions and services or over TCP."""
 
 from __future__ import annotations
 
@@ -48,39 +48,39 @@ from .ros import FeedGoal
 from .server import Answer, RobotServer
 
 STEP_S = 0.05
-"""Time between two looks at what waits [s]."""
+"""Polling interval of the rules [s]."""
 
 ORDER_S = 0.5
-"""An order is said again after this time [s]: the planner may have missed it."""
+"""Time after which an order is published again [s], in case that the planner has missed it."""
 
 HOPPER_S = 1.0
-"""A hopper has to answer so long after it was to close, at the latest [s]."""
+"""Maximum delay of the hopper's reply after its closing time [s]."""
 
 FEEDBACK_S = 0.5
-"""Time between two feedbacks [s]."""
+"""Time between two feedback messages [s]."""
 
 WARN_PERIOD_S = 10.0
-"""Least time between two equal warnings [s]."""
+"""Minimum time between two equal warnings [s]."""
 
 ROS = 0
-"""The client that stands for all of ROS; those on TCP are 1 and more."""
+"""Client number of all ROS clients together; TCP clients have 1 and more."""
 
 ONE_MACHINE = ("127.0.0.1", "::1", "localhost")
-"""Hosts that no other machine reaches."""
+"""Hosts that other machines cannot reach."""
 
 STOPPED = "the feeder was deactivated"
 
 NEED_A_PERSON = (
     TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
 )  # fmt: skip
-"""Ends of the planner's task after which a person has to call resume_feeding: others than the
-feeder have asked for them, or somebody has to enable the motors anyway."""
+"""Reasons for the end of the planner's task after which a person must call resume_feeding: another
+client has requested it, or a person must enable the motors anyway."""
 
 BY_PERSON = (
     DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,
     DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
-"""Why the motors are off if a person has wanted it, whether a task ran or not."""
+"""Reasons for motors off by a person's request, with or without a running task."""
 
 Replied = Callable[[Reply], None]
 
@@ -102,10 +102,10 @@ class Options(NodeOptions):
 
 
 class FeederNode(SafeLifecycleNode[Options]):
-    """Node `feeder`: hands out parts to a robot one by one, and has the planner get the next ready.
+    """Node `feeder`: dispenses parts to a robot one by one, while the planner gets the next ready.
 
     Actions get_part, purge_plate. Services part_taken, prepare_part, part_quantity; resume_feeding,
-    which a person calls after a stop. A TCP server for robots that speak no ROS.
+    which a person calls after a stop. A TCP server serves robots without ROS.
     Subscribes feed_status, task_status, driver_status. Publishes feed_orders, diagnostics. Sends
     feed_parts to the planner when a command needs it, and calls hopper/open.
     """
@@ -114,13 +114,13 @@ class FeederNode(SafeLifecycleNode[Options]):
         super().__init__("feeder", Options)
         self._server: RobotServer | None = None
         self._inbox: deque[Callable[[], None]] = deque()  # filled by the server's thread
-        self._results: dict[bytes, tuple[Reply, Part | None]] = {}  # on their way, by goal
-        self._enabled_at: Any = None  # of the motors, as far as is known
-        self._stopped = ""  # why it waited for a person when it was deactivated
+        self._results: dict[bytes, tuple[Reply, Part | None]] = {}  # not yet fetched, by goal
+        self._enabled_at: Any = None  # last known time at which the motors were enabled
+        self._stopped = ""  # reason of a stop that was in force at deactivation
         self.report(self._find, self._values)
 
     def configure(self) -> None:
-        """Read recipe and hand-eye points, and offer actions and services."""
+        """Read recipe and hand-eye points, and create actions and services."""
         options = self.options
         scenario = load_scenario(options.recipe)
         self._rig = load_rig(options.rig_file or scenario.rig)
@@ -160,20 +160,19 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.managed_timer(FEEDBACK_S, self._tell_progress)
 
     def begin(self) -> None:
-        """Know nothing of what was before but that a person has stopped the plate, and serve
-        robots."""
+        """Reset all state, except a stop by a person, and serve robots."""
         options = self.options
         self._feeder = Feeder(self._recipe, self._rig)
         if self._stopped:
             self._feeder.stop(self._stopped)
         self._driver: DriverStatus | None = None
         self._told = TaskStatus.IDLE, TaskStatus.NONE  # state and reason of the last task_status
-        self._parts: dict[str, Part] = {}  # ready in the newest status, by id
-        self._waiting: dict[int, Replied] = {}  # who takes the reply, by client
-        self._goal: Any = None  # of ROS that waits
+        self._parts: dict[str, Part] = {}  # ready parts in the newest status, by id
+        self._waiting: dict[int, Replied] = {}  # recipient of the reply, by client
+        self._goal: Any = None  # waiting goal of a ROS client
         self._order, self._ordered = FeedOrder(), -math.inf
         self._hopper_problem = ""
-        self._opening: tuple[Any, float] | None = None  # the hopper's answer, and when it is due
+        self._opening: tuple[Any, float] | None = None  # the hopper's reply, and its deadline
         self._inbox.clear()
         self._server = RobotServer(options.host, options.port, self._ask, self._gone)
         self.get_logger().info(f"robots are served at {options.host}:{self._server.port}")
@@ -181,7 +180,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             self.get_logger().warning(f"any machine that reaches {options.host} may command")
 
     def rest(self) -> None:
-        """Answer what waits, end the task, and serve no more."""
+        """Reply to waiting commands, end the task, and stop the server."""
         self._stopped = self._feeder.stopped.removeprefix(core.WAITS)
         self._feeder.task_ended(STOPPED)
         self._step()
@@ -192,7 +191,7 @@ class FeederNode(SafeLifecycleNode[Options]):
     # The rules
 
     def _step(self) -> None:
-        """Do what the rules say now."""
+        """Execute the actions that the rules require now."""
         now = time.monotonic()
         output = self._feeder.step(now)
         self._task.want(output.run)
@@ -238,7 +237,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
     def _wait(self, client: int, reply: Reply | None, replied: Replied) -> None:
-        """Have a command answered: now, or when the rules do so."""
+        """Reply to a command now, or when the rules give its reply."""
         if reply is None:
             self._waiting[client] = replied
         else:
@@ -268,7 +267,7 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     def _on_task(self, msg: TaskStatus) -> None:
         told, self._told = self._told, (msg.state, msg.reason)
-        # The end of a task is told again and again, a stop of an idle planner once.
+        # task_status repeats the end of a task, but reports a stop of an idle planner once.
         again = msg.state != TaskStatus.IDLE and self._told == told
         if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not again:
             self._wait_for_person(f"the planner was stopped: {msg.text}")
@@ -293,7 +292,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             self._step()
 
     def _wait_for_person(self, why: str) -> None:
-        """Begin nothing until a person calls resume_feeding."""
+        """Start nothing until a person calls resume_feeding."""
         if not self._feeder.stopped:
             self.get_logger().info(f"no longer feeding: {why}")
         self._feeder.stop(why)
@@ -345,7 +344,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         return CancelResponse.ACCEPT
 
     def _finish(self, goal: Any, reply: Reply) -> None:
-        """Give a goal its result, by `_result`."""
+        """Complete a goal; `_result` returns its result."""
         if goal is self._goal:
             self._goal = None
         part = None if reply.part is None else self._parts[reply.part.id]
@@ -409,7 +408,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             response.discharged, response.lost = quantity.discharged, quantity.lost
         return response
 
-    # Over TCP: on the server's thread, handed over to the graph's
+    # TCP: called on the server's thread, passed to the graph's thread
 
     def _ask(self, client: int, command: Command, answer: Answer) -> None:
         self._soon(lambda: self._do(client, command, answer))
@@ -433,7 +432,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._step()
 
     def _do(self, client: int, command: Command, answer: Answer) -> None:
-        """Do a robot's command."""
+        """Execute a robot's command."""
         feeder, now = self._feeder, time.monotonic()
 
         def tell(reply: Reply) -> None:
@@ -470,7 +469,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             text += f" valid_s={max(kept.until - now, 0.0):.1f}"
         return text + (" call=resume_feeding" if feeder.stopped else "")
 
-    # What it reports
+    # Diagnostics
 
     def _doing(self, now: float) -> str:
         quantity = self._feeder.quantity()
@@ -480,7 +479,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         )
 
     def _find(self, now: float) -> Finding:
-        """Judge the feeder; see `plate_core.status`."""
+        """Return the worst finding; see `plate_core.status`."""
         feeder, quantity = self._feeder, self._feeder.quantity()
         found: list[Finding] = []
         if silence := feeder.silence(now):
@@ -511,8 +510,7 @@ class FeederNode(SafeLifecycleNode[Options]):
 
 
 def _pick(msgs: list[FeedPick]) -> Pick | None:
-    """Return the pick of a request, if it has one; of how many that are to be ready it may say
-    nothing."""
+    """Return the pick of a request; None if it has none. Its number of ready parts is optional."""
     if not msgs:
         return None
     pick = msg_to_pick(msgs[0])
@@ -520,7 +518,7 @@ def _pick(msgs: list[FeedPick]) -> Pick | None:
 
 
 def pose_to_msg(part: ReadyPart) -> PoseWithCovarianceStamped:
-    """Return where a part lies, as a message without header."""
+    """Return a part's pose as a message, without stamp and frame."""
     msg = PoseWithCovarianceStamped()
     pose = msg.pose.pose
     pose.position.x, pose.position.y = float(part.x), float(part.y)

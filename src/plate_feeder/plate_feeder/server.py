@@ -1,8 +1,9 @@
-"""The TCP server for robots, on a thread of its own. Nothing of it may hold up the graph.
+"""The TCP server for robots, on a separate thread that cannot delay the graph.
 
-A client's commands are done one after the other, and answered in this order. Few clients, short
-lines and few commands that wait: what is too much is refused with a code. A client that leaves a
-line unfinished, or takes no answers, is let go; one that is only quiet may stay for an hour.
+The commands of a client are executed one after the other, and replied to in this order. The numbers
+of clients and waiting commands and the length of lines are limited; excess is refused with a code.
+A client that leaves a line incomplete, or does not read its replies, is disconnected. An idle
+client may stay connected for an hour.
 """
 
 from __future__ import annotations
@@ -22,68 +23,69 @@ from .lines import LONGEST_LINE, WAITING, Command, LineError, answer_line, help_
 MOST_CLIENTS = 8
 
 MOST_WAITING = 4
-"""Commands of one client that wait for the one before; more are refused."""
+"""Maximum number of commands of one client that wait for the previous one; more are refused."""
 
 MOST_ANSWERS = 100
-"""Lines of one client that wait for their answers, refused ones too; with more it is let go."""
+"""Maximum number of lines of one client that wait for replies, including refused ones. With more
+the client is disconnected."""
 
 IDLE_S = 3600.0
-"""A client that says nothing for longer is let go [s]."""
+"""Idle time after which a client is disconnected [s]."""
 
 LINE_S = 5.0
-"""Longest time from the first byte of a line to its end [s]."""
+"""Maximum time from the first byte of a line to its end [s]."""
 
 SENT_S = 5.0
-"""A client that takes no answer for longer is let go [s]."""
+"""Maximum time for a client to accept a reply; then it is disconnected [s]."""
 
 LAST_S = 0.5
-"""Commands of a client that has closed its side are done for so long [s]."""
+"""Time in which the last commands of a client are executed after it has closed its side [s]."""
 
 ANSWER_S = 5.0
-"""Longest time for an answer to a command that does not wait [s]."""
+"""Maximum time for the reply to a command that does not wait [s]."""
 
 PAUSE_S = 0.01
-"""Between two commands of a client [s]: one that sends them without end does not keep the graph's
-thread busy."""
+"""Pause between two commands of a client [s], so that continuous commands do not occupy the graph's
+thread."""
 
 KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
-"""A robot that was switched off or cut off is let go within a minute."""
+"""TCP keepalive: a robot that was switched off or unplugged is disconnected within a minute."""
 
 CHUNK = 4096
-"""Read at once [bytes]."""
+"""Maximum number of bytes read at once."""
 
 WEB = b" http/"
-"""In the first line of a browser: no web page may command."""
+"""Part of a browser's first line. Web pages must not send commands, so they are disconnected."""
 
 Answer = Callable[[Code, str], None]
 Ask = Callable[[int, Command, Answer], None]
 
 
 class RobotServer:
-    """Takes commands of robots; made and closed from the graph's thread.
+    """Serves robots. Created and closed on the graph's thread.
 
     Parameters
     ----------
     host : str
         Address to listen on.
     port : int
-        0: any free one.
+        TCP port; 0: any free one.
     ask : callable
-        Called on the server's thread with a client's number, its command, and what takes the
-        answer, once, on any thread.
+        Called on the server's thread with a client's number, its command, and a function that takes
+        the reply, once, on any thread.
     gone : callable
-        Called on the server's thread with the number of a client that has gone.
+        Called on the server's thread with the number of a disconnected client.
 
     Attributes
     ----------
     port : int
     clients : int
-        How many there are.
+        Number of connected clients.
 
     Raises
     ------
     PlateError
-        If the port is taken, or the address is not of this machine.
+        If the port is in use, or the address is not one of this machine.
     """
 
     def __init__(self, host: str, port: int, ask: Ask, gone: Callable[[int], None]) -> None:
@@ -105,11 +107,11 @@ class RobotServer:
 
     @property
     def clients(self) -> int:
-        """How many clients there are."""
+        """Number of connected clients."""
         return len(self._tasks)
 
     def close(self) -> None:
-        """Serve no more; answers that were given before are still sent."""
+        """Stop serving. Replies that were given before are still sent."""
         self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(2 * LAST_S + 1)
 
@@ -129,7 +131,7 @@ class RobotServer:
             await asyncio.wait(tuple(self._tasks), timeout=LAST_S)
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a client until it goes."""
+        """Serve a client until it disconnects."""
         task = asyncio.current_task()
         assert task is not None
         self._count += 1
@@ -150,7 +152,7 @@ class RobotServer:
 
 
 class _Client:
-    """One robot: its lines as they come, and its commands as they wait."""
+    """One robot: its incoming lines, and its queue of commands."""
 
     def __init__(
         self,
@@ -171,7 +173,7 @@ class _Client:
             own.setsockopt(socket.IPPROTO_TCP, option, value)
 
     async def refuse(self, text: str) -> None:
-        """Say why it may not stay."""
+        """Send a refusal, and disconnect."""
         with contextlib.suppress(OSError, TimeoutError):
             await self._send(Code.TOO_MANY, text)
             self._writer.close()
@@ -179,13 +181,13 @@ class _Client:
         self._writer.transport.abort()
 
     async def serve(self) -> None:
-        """Read and do its commands, until it goes or the server stops."""
+        """Read and execute commands until the client disconnects or the server stops."""
         reading, doing, stop = (
             asyncio.ensure_future(each) for each in (self._read(), self._do(), self._stop.wait())
         )
         try:
             await asyncio.wait((reading, doing, stop), return_when=asyncio.FIRST_COMPLETED)
-            if not doing.done():  # what it has asked for last
+            if not doing.done():  # execute its last commands
                 reading.cancel()
                 drained = asyncio.ensure_future(self._queue.join())
                 await asyncio.wait((drained, doing), timeout=LAST_S,
@@ -200,7 +202,7 @@ class _Client:
             await asyncio.wait_for(self._writer.wait_closed(), LAST_S)
 
     async def _read(self) -> None:
-        """Queue what comes, line by line, until the client closes or is let go."""
+        """Queue incoming lines until the client closes its side or must be disconnected."""
         loop, buffer, began = asyncio.get_running_loop(), b"", 0.0
         while True:
             limit = IDLE_S if not buffer else began + LINE_S - loop.time()
@@ -230,7 +232,7 @@ class _Client:
             buffer = rest
 
     def _take(self, line: bytes) -> bool:
-        """Queue a line; false: there are too many."""
+        """Queue a line. Return False if too many are queued."""
         item: Command | tuple[Code, str]
         try:
             item = read_line(line)
@@ -244,7 +246,7 @@ class _Client:
         return self._queue.qsize() <= MOST_ANSWERS
 
     async def _do(self) -> None:
-        """Do what is queued, one after the other, as long as the client takes the answers."""
+        """Execute the queued commands one after the other, while the client accepts the replies."""
         with contextlib.suppress(OSError, TimeoutError):
             while True:
                 item = await self._queue.get()
@@ -266,7 +268,7 @@ class _Client:
         answered: asyncio.Future[tuple[Code, str]] = loop.create_future()
 
         def answer(code: Code, text: str) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has closed meanwhile
+            with contextlib.suppress(RuntimeError):  # the loop was closed
                 loop.call_soon_threadsafe(take, code, text)
 
         def take(code: Code, text: str) -> None:

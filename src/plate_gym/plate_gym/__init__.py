@@ -1,6 +1,6 @@
-"""The plate as a benchmark: environments of Gymnasium, one plate or many at once, without ROS.
+"""The plate as a benchmark: Gymnasium environments of one or many plates, without ROS.
 
-`import plate_gym` registers `plate/Sort10-v1` and the others of `TASKS`; `plate_gym.bench` judges
+`import plate_gym` registers `plate/Sort10-v1` and the other `TASKS`. `plate_gym.bench` evaluates
 agents.
 """
 

@@ -1,5 +1,5 @@
-"""Agents to be beaten: ours (Methods B and A on the cycle map, B by images, B on the averaged map),
-the paper's Method A, and random motions."""
+"""Reference agents: this project's (Methods B and A on the cycle map, B by images, B on the
+averaged map), the paper's Method A, and random motions."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ KNOWN = (
     "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",
     "order",
 )  # fmt: skip
-"""What an agent gets of `info`: what a real plate would tell, and where references are."""
+"""Keys of `info` that an agent gets: those available on a real plate, and the references of
+paths."""
 
 
 @dataclass(frozen=True)
 class Brief:
-    """What an agent knows of its environment: copies that nobody else uses.
+    """Information about the environment for an agent: copies that it may change.
 
     Attributes
     ----------
@@ -42,11 +43,11 @@ class Brief:
     rig : Rig
     scenario : Scenario
     ids : tuple of str
-        Names of the parts, in the order of rows.
+        Ids of the parts, in the order of rows.
     friction_limit : (M,)
-        mu m g of each part, as the rig says [N].
+        mu m g of each part by the rig file [N].
     motions : Motions
-        What numbers of `motion` mean.
+        Converts values of the action `motion` to motions.
     """
 
     action_space: Space
@@ -59,7 +60,7 @@ class Brief:
 
     @classmethod
     def of(cls, env: PlateEnv) -> Brief:
-        """Return that of an environment that was reset."""
+        """Return the brief of an environment that was reset."""
         plates = env.plates
         check_begun(plates.plates)
         return deepcopy(
@@ -71,13 +72,13 @@ class Brief:
 
 
 class Agent(Protocol):
-    """What `evaluate` judges: one is made for each episode, from what it may know of the
-    environment and a seed of its own chance. Of `info` it gets `KNOWN`.
+    """Interface of agents for `evaluate`: one is made for each episode, with a brief and a random
+    seed. Of `info` it gets the keys `KNOWN`.
 
     Attributes
     ----------
     action, observation : str
-        Of the environment that it wants.
+        Kinds of action and observation that it needs.
     """
 
     action: str
@@ -86,11 +87,11 @@ class Agent(Protocol):
     def __init__(self, brief: Brief, seed: int) -> None: ...
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> Any:
-        """Return the action that answers what is seen now."""
+        """Return the action for the present observation."""
 
 
 class Random:
-    """Any motion, evenly drawn."""
+    """Uniformly random motions."""
 
     action, observation = "motion", "parts"
 
@@ -103,7 +104,7 @@ class Random:
 
 
 class Ours:
-    """Planner and solver of this project: Method B, sinusoids on the cycle map."""
+    """This project's planner and solver: Method B, sinusoids on the cycle map."""
 
     action, observation, method = "cycle", "parts", "sinusoids"
 
@@ -114,18 +115,18 @@ class Ours:
         self._controller = Controller(self._rig, self.method, seed)
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return the cycle that the planner's wishes lead to."""
+        """Return the solver's cycle for the planner's request."""
         time, running = float(info["time_s"]), info["running"]
         self._ids = tuple(info.get("ids", self._ids))
         self._state = self._planner.started(self._state, running, time, True)
         parts = self._parts(observation, time)
-        if not len(parts):  # no image has come
+        if not len(parts):  # no observation yet
             return running if running.closes else PlateCycle.rest(IDLE_S)
         self._state = self._planner.see(self._state, parts, time)
-        if "order" in info and self._state.memory is not None:  # of the feeder
+        if "order" in info and self._state.memory is not None:  # order of the feeder
             self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
-        if isinstance(follow, FollowMemory):  # references are where the judge has them
+        if isinstance(follow, FollowMemory):  # use the judge's references
             pace, start = float(info["pace"][0]), time + running.period
             path_s = float(info["path_s"])
             follow = replace(follow, anchor=start, progress=path_s, scaling=(pace, pace))
@@ -136,7 +137,7 @@ class Ours:
         return cycle
 
     def _parts(self, seen: np.ndarray, time: float) -> Parts:
-        """Return the parts of the last image, by rows as `observation_space` has them."""
+        """Return the parts of the last image, from the rows of `observation_space`."""
         rows = np.flatnonzero(seen[:, 5] == 0)
         names = tuple(self._ids[row] for row in rows)
         return Parts.make(names, seen[rows, :2], seen[rows, 2:4], seen[rows, 4])
@@ -146,13 +147,13 @@ class Ours:
 
 
 class MethodA(Ours):
-    """The same with Method A, rotations about few centres."""
+    """The same with Method A, rotations about a few centres."""
 
     method = "rotations"
 
 
 class ByImage(Ours):
-    """`Ours`, with our vision."""
+    """`Ours` with this project's vision."""
 
     observation = "image"
 
@@ -162,8 +163,8 @@ class ByImage(Ours):
         self._expected: Prediction | None = None
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return the cycle that the planner's wishes lead to; the first image comes with those of
-        the bare plate, where these are needed."""
+        """Return the solver's cycle for the planner's request. The first image comes with images of
+        the bare plate if these are needed."""
         if "bare_images" in info:
             self._vision = replace(self._vision, background=learn_plate(info["bare_images"]))
         return super().act(observation, info)
@@ -181,7 +182,7 @@ class ByImage(Ours):
 
 
 class Averaged(Ours):
-    """The paper's way: the planner's forces on the averaged map, as if parts lay still."""
+    """The paper's method: the planner's forces on the averaged map, which assumes resting parts."""
 
     def __init__(self, brief: Brief, seed: int) -> None:
         super().__init__(brief, seed)
@@ -203,4 +204,4 @@ AGENTS: dict[str, type[Agent]] = {
     "B": Ours, "A": MethodA, "B_by_image": ByImage, "averaged": Averaged, "1998": Classic,
     "random": Random,
 }  # fmt: skip
-"""Those that this package has, by name."""
+"""Agents of this package, by name."""

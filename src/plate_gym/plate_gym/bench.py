@@ -1,6 +1,6 @@
-"""Judge agents: `python -m plate_gym.bench --agent B --task Sort10-v1 --json B.json`; check
-what others hand in: `python -m plate_gym.bench --check B.json`. The same to the last bit on each
-processor that has AVX2 and FMA."""
+"""Evaluate agents: `python -m plate_gym.bench --agent B --task Sort10-v1 --json B.json`; check
+results of others: `python -m plate_gym.bench --check B.json`. Results are equal to the last bit on
+all processors with AVX2 and FMA."""
 
 from __future__ import annotations
 
@@ -39,46 +39,46 @@ __all__ = [
 ]  # fmt: skip
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
-"""Whose versions a result names, those of them that are installed."""
+"""Libraries whose versions are recorded in a result, if installed."""
 
 PACKAGES = (
     "bringup", "core", "driver", "feeder", "gym", "native", "planner", "sim", "solver", "vision",
 )  # fmt: skip
-"""Whose sources a result names by a digest: `plate_*`."""
+"""Packages `plate_*` whose sources are recorded in a result by a digest."""
 
 TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
-"""What differs from run to run."""
+"""Keys of computing times, which differ between runs."""
 
 NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
 ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
     "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
 }  # fmt: skip
-"""Types of what a row has."""
+"""Keys and types of a row."""
 
 RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
 }  # fmt: skip
-"""Those of a result."""
+"""Keys and types of a result."""
 
 CHECKED = 10
-"""Seeds of each task that the checker runs again."""
+"""Number of seeds of each task that are run again by a check."""
 
 MOST_SEEDS = 100_000
 
 AGENT = 2
-"""Sets an agent's chance apart from its world's."""
+"""Separates the random numbers of an agent from those of its world."""
 
 HUGE = 1e9
-"""Numbers in results are less."""
+"""Upper bound of numbers in results."""
 
 
 def agent_class(name: str) -> type[Agent]:
-    """Return an agent: one of `AGENTS`, or `MODULE:CLASS`, found as Python finds modules.
+    """Return an agent: one of `AGENTS`, or `MODULE:CLASS`, imported as any Python module.
 
     Raises
     ------
     PlateError
-        If there is none of that name.
+        If there is no agent with that name.
     """
     if name in AGENTS:
         return AGENTS[name]
@@ -107,27 +107,27 @@ def agent_class(name: str) -> type[Agent]:
 
 
 def said(problem: BaseException) -> str:
-    """Return what an exception says, in a line."""
+    """Return an exception as one line of text."""
     return " ".join(f"{type(problem).__name__}: {problem}".split())
 
 
 def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
-    """Run one episode, in the world of a seed.
+    """Run one episode in the world of a seed.
 
     Returns
     -------
     dict
         `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`, `dropped`,
-        `error_mm` and `turn_error_deg` (of the worst part at the end), `limit_share` (greatest),
-        `places` (digest of where the parts were all along); computing times: `start_ms` (to make
-        the agent, processor), `decision_ms`, `decision_ms_p99` (of a decision, with that of our
-        solver where the action asks it: processor, median and 99 %), `wall_ms`, `wall_ms_p99`
-        (the same by the clock on the wall).
+        `error_mm` and `turn_error_deg` (of the worst part at the end), `limit_share` (maximum),
+        `places` (digest of all positions). Computing times: `start_ms` (processor time to make the
+        agent); `decision_ms`, `decision_ms_p99` (processor time of a decision, including this
+        project's solver if the action uses it: median and 99 %); `wall_ms`, `wall_ms_p99` (the same
+        as elapsed time).
 
     Raises
     ------
     PlateError
-        If the agent fails: names it, task, seed and step.
+        If the agent fails; the message names agent, task, seed and step.
     """
     kind = agent_class(agent)
     spent, total, used = [], 0.0, 0.0
@@ -174,7 +174,7 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def seed_of_agent(seed: int) -> int:
-    """Return the seed of an agent's chance: that of the world would tell where the parts are."""
+    """Return the seed of an agent's random numbers. The world's seed would reveal the parts."""
     return drawn(np.random.default_rng((seed, AGENT)))
 
 
@@ -187,35 +187,35 @@ def evaluate(
     tell: Callable[[str], None] = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
-    """Run an agent on tasks, each in the worlds of many seeds.
+    """Run an agent on tasks, each in the worlds of several seeds.
 
     Parameters
     ----------
     agent : str
-        As `agent_class` takes it.
+        Name for `agent_class`.
     tasks, seeds, world
-        Names of tasks (or one), seeds from 0 on, each once, and a key of `WORLDS`.
+        Names of tasks (or one name); seeds from 0, without repetition; a key of `WORLDS`.
     workers : int
-        Processes that work at the same time; 0: this one works.
+        Number of parallel processes; 0: run in this process.
     tell : callable
-        Takes a line of text for each task that is done.
+        Called with a line of text after each task.
     keep : callable
-        Takes what there is of the result, after each task.
+        Called with the result so far after each task.
 
     Returns
     -------
     dict
         For JSON: what was run (`agent`, `world`, `commit`, digest of the `sources`, `versions`),
-        and by task `rows`, those
-        of `episode`, with their summary: `success` and `time_s` and `decision_ms` (medians; times
-        of the episodes that ended well), each with an interval of 95 % (Wilson's, bootstrap).
+        and for each task the `rows` of `episode` with their summary: `success`, `time_s` and
+        `decision_ms` (medians; times of successful episodes), each with an interval of 95 %
+        (Wilson's, bootstrap).
 
     Raises
     ------
     PlateError
         If a name is unknown, a seed is not allowed, or the agent fails.
     """
-    if ":" not in agent:  # others' code runs in workers only
+    if ":" not in agent:  # code of others is loaded only in workers
         agent_class(agent)
     chosen("world", world, WORLDS)
     tasks = [tasks] if isinstance(tasks, str) else list(dict.fromkeys(tasks))
@@ -239,17 +239,17 @@ def evaluate(
 def episodes(
     agent: str, world: str, task: str, seeds: list[int], workers: int
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes, in so many processes; yields them in the order of seeds."""
+    """Run episodes in several processes. Yield them in the order of seeds."""
     run = partial(episode, agent, world, task)
     if not workers:
         yield from map(run, seeds)
         return
     others = active_children()
-    error = partial(os.dup2, 2, 1)  # there goes what an agent prints
+    error = partial(os.dup2, 2, 1)  # redirect an agent's output to stderr
     try:
         with ProcessPoolExecutor(workers, get_context("spawn"), error) as pool:
             try:
-                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # it is for this process
+                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # not for the workers
                 found = [pool.submit(run, seed) for seed in seeds]
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
                 for number, row in enumerate(found):
@@ -266,13 +266,13 @@ def episodes(
 
 
 def show(text: str) -> None:
-    """Rewrite the last line, if a person looks on."""
+    """Rewrite the last line of a terminal."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sum up the episodes of a task."""
+    """Summarise the episodes of a task."""
     good = [row["time_s"] for row in rows if row["success"]]
     spent = [row["decision_ms"] for row in rows]
     found = {
@@ -291,7 +291,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def line(task: str, found: dict[str, Any]) -> str:
-    """Say in a line how a task went."""
+    """Return the summary of a task as one line of text."""
     low, high = (100 * share for share in found["success_interval"])
     took = f"{found['time_s']:6.1f} s" if "time_s" in found else "     - s"
     return (
@@ -307,32 +307,32 @@ def check(
     fresh: int = 0,
     world: str | None = None,
 ) -> list[str]:
-    """Run up to `CHECKED` seeds of each task of a result again, and sum up its rows again.
+    """Run up to `CHECKED` seeds of each task of a result again, and recompute its summary.
 
     Parameters
     ----------
     result
-        What a file of `evaluate` says.
+        Content of a file from `evaluate`.
     tell : callable
-        Takes lines: what is installed here in another version, which seeds are claimed.
+        Called with lines: versions that differ here, seeds of the result.
     workers : int
-        As of `evaluate`.
+        As in `evaluate`.
     fresh : int
-        So many seeds of each task are drawn and run besides.
+        Number of additional random seeds of each task.
     world : str, optional
-        Of the fresh seeds; that of the result, if left out.
+        World of the additional seeds. Default: that of the result.
 
     Returns
     -------
     list of str
-        What differs, but for computing times; empty if nothing does. A share of fresh seeds of the
-        same world differs where its interval has nothing in common with the one that is claimed. A
-        digest of places also differs between machines whose libraries compute other last bits.
+        Differences, except in computing times; empty if there are none. A success with additional
+        seeds in the same world differs if its interval does not overlap the recorded one. A digest
+        of places also differs between machines whose libraries round differently.
 
     Raises
     ------
     PlateError
-        If it is no result of `evaluate`, its agent is not here, or fails.
+        If it is not a result of `evaluate`, or its agent is missing or fails.
     """
     validate(result)
     world = result["world"] if world is None else world
@@ -343,7 +343,7 @@ def check(
         made = (result["versions"] | {"sources": result["sources"]}).get(name)
         if made != own:
             tell(f"{name}: made with {made}, here {own}")
-    wrong, chance = [], np.random.default_rng()  # nobody knows which are run
+    wrong, chance = [], np.random.default_rng()  # unpredictable choice of seeds
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
         tell(f"{task}: claimed are seeds {ranges(sorted(rows))}")
@@ -377,26 +377,26 @@ def check(
 
 
 def read(path: Path) -> Any:
-    """Return what a file of JSON says.
+    """Return the content of a JSON file.
 
     Raises
     ------
     PlateError
-        If it is none, names the file.
+        If it is not valid; the message names the file.
     """
     try:
         return json.loads(path.read_text("utf-8"))
-    except (ValueError, RecursionError) as problem:  # too long a number, lists in lists
+    except (ValueError, RecursionError) as problem:  # also for huge numbers or deep nesting
         raise PlateError(f"{path} is no JSON: {problem}") from problem
 
 
 def validate(result: Any) -> None:
-    """Refuse what is no result of `evaluate`: by its keys and types, not by what it claims.
+    """Check that data is a result of `evaluate`, by its keys and types, not by its values.
 
     Raises
     ------
     PlateError
-        Names the place, what is there and what is allowed.
+        With the place, the value and what is allowed.
     """
     check_fields("result", result, RESULT)
     chosen("result: world", result["world"], WORLDS)
@@ -418,27 +418,27 @@ def validate(result: Any) -> None:
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
-    """Refuse what is no dict of just these keys and types; numbers are finite."""
+    """Refuse data that is not a dict of exactly these keys and types, with finite numbers."""
     if not isinstance(found, dict) or set(found) != set(kinds):
         has = ", ".join(map(str, found)) if isinstance(found, dict) else repr(found)
         raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
     for key, kind in kinds.items():
         value = found[key]
-        number = type(value) in (int, float) and abs(value) < HUGE  # not of NaN
+        number = type(value) in (int, float) and abs(value) < HUGE  # False for NaN
         if not (number if kind is float else type(value) is kind):
             allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
             raise PlateError(f"{where}: {key} is {value!r}, allowed: {allowed}")
 
 
 def ranges(seeds: list[int]) -> str:
-    """Say seeds, in order, as ranges `FIRST:END`."""
+    """Return ascending seeds as ranges `FIRST:END`."""
     ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
-    runs = np.split(np.array(seeds, object), ends)  # of any size
+    runs = np.split(np.array(seeds, object), ends)  # integers of any size
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what is installed of `LIBRARIES`, and of Python."""
+    """Return the versions of Python and of the installed `LIBRARIES`."""
     found = {"python": sys.version.split()[0]}
     for name in LIBRARIES:
         try:
@@ -449,14 +449,14 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str:
-    """Return the name of the commit that this file is of; empty where git does not keep it."""
+    """Return the commit of this file; empty if it is not tracked by git."""
     here = Path(__file__).resolve()
     git = partial(
         subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
     )
     try:
         top = Path(git(["git", "rev-parse", "--show-toplevel"]).stdout.strip())
-        kept = top / "src/plate_gym/plate_gym" / here.name  # set-up copies files into install/
+        kept = top / "src/plate_gym/plate_gym" / here.name  # the set-up copies files to install/
         git(["git", "ls-files", "--error-unmatch", str(kept)])
         same = kept.read_bytes() == here.read_bytes()
         return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip()) if same else ""
@@ -465,7 +465,7 @@ def commit() -> str:
 
 
 def sources() -> str:
-    """Return a digest of what `PACKAGES` are made of, and of what the tasks say."""
+    """Return a digest of the sources of `PACKAGES`, and of the tasks' files."""
     mark = hashlib.sha256()
     for name in PACKAGES:
         spec = find_spec(f"plate_{name}")
@@ -482,7 +482,7 @@ def sources() -> str:
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.bench", description=__doc__)
     parser.add_argument("--agent", help=f"{', '.join(AGENTS)}, or MODULE:CLASS (B)")
     parser.add_argument(
@@ -508,7 +508,7 @@ def main() -> int:
         )
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MOST_SEEDS):
         parser.error(f"--fresh goes with --check, and is from 1 to {MOST_SEEDS}")
-    if args.workers < 1:  # in this process an agent could end it, and say what it likes
+    if args.workers < 1:  # in this process an agent could exit, or falsify results
         parser.error(f"--workers is {args.workers}, allowed: from 1 on")
     tell = partial(print, flush=True)
     try:
@@ -522,7 +522,7 @@ def main() -> int:
                 args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
         if args.json:
-            args.json.open("a").close()  # now, not when hours have passed
+            args.json.open("a").close()  # fail now, not after hours
         evaluate(
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
             args.world or "nominal", args.workers, tell, keep,
@@ -539,7 +539,7 @@ def main() -> int:
 
 
 def seed_range(text: str) -> range:
-    """Return seeds `FIRST:END`, or one."""
+    """Parse seeds `FIRST:END`, or one seed."""
     first, colon, end = text.partition(":")
     try:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
@@ -553,7 +553,7 @@ def seed_range(text: str) -> range:
 
 
 if __name__ == "__main__":
-    if not ALIKE.items() <= os.environ.items():  # libraries have read them: once more
+    if not ALIKE.items() <= os.environ.items():  # restart: libraries read them only at start
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # workers end, as after Ctrl-C
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # end workers, as with Ctrl-C
     sys.exit(main())

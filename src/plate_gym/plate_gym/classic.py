@@ -1,5 +1,5 @@
-"""Method A as the paper has it (sections 3.1, 4.1): PD for each part, and the smallest weights of
-24 rotations by SVD of the averaged map."""
+"""Method A of the paper (sections 3.1, 4.1): a PD controller for each part, and the minimum-norm
+weights of 24 rotations by SVD of the averaged map."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ if TYPE_CHECKING:
     from .agents import Brief
 
 GOAL = 0.8
-"""Where parts are pushed to that are sorted [half side]."""
+"""Goal of sorted parts [half side]."""
 
 GAIN, FASTEST_MPS = 1.5, 0.03
-"""Drift that is wanted, for each metre to go [1/s], and at most."""
+"""Gain from distance to requested drift [1/s], and maximum drift [m/s]."""
 
 MOST_GAIN = 3.0
-"""Bound on inverse singular values (3.1.5)."""
+"""Maximum of inverse singular values (3.1.5)."""
 
 PERIOD_S, SPEED_MPS, RETURN = 0.2, 0.3, 2.5
-"""Of a cycle; of the plate's fastest corner in a stroke back, and that over its speed in the stroke
-before: each rotation closes by itself, so its mean force is what they differ by."""
+"""Period of a cycle [s]; speed of the plate's fastest corner in a return stroke [m/s]; ratio of
+this speed to that of the stroke before. Each rotation returns to its start, so its mean force comes
+from the difference of both speeds."""
 
 
 class Classic:
-    """Knows tasks without angles: parts are sorted to sides, put to places, led along paths."""
+    """Agent for tasks without angles: sort parts to sides, assemble them, move them along paths."""
 
     action, observation = "cycle", "parts"
 
@@ -51,7 +52,7 @@ class Classic:
         self._goal: np.ndarray | None = None
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return the rotations, each with its stroke back, whose mean forces are as PD wants."""
+        """Return rotations, each with its return stroke, with the mean forces that PD requests."""
         place = observation[:, :2]
         force = (self._drift(observation) - observation[:, 2:4]) / self._push
         matrix = self._library.forces(place)
@@ -63,14 +64,14 @@ class Classic:
         share = share[order] / max(1.0, float(np.sum(share)))
         spent = np.outer(share, [RETURN, 1.0]).ravel() / (RETURN + 1)
         twist = np.stack([out, -RETURN * out], axis=1).reshape(-1, 3)
-        # At rest the slightest motion counts in full: what is left is spent to and fro.
+        # At rest the smallest motion has the full friction: fill the period with a back-and-forth.
         spent = np.append(spent, np.full(2, (1 - np.sum(share)) / 2))
         twist = np.vstack([twist, out[:1], -out[:1]])
         family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS)
         return family.cycle(family.parameters(spent))
 
     def _drift(self, seen: np.ndarray) -> np.ndarray:
-        """Return the drift that is wanted of each part (M, 2) [m/s]."""
+        """Return the requested drift of each part (M, 2) [m/s]."""
         place, feed = seen[:, :2], np.zeros(2)
         if isinstance(self._task, FollowTask):
             goal, feed = seen[:, 6:8], (seen[:, 8:10] - seen[:, 6:8]) / AHEAD_S

@@ -1,4 +1,4 @@
-"""The environments: one plate (`PlateEnv`), and many at once (`PlateVectorEnv`)."""
+"""The environments: one plate (`PlateEnv`), and many in parallel (`PlateVectorEnv`)."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 NO_WINDOW = "render_mode is 'human', and there is no window: {}"
 
 ROUNDING = 1e-6
-"""Actions may be beyond their bounds by so much: those of float32 are."""
+"""Tolerance of the bounds of actions, for float32."""
 
 
 class PlateEnv(gym.Env):
     """One plate and one task.
 
-    A step is one cycle of the plate. As on the real plate, the image that is answered was taken at
-    the start of the cycle that runs, and the answer is played in the next one.
+    A step is one cycle of the plate. As on the real plate, an observation is taken at the start of
+    the running cycle, and the action for it is played in the next cycle.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class PlateEnv(gym.Env):
     Raises
     ------
     PlateError
-        If one of them is unknown.
+        If one of the names is unknown.
     """
 
     metadata = METADATA
@@ -72,7 +72,8 @@ class PlateEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin in the world of a seed: of `bench/closed_loop.py` too; drawn if none is given."""
+        """Begin an episode in the world of a seed, as in `bench/closed_loop.py`. Default: a random
+        seed."""
         seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
@@ -80,7 +81,7 @@ class PlateEnv(gym.Env):
         return self.plates.observed()[0], first(info)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Let the cycle that runs end; what the action asks for comes after it."""
+        """Complete the running cycle. The action is played in the next one."""
         check_begun(self.plates.plates)
         actions = checked_actions(self.action_space, [action])
         reward, ended, over, info = self.plates.step([0], actions)
@@ -89,7 +90,7 @@ class PlateEnv(gym.Env):
         return seen, float(reward[0]), bool(ended[0]), bool(over[0]), first(info)
 
     def render(self) -> np.ndarray | None:
-        """Return a picture (height, width, 3) of the true parts; None in a window."""
+        """Return a picture (height, width, 3) of the true parts; None if there is a window."""
         return None if self.render_mode != "rgb_array" else self._picture()
 
     def close(self) -> None:
@@ -98,7 +99,7 @@ class PlateEnv(gym.Env):
             self._film.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy has: a window of its own it opens when it needs it."""
+        """Return the state for a copy, without the window. The copy opens its own when needed."""
         return vars(self) | ({"_film": None} if self.render_mode == "human" else {})
 
     def _show(self) -> None:
@@ -112,18 +113,18 @@ class PlateEnv(gym.Env):
 
 
 class PlateVectorEnv(VectorEnv):
-    """N plates with one task each, in one call: the same as N of `PlateEnv`, to the last bit.
+    """N plates with one task each: equal to N of `PlateEnv`, to the last bit.
 
-    A plate whose episode has ended begins anew at the next step, whose action does not count.
+    If the episode of a plate has ended, the next step begins a new one and ignores the action.
 
     Parameters
     ----------
     num_envs : int
-        N.
+        Number N of plates.
     threads : int, optional
-        Cores that may work at the same time; by default all there are.
+        Maximum number of parallel threads. Default: the number of available cores.
     task, world, action, observation, render_mode
-        As of `PlateEnv`; there is no window.
+        As in `PlateEnv`, without a window.
     """
 
     metadata = MANY
@@ -159,8 +160,8 @@ class PlateVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin on all plates: with seeds `seed`, `seed` + 1, ..., or those of a list; or only on
-        those of `options["reset_mask"]` (N,) bool."""
+        """Begin episodes: with seeds `seed`, `seed` + 1, ..., or those of a list. If
+        `options["reset_mask"]` (N,) bool is given, only on these plates."""
         count = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(count, bool)))
         if mask.shape != (count,) or mask.dtype != bool or not mask.any():
@@ -188,7 +189,7 @@ class PlateVectorEnv(VectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Let the cycle that runs end, on each plate."""
+        """Complete the running cycle on each plate."""
         check_begun(self.plates.plates)
         count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
         if count != self.num_envs:
@@ -212,7 +213,7 @@ class PlateVectorEnv(VectorEnv):
         return self.plates.observed(), reward, ended, over, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Return a picture (height, width, 3) of each plate."""
+        """Return a picture (height, width, 3) for each plate."""
         if self.render_mode is None:
             return None
         check_begun(self.plates.plates)
@@ -222,8 +223,8 @@ class PlateVectorEnv(VectorEnv):
     def _whole(
         self, info: dict[str, np.ndarray], rows: np.ndarray, others: dict[str, Any] | None = None
     ) -> dict[str, Any]:
-        """Return what is known of the plates in `rows` (N,), and of `others`, as arrays (N, ...),
-        each with a mask `_NAME` (N,) that tells of which plates it is known."""
+        """Return the values of the plates in `rows` (N,), joined with `others`, as arrays (N, ...).
+        A mask `_NAME` (N,) marks the plates with a value."""
         result = dict(others or {})
         for name, values in info.items():
             there = result.setdefault(f"_{name}", np.zeros(self.num_envs, bool))
@@ -234,13 +235,13 @@ class PlateVectorEnv(VectorEnv):
 
 
 def check_begun(plates: Sequence[Plate]) -> None:
-    """Refuse to go on with plates that nobody has reset."""
+    """Raise an error if a plate was not reset."""
     if any(plate is None for plate in plates):
         raise gym.error.ResetNeeded("there is no episode yet: call reset first")
 
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
-    """Return actions, within the bounds; refuse what is not in the space by more than rounding."""
+    """Return actions clipped to their bounds. Refuse values beyond them by more than rounding."""
     if not isinstance(space, gym.spaces.Box):
         cycles = list(actions)
         for action in cycles:
@@ -272,19 +273,19 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
 
 
 def fits(given: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Whether an array is of numbers, as many as asked."""
+    """Whether an array holds numbers and has this shape."""
     return given.shape == shape and np.can_cast(given.dtype, float)
 
 
 def checked_mode(mode: str | None) -> str | None:
-    """Return a way to render, if it is known."""
+    """Return a render mode after a check."""
     if mode not in (None, *METADATA["render_modes"]):
         raise PlateError(f"render_mode is {mode!r}, allowed: None, rgb_array, human")
     return mode
 
 
 def checked_seed(seed: Any) -> int:
-    """Return a seed as a number of Python's; refuse what is none."""
+    """Return a seed as a Python integer. Refuse other values."""
     try:
         number = operator.index(seed)
     except TypeError:
@@ -300,12 +301,12 @@ def drawn(chance: np.random.Generator) -> int:
 
 
 def first(info: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Return what is known of the only plate."""
+    """Return the values of the only plate."""
     return {name: values[0] for name, values in info.items()}
 
 
 class Film:
-    """Pictures of plates, by a camera of its own in an undisturbed world; and a window for them."""
+    """Pictures of plates by a separate camera in an undisturbed world, optionally in a window."""
 
     def __init__(self, plates: Plates, window: bool) -> None:
         self._plates = plates
@@ -313,7 +314,8 @@ class Film:
         self._window = Window() if window else None
 
     def picture(self, row: int) -> np.ndarray:
-        """Return the picture (height, width, 3) of a plate's true parts now, and show it."""
+        """Return the picture (height, width, 3) of a plate's true parts, and show it in the
+        window."""
         self._scene.show(self._plates.plates[row].simulation.state)
         image = self._scene.capture()
         assert image is not None
@@ -330,12 +332,12 @@ class Film:
 
 
 class Window:
-    """A window of the desktop; where there is none, a warning in its place."""
+    """A desktop window; without a desktop, a warning instead."""
 
     def __init__(self) -> None:
         self._root: Any = None
         try:
-            import tkinter  # not every Python has it
+            import tkinter  # optional in Python
         except ImportError as problem:
             return gym.logger.warn(NO_WINDOW.format(problem))
         try:
@@ -358,7 +360,7 @@ class Window:
         self._root.update()
 
     def close(self) -> None:
-        """Close it."""
+        """Close the window."""
         if self._root is not None:
             self._root.destroy()
             self._root = None

@@ -1,4 +1,4 @@
-"""What a task counts, by where the parts truly are."""
+"""Evaluation of tasks by the true positions of the parts."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ from .tasks import FEED_S
 __all__ = ["Judge", "Memory"]
 
 START_S = 0.2
-"""When references leave the starts of their paths [s]: with the answer to the second image."""
+"""Time at which references leave the starts of their paths [s]: the reply to the second image."""
 
 AHEAD_S = 0.1
-"""How far ahead agents are told where a reference will be [s]."""
+"""Time by which a second reference point is ahead of the first [s]."""
 
 ROUNDING_S = 1e-6
-"""Sums of periods that differ by less are the same [s]."""
+"""Tolerance for sums of periods [s]."""
 
 ROBOT_S = 2.0
-"""Cycle of the robot that is fed [s]."""
+"""Cycle time of the robot that is fed [s]."""
 
 MOST_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
-"""Parts that this robot can take meanwhile: it asks for the first one when feeding begins."""
+"""Maximum number of parts that this robot can take; it requests the first one at the beginning."""
 
 ENOUGH = 0.9
-"""Share of these from which on feeding is done well."""
+"""Fraction of these parts with which feeding is successful."""
 
 
 @dataclass(frozen=True)
 class Followed:
-    """How paths have been followed so far.
+    """State of the paths that parts follow.
 
     Attributes
     ----------
     memory : FollowMemory
-        Where the references are: they wait for parts that are behind, as in our own loop.
+        The references. They wait for parts that are behind, as in this project's loop.
     time : float
-        Of what was judged last [s].
+        Time of the last evaluation [s].
     square_m2 : (M,)
         Sum of the squared distances of each part from its reference [m2].
     """
@@ -68,20 +68,20 @@ class Followed:
 
 
 class Feeding:
-    """What is around a plate that feeds a robot: hopper, robot, and the feeder's rules. It goes on
-    with the plate: `look` changes it.
+    """The environment of a plate that feeds a robot: hopper, robot, and the feeder's rules. It is
+    mutable: `look` advances it.
 
     Attributes
     ----------
     ids : (M,) of str
-        Which part each row of observations and actions is of; empty: none. A part that comes takes
-        the first row that was empty before; one that has just become so only where there is none.
+        Id of the part in each row of observations and actions; empty: no part. A new part takes the
+        first row that was empty before; a row that has just become empty only if there is no other.
     rests : bool
-        Whether the plate rests in the next cycle: a robot comes, or enough parts are ready.
+        Whether the plate rests in the next cycle: a robot picks, or enough parts are ready.
     made : Production
-        What came of it so far.
+        Production so far.
     time : float
-        How long it goes on [s].
+        Present time [s].
     """
 
     def __init__(self, task: FeedTask, rig: Rig) -> None:
@@ -90,8 +90,8 @@ class Feeding:
         self.ids = np.full(rows_of(task), "", object)
 
     def look(self, world: Simulation, time: float, running: PlateCycle) -> None:
-        """Take in where parts are at a time [s], while a cycle begins, and have the robot do what
-        is due: as `plate_bringup.loop` does, but that the truth is seen."""
+        """Advance to a time [s] at which a cycle begins: record the parts' places, and let the
+        robot act, as `plate_bringup.loop` does, but with the true positions."""
         self.time = time
         self._cell.act(world, time)
         if time > 0:
@@ -110,48 +110,49 @@ class Feeding:
         self.ids[first[: len(came)]] = came
 
     def told(self) -> dict[str, Any]:
-        """Return what an agent learns: `ids`, `rests`, `order`, `waiting`."""
+        """Return the information for an agent: `ids`, `rests`, `order`, `waiting`."""
         order, waiting = self._rules.task.order, self.made.waiting
         return {"ids": self.ids, "rests": self.rests, "order": order, "waiting": waiting}
 
     @property
     def wanted(self) -> np.ndarray:
-        """Whether parts (M, 1) are wanted, 1, or to leave by the chute, -1; 0: there is none."""
+        """Return for each row (M, 1): 1 for a part to be picked, -1 to be discharged, 0: empty."""
         labels = [pick.label for pick in self._rules.task.picks]
         kinds = [(part_class(name) in labels) - 0.5 if name else 0.0 for name in self.ids]
         return np.sign(kinds)[:, None]
 
 
 def rows_of(task: FeedTask) -> int:
-    """Return how many parts there are at most."""
+    """Return the maximum number of parts."""
     if task.hopper is None:
         raise PlateError("feeding without a hopper, allowed: with one")
     return task.hopper.fill
 
 
 Memory = PoseMemory | Followed | Feeding | None
-"""What is remembered of a task: which part has which pose, or follows which path; a robot."""
+"""State of a task: the assignment of parts to poses or paths, or the feeding environment."""
 
 
 class Score(NamedTuple):
-    """How far a task is on each of N plates with M parts.
+    """State of a task on each of N plates with M parts.
 
     Attributes
     ----------
     error_m : (N, M)
-        Distance of each part from where it is to be [m]; from the reference that it follows: root
-        mean square so far.
+        Distance of each part from its target [m]; for paths: root mean square distance from its
+        reference so far.
     turn_error : (N, M)
-        What is missing to its angle [rad]; 0 where none is asked.
+        Error of its angle [rad]; 0 without a target angle.
     there : (N, M)
-        Which parts are as the task asks; of feeding (N, 1), how many were picked.
+        Whether each part fulfils the task; for feeding (N, 1): number of picked parts.
     to_go : (N,)
-        The way still to go, summed over parts [m]; turns count as ways of the rim. On paths: of the
-        reference that has the longest. Of feeding: how many parts less than it could were picked.
+        Remaining distance, summed over parts [m]; rotations count by the path of the contour. For
+        paths: that of the reference with the longest rest. For feeding: parts that could have been
+        picked and were not.
     met : (N,) bool
-        Whether all is as the task asks.
+        Whether the task is fulfilled.
     failed : (N,) bool
-        Whether a part is further off its path than it may ever be.
+        Whether a part is farther from its path than allowed.
     """
 
     error_m: np.ndarray
@@ -163,16 +164,16 @@ class Score(NamedTuple):
 
 
 class Judge:
-    """Judges one task as the planner's supervision does, but by the truth.
+    """Evaluates one task as the planner's supervision does, but by the true positions.
 
-    The camera may err by `SIGHT_M` and `SIGHT_RAD`: what looks right to it is right.
+    Errors of `SIGHT_M` and `SIGHT_RAD`, those of the camera, are added to the tolerances.
 
     Attributes
     ----------
     hold_s : float
-        The task is done when all parts have been there for this time [s].
+        Time for which all parts must be in place until the task is done [s].
     follows, feeds : bool
-        Whether parts are to follow paths; whether they are for a robot.
+        Whether parts follow paths; whether they are fed to a robot.
 
     Raises
     ------
@@ -202,7 +203,7 @@ class Judge:
         self.hold_s = 0.0 if self.feeds else self._rules.hold_s
 
     def begin(self, world: Simulation, running: PlateCycle) -> Memory:
-        """Return what is to be remembered of a task that begins, while a cycle runs."""
+        """Return the state of a task that begins, while a cycle runs."""
         parts = _parts(world.state)
         if isinstance(self._rules, Poser):
             return self._rules.begin(parts)
@@ -215,8 +216,8 @@ class Judge:
         return None
 
     def look(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
-        """Take in where parts are at a time [s], while a cycle begins: references go on, as slowly
-        as parts that are behind ask for."""
+        """Record the parts' places at a time [s] at which a cycle begins. References advance as
+        slowly as parts that are behind require."""
         if isinstance(memory, Feeding):
             memory.look(world, time, running)
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
@@ -227,7 +228,7 @@ class Judge:
         return Followed(follow, time, memory.square_m2 + error**2)
 
     def told(self, memory: Memory) -> dict[str, Any]:
-        """Return what an agent learns of references on paths, `path_s`, `pace`; of feeding."""
+        """Return the information for an agent: `path_s` and `pace` for paths; `Feeding.told`."""
         if isinstance(memory, Feeding):
             return memory.told()
         if not isinstance(memory, Followed):
@@ -236,8 +237,8 @@ class Judge:
         return {"path_s": np.array(follow.progress), "pace": np.array(follow.scaling)}
 
     def references(self, memory: Memory, ids: tuple[str, ...]) -> np.ndarray:
-        """Return where each part (M, 4) is to be, x and y, when the next cycle begins, and
-        `AHEAD_S` later [m, plate_home]; of feeding `Feeding.wanted`; else (M, 0)."""
+        """Return the references (M, 4) [m, plate_home]: x and y at the start of the next cycle, and
+        `AHEAD_S` later; for feeding `Feeding.wanted`; otherwise (M, 0)."""
         if isinstance(memory, Feeding):
             return memory.wanted
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
@@ -248,7 +249,7 @@ class Judge:
         return places[[follow.match.index(name) for name in ids]]
 
     def score(self, memories: list[Memory], states: list[WorldState]) -> Score:
-        """Judge the parts of N plates: `memories` are those of `begin` and `look`."""
+        """Evaluate the parts of N plates. `memories` come from `begin` and `look`."""
         rules, names = self._rules, states[0].ids
         if isinstance(rules, Follower):
             return _followed(rules, memories, states)
@@ -280,7 +281,7 @@ class Judge:
 
 
 def _followed(rules: Follower, memories: list[Memory], states: list[WorldState]) -> Score:
-    """Judge how paths were followed on N plates."""
+    """Evaluate paths on N plates."""
     shape = len(states), len(states[0].ids)
     rms, now = np.zeros(shape), np.zeros(shape)
     to_go, at_end = np.zeros(len(states)), np.zeros(len(states), bool)
@@ -296,7 +297,7 @@ def _followed(rules: Follower, memories: list[Memory], states: list[WorldState])
 
 
 def _fed(rules: Feeder, memories: list[Memory]) -> Score:
-    """Judge what was fed from N plates."""
+    """Evaluate feeding on N plates."""
     none = np.zeros((len(memories), rows_of(rules.task)))
     never = np.zeros(len(memories), bool)
     fed = [memory for memory in memories if isinstance(memory, Feeding)]
@@ -307,8 +308,8 @@ def _fed(rules: Feeder, memories: list[Memory]) -> Score:
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
-    """Return what the planner's rules are told of parts at a time [s], when a cycle begins that
-    lasts for a period and until it rests for a tail [s]."""
+    """Return the input of the planner's rules: parts at a time [s] at which a cycle begins. It
+    lasts for a period; the plate rests after a further tail [s]."""
     return Situation(
         parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
         motion_known=True, latency_known=True, predicted=parts.position,

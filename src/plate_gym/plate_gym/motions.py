@@ -1,4 +1,4 @@
-"""The raw level of action: a plate motion as coefficients of sinusoids, within the rig's limits."""
+"""The action `motion`: a plate motion as coefficients of sinusoids, within the rig's limits."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from plate_solver import EQUAL_WEIGHT, Limits, limit_use
 from plate_solver.sinusoids import sinusoid_basis
 
 HARMONICS, PERIOD_S = 4, 0.1
-"""Of every motion: sines and cosines of 10, 20, 30 and 40 Hz that begin and end at rest."""
+"""Harmonics and period of every motion: 10, 20, 30 and 40 Hz, starting and ending at rest."""
 
 CERTAIN = 0.999
-"""Share of the limits that a motion uses at most, by bounds of its peaks."""
+"""Maximum fraction of the limits that a motion uses, by bounds of its peaks."""
 
 
 class Motions:
@@ -23,11 +23,11 @@ class Motions:
     Attributes
     ----------
     size : int
-        Numbers of an action.
+        Number of values in an action.
     basis : SinusoidBasis
         The functions of time.
     scale : (6, 3)
-        Coefficients of the basis at actions of 1 [m/s, rad/s].
+        Coefficients of the basis for actions of 1 [m/s, rad/s].
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -41,28 +41,28 @@ class Motions:
         self.scale = CERTAIN / alone.reshape(-1, 3)
 
     def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
-        """Return the motion of one action (size,), and its share of the limits."""
+        """Return the motion of one action (size,), and the fraction of the limits that it uses."""
         (cycle,), used = self.cycles(action[None])
         return cycle, float(used[0])
 
     def cycles(self, actions: np.ndarray) -> tuple[list[PlateCycle], np.ndarray]:
-        """Return the motions of actions, and the shares (N,) of the limits that they use, at most
-        1.
+        """Return the motions of actions, and the fractions (N,) of the limits that they use, at
+        most 1.
 
         Parameters
         ----------
         actions : (N, size)
-            From -1 to 1: for each function of time x, y and theta. One alone uses the whole of a
-            limit at 1. Together they are scaled down, all alike, as far as they exceed the limits.
+            Values from -1 to 1 for x, y and theta of each function of time. A single value of 1
+            uses a limit completely. If they exceed the limits together, all are scaled down.
         """
         own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
-        while (beyond := used > CERTAIN).any():  # turns enter with their square: twice, as a rule
+        while (beyond := used > CERTAIN).any():  # typically twice: rotations enter quadratically
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
         return self.basis.cycles(own), used
 
     def _use(self, own: np.ndarray) -> np.ndarray:
-        """Return the greatest shares (N,) of a limit that coefficients (N, h, 3) use: bounds."""
+        """Return bounds (N,) of the maximum fraction of a limit used by coefficients (N, h, 3)."""
         each = zip(*(bound @ own for bound in self._bounds), strict=True)
         return np.array([limit_use(p, t, a, EQUAL_WEIGHT, self._limits, False) for p, t, a in each])

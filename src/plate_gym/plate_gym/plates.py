@@ -1,5 +1,5 @@
-"""Plates with a task on each: what a cycle does to their parts, what is seen of these, and what is
-counted. Environments of one plate and of many are views of it."""
+"""Plates with a task each: simulation of cycles, observations, rewards. The environments of one and
+of many plates are views of it."""
 
 from __future__ import annotations
 
@@ -26,52 +26,52 @@ ACTIONS = ("motion", "forces", "progress", "cycle")
 OBSERVATIONS = ("parts", "image")
 
 CENTRE_NOISE_M, ANGLE_NOISE = 3e-5, 3.5e-3
-"""Standard deviation of places [m] and angles [rad] in `parts`: what our vision has in images with
-noise (sort_10 and align_6, 30 images each)."""
+"""Standard deviation of places [m] and angles [rad] in `parts`: that of this project's vision in
+noisy images (sort_10 and align_6, 30 images each)."""
 
 HOLD_CYCLES, IDLE_S = 2, 0.1
-"""As the simulator node's."""
+"""Same as in the simulator node."""
 
 REST = PlateCycle.rest(IDLE_S)
-"""One for all: cycles of their own are not equal, and the same seed is to give the same `info`."""
+"""Shared by all plates: separate cycles are not equal, but equal seeds must give equal `info`."""
 
 BARE_IMAGES = 5
-"""Of the bare plate, for who has to know it: rigs with types of parts."""
+"""Number of images of the bare plate, for rigs with types of parts."""
 
 GAP = 0.5
-"""Least distance of the rims of two parts on their way, in `progress` [part radii]."""
+"""Minimum distance between the edges of two moving parts, in `progress` [part radii]."""
 
 OUT_M, FASTEST_MPS, NEVER_S = 0.05, 2.0, 1000.0
-"""Bounds of `parts`: how far beyond the plate's edges [m], how fast [m/s], and how long ago a part
-was seen that never was [s]."""
+"""Bounds of `parts`: distance beyond the plate's edges [m], speed [m/s], and time since a part was
+seen, if it never was [s]."""
 
 UNSEEN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -np.inf])
-"""Row of a part that was not seen so far."""
+"""Row of a part that was never seen."""
 
 LEAST_WAY_M = 0.01
-"""A task with less of a way counts as one with so much, in rewards [m]."""
+"""Minimum initial distance by which rewards are normalised [m]."""
 
 SEEDS = 2**31
-"""Of worlds where none is given, and of solvers: below this."""
+"""Upper bound of random seeds, and of the solver's seeds."""
 
 
 def clocks() -> np.ndarray:
-    """Return the time of this process's work, and that of the wall [s]."""
+    """Return the processor time of this process, and the elapsed time [s]."""
     return np.array([time.process_time(), time.perf_counter()])
 
 
 class Step(NamedTuple):
-    """What a cycle has brought on N plates.
+    """Result of a cycle on N plates.
 
     Attributes
     ----------
     reward : (N,)
-        The way made good, as a share of the way at the start, or parts picked, as a share of all
-        that could be; 1 more if the task is done, 1 less for each part that was lost.
+        Reduction of the distance to go as a fraction of the initial distance, or picked parts as a
+        fraction of the maximum; plus 1 if the task is done; minus 1 for each lost part.
     ended, over : (N,) bool
-        Whether the task is done or a part is lost; whether time is up.
+        Whether the task is done or a part is lost; whether the time is over.
     info : dict of arrays (N, ...)
-        What judges; docs/guide/gym.md says what is in it.
+        Details of the evaluation; see docs/guide/gym.md.
     """
 
     reward: np.ndarray
@@ -81,7 +81,7 @@ class Step(NamedTuple):
 
 
 class Plate:
-    """One plate, from one `reset` to the next."""
+    """One plate in one episode."""
 
     def __init__(self, shared: Plates, seed: int) -> None:
         self._shared = shared
@@ -96,12 +96,12 @@ class Plate:
         self.done = False
         self.dropped, self.to_go, self.first = 0, 0.0, 0.0
         self.limit_share, self.scaled = 0.0, False
-        self.solving_s = np.zeros(2)  # our solver, in all: see `clocks`
+        self.solving_s = np.zeros(2)  # total time of this project's solver: see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
         self._playback = Playback(REST, resting=True)
         self.memory: Memory = shared.judge.begin(self.simulation, self.running)
-        # x, y, drift along x and y, angle, time: as the parts were seen last
+        # x, y, drift along x and y, angle, time: the last observation of each part
         self.seen = np.tile(UNSEEN, (len(self.ids), 1))
         if shared.observation == "image" and shared.rig.types:
             bare = [self.simulation.capture_bare() for _ in range(BARE_IMAGES)]
@@ -109,28 +109,28 @@ class Plate:
 
     @property
     def running(self) -> PlateCycle:
-        """The cycle that runs now: it began when the parts were as they are seen."""
+        """The running cycle; it began at the last observation."""
         return self._playback.cycle
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Names of the parts by rows; empty: there is none."""
+        """Ids of the parts by rows; empty: no part."""
         memory = self.memory
         return tuple(memory.ids) if isinstance(memory, Feeding) else self.simulation.state.ids
 
     @property
     def lost(self) -> int:
-        """How many parts have left the plate as they were not to."""
+        """Number of parts that have left the plate unintentionally."""
         memory = self.memory
         return memory.made.lost if isinstance(memory, Feeding) else self.simulation.state.dropped
 
     @cached_property
     def controller(self) -> Controller:
-        """Our solver, for levels of action that need one."""
+        """This project's solver, for actions that need it."""
         return Controller(self._shared.rig, seed=self._seed % SEEDS)
 
     def begin(self, cycle: PlateCycle) -> None:
-        """Take in that the cycle that ran has ended, and begin the next."""
+        """End the running cycle, and begin the next one."""
         self.time += self._playback.cycle.period
         if isinstance(self.memory, Feeding) and self.memory.rests:
             cycle = REST
@@ -145,13 +145,13 @@ class Plate:
             self.seen = np.where(other[:, None], UNSEEN, self.seen)
 
     def capture(self) -> None:
-        """Take in the image of the start of the cycle that runs."""
+        """Take the image of the start of the running cycle."""
         image = self.simulation.capture()
-        self.image = self.image if image is None else image  # a missed one changes nothing
+        self.image = self.image if image is None else image  # a missed image changes nothing
 
     def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return where an image shows the parts (M, 2) [m], their angles (M,) [rad], and which of
-        them (M,), by rows; None: it is missed."""
+        """Return the positions (M, 2) [m] and angles (M,) [rad] of the parts in an image, and which
+        parts (M,) it shows, by rows; None if the image is missed."""
         sight, state = self.simulation.sight(), self.simulation.state
         if sight is None:
             return None
@@ -159,14 +159,14 @@ class Plate:
         if not self._shared.judge.feeds:
             return sight.position, sight.angle, there
         rows = np.array([state.ids.index(name) if name else -1 for name in self.ids])
-        return (  # of an empty row: the last
+        return (  # an empty row takes the last entry
             np.append(sight.position, [[0.0, 0.0]], axis=0)[rows],
             np.append(sight.angle, 0.0)[rows],
             np.append(there, False)[rows],
         )
 
     def answer(self, action: Any) -> PlateCycle:
-        """Return the cycle of an action, within the limits; not of `motion`."""
+        """Return the cycle of an action, within the limits; not for `motion`."""
         level = self._shared.action
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
@@ -181,21 +181,22 @@ class Plate:
 
     @property
     def _rows(self) -> np.ndarray:
-        """Which rows (n,) actions are about: all; those of parts that were seen where these come
-        and go."""
+        """Indices (n,) of the rows to which actions apply: all rows; if parts come and go, those of
+        parts that were seen."""
         return np.flatnonzero(np.isfinite(self.seen[:, 5]) | (not self._shared.judge.feeds))
 
     def _parts(self) -> Parts:
-        """The parts as they were seen last."""
+        """The parts of the last observation."""
         ids, seen = tuple(self.ids[row] for row in self._rows), self.seen[self._rows]
         return Parts.make(ids, seen[:, :2], seen[:, 2:4], seen[:, 4])
 
     def _forces(self, action: np.ndarray) -> Wanted:
-        """Return what (n, 2), in mu m g, asks for."""
+        """Return the request for mean forces (n, 2) [mu m g]."""
         return Wanted.make(self._parts(), action * self._shared.friction_limit[self._rows, None])
 
     def _progress(self, action: np.ndarray) -> Wanted:
-        """Return what places, weights, and angles with their weights, (n, 3) or (n, 5), ask for."""
+        """Return the request for places and weights (n, 3), with angles and their weights (n,
+        5)."""
         rig, angle = self._shared.rig, self.seen[self._rows, 4]
         place, weight = action[:, :2] * rig.plate.half, np.repeat(np.abs(action[:, 2:3]), 2, axis=1)
         angles = None
@@ -208,14 +209,14 @@ class Plate:
 
 
 class Plates:
-    """What N plates of one task share, and the plates.
+    """N plates of one task, with their common data.
 
     Parameters
     ----------
     task, world, action, observation : str
         Keys of `TASKS` and `WORLDS`, and of `ACTIONS` and `OBSERVATIONS`.
     count, threads : int
-        N, and how many cores may work at the same time.
+        Number N of plates, and maximum number of parallel threads.
 
     Raises
     ------
@@ -251,7 +252,7 @@ class Plates:
         self.plates: list[Plate] = [None] * count  # type: ignore[list-item]  # until reset
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> dict[str, np.ndarray]:
-        """Begin anew on some plates; returns what `Step.info` has."""
+        """Begin new episodes on some plates. Return the content of `Step.info`."""
         for row, seed in zip(rows, seeds, strict=True):
             self.plates[row] = Plate(self, seed)
         self._look([self.plates[row] for row in rows])
@@ -264,7 +265,7 @@ class Plates:
         return info | {"bare_images": np.stack(bare)} if bare else info
 
     def step(self, rows: Sequence[int], actions: Sequence[Any]) -> Step:
-        """Let a cycle pass on some plates."""
+        """Run a cycle on some plates."""
         plates = [self.plates[row] for row in rows]
         answers = self._answers(plates, actions)
         worlds, running = [p.simulation for p in plates], [p.running for p in plates]
@@ -287,7 +288,7 @@ class Plates:
         return Step(reward, ended, over, self._info(rows, score))
 
     def observed(self) -> np.ndarray:
-        """Return what is seen of each plate (N, ...): see `observation_space`."""
+        """Return the observation of each plate (N, ...): see `observation_space`."""
         if self.observation == "image":
             return np.array([plate.image for plate in self.plates])
         result = np.array([plate.seen for plate in self.plates])
@@ -306,7 +307,7 @@ class Plates:
         return cycles
 
     def _look(self, plates: Sequence[Plate]) -> None:
-        """Take in what is seen at the start of the cycles that run."""
+        """Make the observations at the start of the running cycles."""
         if self.observation == "image":
             self._each(Plate.capture, plates)
             return
@@ -330,14 +331,14 @@ class Plates:
             plate.seen = seen
 
     def _each(self, do: Callable[..., Any], *of: Iterable[Any]) -> list[Any]:
-        """`map`, on all cores: on threads that end with it, as a forked process has none."""
+        """`map` on all cores. The threads end with it, because a forked process would lack them."""
         if self._threads < 2:
             return list(map(do, *of))
         with ThreadPoolExecutor(self._threads) as pool:
             return list(pool.map(do, *of))
 
     def _mark(self, plate: Plate, met: bool) -> None:
-        """Take in whether all is as asked: the task is done when it has been so long enough."""
+        """Record whether the task is fulfilled. It is done when this holds for `hold_s`."""
         if not met or self._spoilt(plate):
             plate.met_since = None
             return
@@ -345,11 +346,11 @@ class Plates:
         plate.done = plate.time - plate.met_since >= self.judge.hold_s - ROUNDING_S
 
     def _spoilt(self, plate: Plate) -> bool:
-        """Whether a part is lost for good: a feeder's hopper brings others."""
+        """Whether a lost part ends the episode. For feeding it does not: the hopper adds others."""
         return plate.dropped > 0 and not self.judge.feeds
 
     def _labels(self) -> tuple[str, ...]:
-        """Return the classes of the parts (M,) by rows. Where parts come and go they are alike."""
+        """Return the classes of the parts (M,) by rows; one class if parts come and go."""
         task = self.scenario.task
         if isinstance(task, FeedTask):
             return (task.picks[0].label,) * rows_of(task)

@@ -1,4 +1,4 @@
-"""What actions and observations look like: units and bounds."""
+"""The spaces of actions and observations: shapes, units and bounds."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ from .plates import Plates
 
 
 class CycleSpace(spaces.Space):
-    """Any motion of the plate: a `plate_core.PlateCycle`, which the driver fits into the limits."""
+    """Any motion of the plate: a `plate_core.PlateCycle`, which the driver scales to the limits."""
 
     def __init__(self, motions: Motions) -> None:
         super().__init__()
         self._motions = motions
 
     def sample(self, mask: Any = None, probability: Any = None) -> PlateCycle:
-        """Return a motion as `motion` has them."""
+        """Return a random motion of the space `motion`."""
         return self._motions.cycle(self.np_random.uniform(-1, 1, self._motions.size))[0]
 
     def contains(self, x: Any) -> bool:
-        """Whether it is a motion."""
+        """Whether it is a motion of the plate."""
         return isinstance(x, PlateCycle)
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is one too: all have the same."""
+        """Whether the other space is a CycleSpace: all are equal."""
         return isinstance(other, CycleSpace)
 
     def __repr__(self) -> str:
-        """Its name."""
+        """Name of the space."""
         return "CycleSpace"
 
     @property
     def is_np_flattenable(self) -> bool:
-        """It cannot be made a row of numbers."""
+        """False: a motion cannot be converted to a row of numbers."""
         return False
 
 
 def action_space(plates: Plates) -> spaces.Space:
-    """Return the space of a level of action, for M parts.
+    """Return the space of a kind of action, for M parts.
 
-    `motion` (18,): see `Motions`. `forces` (M, 2): mean force on each part over a cycle, from -1 to
-    1 times mu m g, along x and y. `progress` (M, 3): where each part is to come, as a share of the
-    plate's half sides, and what a metre of its way there counts, beside one by which a part is too
-    near to an edge or to another part; (M, 5) where parts have angles: then the angle over pi, and
-    what the way of its rim counts. `cycle`: a `CycleSpace`.
+    `motion` (18,): see `Motions`. `forces` (M, 2): mean force on each part over a cycle along x and
+    y, from -1 to 1 times mu m g. `progress` (M, 3): target of each part as a fraction of the
+    plate's half sides, and the weight of a metre of its distance, compared with a weight of 1 for
+    parts too near to an edge or to each other; (M, 5) if parts have angles: then the angle over pi,
+    and the weight of the distance of its contour. `cycle`: a `CycleSpace`.
     """
     count = len(plates.friction_limit)
     if plates.action == "cycle":
@@ -63,13 +63,13 @@ def action_space(plates: Plates) -> spaces.Space:
 
 
 def observation_space(plates: Plates) -> spaces.Space:
-    """Return the space of what is seen.
+    """Return the space of observations.
 
-    `parts` (M, 6), a row for each part, always the same: x, y [m, plate_home], drift along x and y
-    [m/s], angle [rad], and how long ago the part was seen [s]; a part that was never seen is at 0.
-    (M, 10) where paths are followed: then where it is to be when the next cycle begins, x and y
-    [m, plate_home], and 0.1 s later. (M, 7) where parts come and go: then 1 for one that is wanted,
-    -1 for one that is not, 0 for an empty row, which is as of a part that was never seen.
+    `parts` (M, 6), one fixed row for each part: x, y [m, plate_home], drift along x and y [m/s],
+    angle [rad], and time since the part was last seen [s]; a part that was never seen is at 0.
+    (M, 10) for paths: then its reference at the start of the next cycle, x and y [m, plate_home],
+    and 0.1 s later. (M, 7) if parts come and go: then 1 for a part to be picked, -1 for one that is
+    not, 0 for an empty row, which looks like a part that was never seen.
     `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
     """
     if plates.observation == "image":

@@ -1,4 +1,4 @@
-"""How many cycles a second environments do, one and many at once: `python -m plate_gym.speed`."""
+"""Measure the cycles per second of environments, one and many: `python -m plate_gym.speed`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .plates import OBSERVATIONS
 
 TASKS = ("Sort4-v1", "Sort10-v1", "Sort24-v1", "Sort50-v1")
 MANY = 64
-"""Plates at once."""
+"""Number of parallel plates."""
 
 CYCLES, IMAGES = 1920, 320
-"""In all, of one measurement."""
+"""Total number of cycles in a measurement, without and with images."""
 
 
 def measure(task: str, count: int, threads: int, observation: str) -> tuple[float, float]:
-    """Return cycles a second, and processor time of a cycle [us], of random motions."""
+    """Return the cycles per second, and the processor time of a cycle [us], with random motions."""
     env = PlateVectorEnv(task, count, observation=observation, threads=threads)
     env.reset(seed=0)
     cycles = IMAGES if observation == "image" else CYCLES
@@ -40,13 +40,13 @@ def measure(task: str, count: int, threads: int, observation: str) -> tuple[floa
 
 
 def memory_mb() -> float:
-    """Return the most memory that this process has had [MB]."""
+    """Return the peak memory of this process [MB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.speed", description=__doc__)
     parser.add_argument("--observation", choices=OBSERVATIONS, default="parts")
     args = parser.parse_args()

@@ -1,4 +1,4 @@
-"""What is to be done, and in which world: numbers that never change. A change makes a `-v2`."""
+"""Tasks and worlds of the benchmark. Their numbers never change: a change makes a `-v2`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class World:
-    """How far the simulated world is from what the rig file says.
+    """Deviation of the simulated world from the rig file.
 
     Attributes
     ----------
     disturbances : Disturbances
     mu_scale : float
-        True friction over the rig's.
+        Ratio of the true friction to the rig file's.
     """
 
     disturbances: Disturbances = NONE
@@ -44,7 +44,7 @@ WORLDS = {
         mu_scale=0.9,
     ),
 }  # fmt: skip
-"""As believed; three that are disturbed; and one to be judged in: by seeds that the judge draws."""
+"""As in the rig file; three disturbed worlds; and one for evaluation with random seeds."""
 
 TASKS = {
     "Sort4-v1": ("sort_4", "465f434df34c169d"),
@@ -60,11 +60,11 @@ TASKS = {
     "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
     "Feed-v1": ("feed", "5b99341f03a50dbc"),
 }
-"""Name -> scenario, and the digest of all that its file and its rig's say."""
+"""Name, scenario, and digest of the content of its file and its rig file."""
 
 
 FEED_S = 60.0
-"""How long feeding goes on, which has no end of its own [s]."""
+"""Duration of feeding, which does not end by itself [s]."""
 
 
 def scenario_of(task: str) -> tuple[Scenario, Rig]:
@@ -87,7 +87,7 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
     Raises
     ------
     PlateError
-        If there is none: it names those that there are.
+        If the key is unknown; the message lists the known ones.
     """
     if key not in among:
         raise PlateError(
@@ -97,7 +97,7 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
 
 
 def digest(scenario: str) -> str:
-    """Return a digest of all that a scenario's file and its rig's say: comments do not count."""
+    """Return a digest of the content of a scenario's file and its rig's, without comments."""
     said = yaml.safe_load((config_path("scenarios") / f"{scenario}.yaml").read_text("utf-8"))
     rig = f"rigs/{said['rig']}.yaml" if "rig" in said else "rig.yaml"
     both = said, yaml.safe_load(config_path(rig).read_text("utf-8"))

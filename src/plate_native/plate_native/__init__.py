@@ -147,7 +147,7 @@ def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.i
 
 @contextmanager
 def _whole(made: Path) -> Iterator[Path]:
-    """A file to write in place of this one, which is there in whole or not at all."""
+    """Yield a path to write to; it then replaces the file atomically."""
     part = made.with_name(f"part-{made.name}")
     yield part
     part.replace(made)

@@ -1,4 +1,4 @@
-"""What the feeder asks of the graph: the planner's task."""
+"""The feeder's client of the planner's task."""
 
 from .feed_goal import FeedGoal
 

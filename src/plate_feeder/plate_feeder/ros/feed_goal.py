@@ -1,4 +1,4 @@
-"""The planner's task of feeding: begun when it is wanted, canceled when it is not."""
+"""The planner's task of feeding: started when requested, and canceled when no longer requested."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from plate_interfaces.action import FeedParts
 from plate_interfaces.msg import TaskStatus
 
 END_S = 5.0
-"""A planner that does not end a canceled task within this time is not waited for [s]."""
+"""Maximum wait for a planner to end a canceled task [s]."""
 
 ANSWER_S = 1.0
-"""A goal that is not answered within this time is sent again [s]: its planner was killed meanwhile,
-or stood still, or the answer was lost. It keeps its id, so that it is begun once."""
+"""Time without a reply after which a goal is sent again [s]: the planner was killed or stalled, or
+the reply was lost. The goal keeps its id, so the planner executes it once."""
 
 
 class FeedGoal:
-    """The goal of `feed_parts`, kept as it is wanted.
+    """The goal of `feed_parts`, started and canceled as requested.
 
     Parameters
     ----------
     node : Node
     goal : FeedParts.Goal
     ended : callable
-        Called with the planner's status when the task has ended without us, or was refused.
+        Called with the planner's status when the task has ended by itself, or was refused.
 
     Attributes
     ----------
@@ -43,14 +43,14 @@ class FeedGoal:
         self._goal, self._ended = goal, ended
         self._client = ActionClient(node, FeedParts, "feed_parts")
         self._handle: Any = None
-        self._number = 0  # of the goal that is wanted; answers to others are of no use
+        self._number = 0  # of the requested goal; replies to others are ignored
         self._id, self._tries = new_goal_id(), 0
         self._sent = self.runs = self._seen = False
         self._answer_by = 0.0
-        self._ending, self._until = 0, 0.0  # number of the one that was canceled
+        self._ending, self._until = 0, 0.0  # number of the canceled goal; deadline of its end
 
     def want(self, run: bool) -> None:
-        """Begin the task if it does not run, or cancel it if it does; call it again and again."""
+        """Start the task, or cancel it. Must be called repeatedly."""
         if self._sent and not run:
             self._cancel()
         now = time.monotonic()
@@ -67,7 +67,7 @@ class FeedGoal:
             future.add_done_callback(lambda done: self._on_answer(number, again, done))
 
     def hear(self, status: TaskStatus) -> None:
-        """Notice that a planner has begun anew, and knows nothing of the task any more."""
+        """Detect that the planner has restarted and no longer executes the task."""
         running = status.state == TaskStatus.RUNNING and status.task == "feed"
         if self.runs and self._seen and not running:
             reason = status.reason
@@ -79,7 +79,7 @@ class FeedGoal:
             self._seen = running
 
     def close(self) -> None:
-        """Let go of the planner."""
+        """Destroy the client."""
         self._client.destroy()
 
     def _cancel(self) -> None:
@@ -99,7 +99,7 @@ class FeedGoal:
         wanted = self._sent and number == self._number
         if wanted and self.runs:
             return
-        if handle is not None and (handle.accepted or again):  # an id that is known is refused
+        if handle is not None and (handle.accepted or again):  # rclpy refuses a repeated id
             handle.get_result_async().add_done_callback(lambda done: self._on_end(number, done))
             if wanted:
                 self._handle, self.runs = handle, True
