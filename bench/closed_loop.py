@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness import of_median, parallel, processes, share
+from harness import executor, of_median, parallel, share
 from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig, piped
 from plate_core.tasks import load_scenario
@@ -77,7 +77,7 @@ def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[d
         for setup in setups:
             yield summary(setup, rig)
         return
-    with processes(args.workers) as pool:
+    with executor(args.workers) as pool:
         yield from parallel(pool, summary, [(setup, rig) for setup in setups], _note)
 
 

@@ -115,10 +115,12 @@ def test_a_program_is_well_formed(language):
 @pytest.mark.parametrize(
     ("language", "right", "wrong"),
     [
-        ("RAPID", "ENDIF", ""), ("RAPID", "ENDIF", "ENDWHILE"), ("RAPID", "WaitTime 1;", "WaitTime 1"),
-        ("RAPID", "StrLen(name)", "StrLen(name"), ("RAPID", "TPWrite", "TPWrit"),
+        ("RAPID", "ENDIF", ""), ("RAPID", "ENDIF", "ENDWHILE"),
+        ("RAPID", "WaitTime 1;", "WaitTime 1"), ("RAPID", "StrLen(name)", "StrLen(name"),
+        ("RAPID", "TPWrite", "TPWrit"),
         ("RAPID", '"no answer"', '"no answer'), ("RAPID", "VAR robtarget at;", ""),
-        ("URScript", "  end\n", ""), ("URScript", "True:", "True"), ("URScript", "place()", "plaec()"),
+        ("URScript", "  end\n", ""), ("URScript", "True:", "True"),
+        ("URScript", "place()", "plaec()"),
         ("URScript", "sleep(1)", "sleep(1"), ("URScript", '"no answer"', '"no answer'),
         ("URScript", "local at = ", ""), ("URScript", "sleep(1)", "sleep(1);"),
     ],
