@@ -1,7 +1,5 @@
 """The bench's scenes as real cameras see them: what they show is where it is said to be."""
 
-import csv
-
 import cv2
 import numpy as np
 import pytest
@@ -11,18 +9,12 @@ from plate_bringup.loop import Setup, seen_by, with_settings
 from plate_core import load_rig
 from plate_core.rig import camera_place, camera_pose, to_image
 from plate_core.tasks import load_scenario
-from stages.cameras import BEFORE, BEFORE_KEYS, BY_NAME, DISCS, KINDS, TYPED, drawn, row_of, scene
+from stages.cameras import BY_NAME, DISCS, KINDS, TYPED, drawn, row_of, scene
 from tasks.views import SCENARIOS, SCENES
 
 
-def test_every_scene_has_its_own_name_and_figures_before():
+def test_every_scene_has_its_own_name():
     assert len(BY_NAME) == len(KINDS)
-    with BEFORE.open(encoding="utf-8", newline="") as file:
-        before = {row["scene"]: row for row in csv.DictReader(file)}
-    assert set(before) == set(BY_NAME)
-    for row in before.values():
-        assert set(row) == {"scene", *BEFORE_KEYS}
-        assert 0 <= float(row["detected_percent"]) <= 100
 
 
 def test_a_seed_gives_one_scene():
@@ -85,7 +77,7 @@ def test_typed_scenes_have_a_bare_plate_and_light_that_changes():
 
 
 def test_a_row_counts_what_is_found():
-    row = row_of(BY_NAME["plain"], 1, {})
+    row = row_of(BY_NAME["plain"], 1)
     assert row["detected_percent"] == 100
     assert row["false"] == 0
     assert row["worst_mm"] < 0.1

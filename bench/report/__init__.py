@@ -26,7 +26,6 @@ from report.panels import Row
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows, steering
 from report.stability import chart_of, rows_of, words_of
-from report.views import scenes
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
 __all__ = [
@@ -62,7 +61,6 @@ CHARTS: tuple[Entry, ...] = (
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
     of_table(model, "model"),
     of_table(vision, "vision"),
-    of_table(scenes, "scenes", "cameras", "views"),
     of_table(control, "control"),
     of_table(tracking, "tracking"),
     of_table(cameras, "cameras", "free_running"),

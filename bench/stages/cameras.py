@@ -1,20 +1,14 @@
 """Scenes as real cameras see them: height, shine, shadow, contrast, tilt, lens, changing light.
 
 Each scene has 100 discs, or 56 parts of types. The simulator's camera draws it, so the true places
-are known. `before` are the figures of the detector of commit 8ca96f61 in the same images.
-
-cd bench; python -m stages.cameras [SCENE ...]   # a row for each; --show FILE.png draws the last
+are known.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -48,11 +42,6 @@ counts: a detector may learn from the others. Of typed parts all count, as their
 
 INTERVAL_S = 0.15
 """Between two images [s]: a cycle of the plate."""
-
-BEFORE = Path(__file__).with_suffix(".csv")
-"""Figures of the detector before: columns `scene` and `BEFORE_KEYS`."""
-
-BEFORE_KEYS = ("detected_percent", "false", "rms_mm", "worst_mm")
 
 BARREL = (-0.2675, 0.0926, 0.0, 0.0, 0.0)
 """Published distortion of a webcam, k1, k2, p1, p2, k3."""
@@ -279,21 +268,9 @@ BY_NAME = {kind.name: kind for kind in KINDS}
 def measure(quick: bool) -> Result:
     """Measure all kinds of scenes."""
     cv2.setNumThreads(1)
-    before = read_before()
     kinds, count = (KINDS[::QUICK_STEP], QUICK_IMAGES) if quick else (KINDS, IMAGES)
-    rows = [row_of(kind, count, before.get(kind.name, {})) for kind in kinds]
+    rows = [row_of(kind, count) for kind in kinds]
     return Result([Table.of("views", rows, discs=DISCS, typed=TYPED)])
-
-
-def read_before() -> dict[str, dict[str, float | None]]:
-    """Return the figures before by scene."""
-    if not BEFORE.exists():
-        return {}
-    with BEFORE.open(encoding="utf-8", newline="") as file:
-        return {
-            row["scene"]: {key: float(row[key]) if row[key] else None for key in BEFORE_KEYS}
-            for row in csv.DictReader(file)
-        }
 
 
 def scene(name: str, seed: int) -> Scene:
@@ -391,7 +368,7 @@ def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
             yield tracker, len(tracker.overlooked) > 0 or outline.finding is not None
 
 
-def row_of(kind: Kind, count: int, before: Mapping[str, float | None]) -> dict[str, Any]:
+def row_of(kind: Kind, count: int) -> dict[str, Any]:
     """Measure one kind of scene in a number of layouts."""
     gaps: list[float] = []
     true = false = right = lost = told = 0
@@ -433,45 +410,4 @@ def row_of(kind: Kind, count: int, before: Mapping[str, float | None]) -> dict[s
         "right_percent": 100 * right / max(len(gaps), 1) if kind.typed else None,
         "told": f"{told} of {lost}" if lost else None,
         "ms": 1e3 * float(np.median(times)),
-        **{f"before_{key}": before.get(key) for key in BEFORE_KEYS},
     }
-
-
-def main() -> int:
-    """Run the command line; returns its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("scenes", nargs="*", help="names, or beginnings of names (all)")
-    parser.add_argument("--count", type=int, default=1, help="layouts of each (1)")
-    parser.add_argument("--show", type=Path, help="draws the last image of the last scene")
-    parser.add_argument("--csv", type=Path, help="file for the figures: as those before")
-    args = parser.parse_args()
-    cv2.setNumThreads(1)
-    chosen = [k for k in KINDS if not args.scenes or k.name.startswith(tuple(args.scenes))]
-    rows, before = [], read_before()
-    for kind in chosen:
-        row = row_of(kind, args.count, before.get(kind.name, {}))
-        rows.append(row)
-        cells = [f"{row['detected_percent']:6.1f} %", f"{row['false']:4d} false"]
-        cells += [f"rms {row['rms_mm'] or 0:.2f} worst {row['worst_mm'] or 0:.2f} mm"]
-        cells += [] if row["right_percent"] is None else [f"class {row['right_percent']:.0f} %"]
-        cells += [] if row["told"] is None else [f"loss told {row['told']}"]
-        cells += [f"{row['ms']:.0f} ms"]
-        if row["before_detected_percent"] is not None:
-            cells += [f"before {row['before_detected_percent']:.1f} %"]
-            cells += [f"rms {row['before_rms_mm'] or 0:.2f}"]
-        print(f"{kind.name:42s} {'  '.join(cells)}", flush=True)
-    if args.show and chosen:
-        cv2.imwrite(str(args.show), drawn(chosen[-1], FIRST_SEED).image)
-    if args.csv:
-        with args.csv.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, ("scene", *BEFORE_KEYS), lineterminator="\n")
-            writer.writeheader()
-            for row in rows:
-                figures = {key: row[key] for key in BEFORE_KEYS}
-                short = {k: f"{v:.4g}" for k, v in figures.items() if v is not None}
-                writer.writerow({"scene": row["scene"]} | short)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
