@@ -244,14 +244,14 @@ def bound(rows: list[Row]) -> Drawn:
 
 def horizon(rows: list[Row]) -> Drawn:
     """Return what trials beyond the greedy step change in time and computing."""
-    panels, trials = Panels(), [r for r in rows if r["trial"] != "present"]
+    panels, trials = Panels(), [r for r in rows if r["trial"] != "once"]
     trials = [r | {"name": f"{r['trial']}, {r['scenario']}"} for r in trials]
     y = Axis("", names=tuple(by(trials, "name"))[::-1])
     time = panels.add("Time of the task", Axis("change of the mean [%]"), y)
-    work = panels.add("Computing", Axis("for an answer, over present"), y)
+    work = panels.add("Computing", Axis("for an answer, over one play"), y)
     note = "{runs} runs, ended well {good}, {dropped} parts dropped"
-    time.rule("present", x=0.0)
-    work.rule("present", x=1.0)
+    time.rule("one play", x=0.0)
+    work.rule("one play", x=1.0)
     for colour, (trial, these) in zip(COUNT_COLOURS, by(trials, "trial").items(), strict=False):
         time.points(these, "change", "name", Look(trial, colour, "o"), hollow=failed, note=note)
         work.points(these, "answer", "name", Look(trial, colour, "o"), hollow=failed)

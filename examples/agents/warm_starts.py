@@ -19,7 +19,7 @@ from plate_gym.agents import AGENTS, Ours
 from plate_gym.bench import episode, seed_range
 from plate_solver import Controller
 from plate_solver.goal import Goal
-from plate_solver.sinusoids import BEYOND, ROUGH, SinusoidSteering, limited_sinusoids
+from plate_solver.sinusoids import BEYOND, PLAYS, ROUGH, SinusoidSteering, limited_sinusoids
 
 Solved = list[tuple[Goal, np.ndarray]]
 """Goals, and the parameters of the motions that were found for them."""
@@ -53,7 +53,7 @@ class Steering(SinusoidSteering):
         answer = super().steer(goal, number, period, *args)
         if goal.free_end:
             key = number, period, ROUGH, True
-            family = limited_sinusoids(number, period, self._limits, BEYOND, *key[2:], goal.plate)
+            family = limited_sinusoids(*key[:2], self._limits, BEYOND, *key[2:], goal.plate, PLAYS)
             self._solved.append((goal, family.nearest(self._warm[key])))
         return answer
 

@@ -65,8 +65,8 @@ class Options(NodeOptions):
     )
     seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
     restarts: int = parameter(
-        0, "Most further starts of each search; 0: what suits the method (40 for sinusoids).",
-        0, 1000,
+        0, "Most further starts of each search; 0: what suits the method (40 for "
+        "sinusoids). Half of it if the cycle need not end at rest.", 0, 1000,
     )  # fmt: skip
     threads: int = parameter(
         0, "Cores that a search may use, the answers are the same; 0: all that there are.",

@@ -5,27 +5,18 @@ in `solver.py`.
 """
 
 from . import steer
-from .basis import (
-    TAIL_LOOKS,
-    TAIL_PERIOD_S,
-    TAIL_S,
-    SinusoidBasis,
-    SinusoidFamily,
-    sinusoid_basis,
-)
+from .basis import SinusoidBasis, SinusoidFamily, sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
-from .steer import AT_ONCE, BEYOND, ROUGH, SPREAD, SinusoidSteering, limited_sinusoids
+from .steer import AT_ONCE, BEYOND, PLAYS, ROUGH, SPREAD, SinusoidSteering, limited_sinusoids
 
 __all__ = [
     "AT_ONCE",
     "BEYOND",
     "BIN",
+    "PLAYS",
     "ROUGH",
     "SPREAD",
-    "TAIL_LOOKS",
-    "TAIL_PERIOD_S",
-    "TAIL_S",
     "LimitedSinusoids",
     "Motions",
     "Problem",

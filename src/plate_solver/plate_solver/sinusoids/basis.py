@@ -10,11 +10,18 @@ cycle may follow any other.
 A plate that need not rest at the edge has three functions more for each degree of freedom, which
 lead to the state in which the cycle ends, and after it to rest, in the cycle's tail. A cycle that
 begins in motion is that cycle's tail, and what the basis adds to it.
+
+The same coefficients may be played several times, one play after the other. With B the basis, E its
+state at the end of a play, and S the path to rest from a state, the plate's motion in play k is
+
+    u_k = B a + S p_k,    p_0 given,    p_k = E a  for k > 0,
+
+as S ends at rest within a play. So all plays stay linear in the coefficients a.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -48,6 +55,9 @@ TAIL_LOOKS = 12
 KNOTS_PER_HARMONIC = 8
 """Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m."""
 
+Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of pose, twist and acceleration."""
+
 
 @dataclass(frozen=True)
 class SinusoidBasis:
@@ -56,15 +66,15 @@ class SinusoidBasis:
     Attributes
     ----------
     period : float
-        [s].
+        Of all plays together [s].
     steps : int
-        Number n of equal steps; samples are at their middles.
+        Number n of equal steps of all plays; samples are at their middles.
     twist, pose, accel : (n, h)
         Basis of one degree of freedom. Coefficients are (h, 3), columns x, y, theta [m/s, rad/s].
     span : (2 N, h)
         Coefficients of sin 1..N and cos 1..N of equation (13), from the family's.
     times : (k + 1,)
-        Knots of a finished cycle [s].
+        Knots of a finished cycle [s], which is the first play.
     knots : tuple of (k + 1, h)
         The same basis (pose, twist, accel) there.
     spline : (6 k, h)
@@ -89,14 +99,14 @@ class SinusoidBasis:
     accel: np.ndarray
     span: np.ndarray
     times: np.ndarray
-    knots: tuple[np.ndarray, np.ndarray, np.ndarray]
+    knots: Matrices
     spline: np.ndarray
     hull: np.ndarray
     free_end: bool
-    looks: tuple[np.ndarray, np.ndarray, np.ndarray]
-    settling: tuple[np.ndarray, np.ndarray, np.ndarray]
-    settling_knots: tuple[np.ndarray, np.ndarray, np.ndarray]
-    settling_looks: tuple[np.ndarray, np.ndarray, np.ndarray]
+    looks: Matrices
+    settling: Matrices
+    settling_knots: Matrices
+    settling_looks: Matrices
 
     @property
     def dt(self) -> float:
@@ -144,7 +154,7 @@ class SinusoidBasis:
         return [PlateCycle(self.times, pose, twist, accel, own) for pose, twist, accel, own in each]
 
 
-def settling(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def settling(t: np.ndarray) -> Matrices:
     """Return pose, twist and acceleration (n, 3), at times t (n,) [s], on the way to rest from a
     state of 1 m, 1 m/s or 1 m/s2."""
     edge = np.stack([np.eye(3), np.zeros((3, 3))], axis=1)
@@ -160,12 +170,13 @@ def settling(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @lru_cache(maxsize=32)
 def sinusoid_basis(
     number: int, period: float, at_rest: bool, steps: int = 0, free_end: bool = False,
-    knots_per_harmonic: int = KNOTS_PER_HARMONIC,
+    knots_per_harmonic: int = KNOTS_PER_HARMONIC, plays: int = 1,
 ) -> SinusoidBasis:  # fmt: skip
     """Return the family with `number` harmonics; at_rest tells whether it starts at rest, free_end
     whether it may then end in any state, and has a tail.
 
-    `steps` is the number of samples; 0 takes enough to find a solution.
+    `steps` is the number of samples of one play; 0 takes enough to find a solution. With `plays`
+    above 1 samples and looks are of so many plays, one after the other; at_rest is required then.
     """
     steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / LONGEST_STEP))
     knots = knots_per_harmonic * max(number, 4)
@@ -178,7 +189,7 @@ def sinusoid_basis(
         rows[1, :number] = j / number  # u'(0) = w sum j a_j
         span = np.ascontiguousarray(np.linalg.svd(rows)[2][2:].T)
 
-    def basis(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def basis(t: np.ndarray) -> Matrices:
         sin, cos = np.sin(omega * np.outer(t, j)), np.cos(omega * np.outer(t, j))
         offset = 1.0 if at_rest else 0.0
         pose = np.hstack([(offset - cos) / j, sin / j]) / omega
@@ -210,9 +221,36 @@ def sinusoid_basis(
     pieces = 1 if number <= 2 else PIECES  # at 16 knots to a wave they come out 0.1 % too high
     own = spline.reshape(knots, 6, -1)
     hull = np.vstack([control_points(times, own, order, pieces) for order in range(3)])
-    return SinusoidBasis(
+    one = SinusoidBasis(
         period, steps, twist, pose, accel, span, times, ends, spline, hull, free_end, basis(looks),
         settling(t), settling(times), settling(looks),
+    )  # fmt: skip
+    return one if plays == 1 else repeated(one, plays)
+
+
+def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
+    """Return the basis of the same motions played `plays` times, one play after the other."""
+    end, more = np.stack([knots[-1] for knots in one.knots]), plays - 1
+    inner = len(one.looks[0]) - TAIL_LOOKS * one.free_end
+
+    def again(own: Matrices, way: Matrices, inner: int) -> Matrices:
+        first, second, third = (
+            np.vstack([a[:inner], np.tile((a + b @ end)[:inner], (more, 1)), a[inner:]])
+            for a, b in zip(own, way, strict=True)
+        )
+        return first, second, third
+
+    def once(way: Matrices, inner: int) -> Matrices:
+        first, second, third = (
+            np.pad(a[:inner], ((0, more * inner + len(a) - inner), (0, 0))) for a in way
+        )
+        return first, second, third
+
+    pose, twist, accel = again((one.pose, one.twist, one.accel), one.settling, one.steps)
+    return replace(
+        one, period=plays * one.period, steps=plays * one.steps, pose=pose, twist=twist,
+        accel=accel, looks=again(one.looks, one.settling_looks, inner),
+        settling=once(one.settling, one.steps), settling_looks=once(one.settling_looks, inner),
     )  # fmt: skip
 
 

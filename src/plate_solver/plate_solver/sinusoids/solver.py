@@ -38,7 +38,7 @@ class SinusoidOptions:
     iterations : int
         Most steps from one start.
     restarts : int
-        Most further starts when the first fails.
+        Most further starts when the first fails; half as many if two plays are evaluated.
     threads : int
         Cores that `steer` may use; its answers are the same.
     seed : int

@@ -1,4 +1,14 @@
-"""Sinusoids on the cycle map: descents from the last motion and from disturbances of the best."""
+"""Sinusoids on the cycle map: descents from the last motion and from disturbances of the best.
+
+A motion with a free end is evaluated where it leaves the parts after `PLAYS` plays, each of which
+begins in the state in which the previous one ends:
+
+    minimise J(x_PLAYS) over a,    x_{k+1} = F(x_k, p_k; a),    p_{k+1} = E a,
+
+with the parts' state x_k, the plate's state p_k, and the coefficients a of `SinusoidBasis`. Only
+the first play becomes the cycle, and the next answer replaces the second. If one play is evaluated,
+the search ignores how well the plate can go on from its end, and sorting takes longer.
+"""
 
 from __future__ import annotations
 
@@ -47,6 +57,9 @@ however many cores, so that a seed gives the same motions."""
 SPREAD = 0.15
 """Size of a disturbance of the best motion so far, over that of this motion."""
 
+PLAYS = 2
+"""Plays after which a motion with a free end is evaluated. Three gain no more: docs/results.md."""
+
 AIMS, CORRECTIONS = 2, 8
 """Times that the best motion is corrected within the limits for what finer steps show, and most
 steps of each."""
@@ -62,7 +75,8 @@ class SinusoidSteering:
     iterations : int
         Most steps of a descent.
     restarts : int
-        Most further descents; `FRESH` more without a motion to begin with.
+        Most further descents; `FRESH` more without a motion to begin with. With `PLAYS` plays each
+        descent takes longer, and so many times fewer are made.
     threads : int
         Cores that they may use, at most `AT_ONCE`.
     clock : callable
@@ -119,11 +133,11 @@ class SinusoidSteering:
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
         square], or an answer by `until`, a time of the clock, allows no further one.
         """
-        grid = ROUGH if goal.lasting else EXACT
+        grid, plays = ROUGH if goal.lasting else EXACT, PLAYS if goal.free_end else 1
         key = number, period, grid, goal.free_end
 
         def family_of(most: float) -> LimitedSinusoids:
-            return limited_sinusoids(*key[:2], self._limits, most, *key[2:], goal.plate)
+            return limited_sinusoids(*key[:2], self._limits, most, *key[2:], goal.plate, plays)
 
         family = family_of(BEYOND)
         if key not in self._motions:
@@ -144,12 +158,12 @@ class SinusoidSteering:
             return descend(problem, start, tolerance, self._iterations)
 
         begin = family.random(rng) if known is None else family.nearest(known)
-        enough, most = good_enough**2 * goal.asked, self._restarts + fresh
+        enough, most = good_enough**2 * goal.asked, -(-self._restarts // plays) + fresh
         best, iterations = self._search(improved, start, begin, most, enough, until)
         began = self._clock()
         last = self._within(goal, motions, best.parameters, tolerance)
         strict = family_of(1.0)
-        fine = limited_sinusoids(*key[:2], self._limits, 1.0, FINE, *key[3:], goal.plate)
+        fine = limited_sinusoids(*key[:2], self._limits, 1.0, FINE, *key[3:], goal.plate, plays)
         for _ in range(AIMS):
             own = last.parameters
             off = goal.end(*fine.samples(own)) - goal.end(*strict.samples(own))
@@ -205,11 +219,12 @@ class SinusoidSteering:
 
 def limited_sinusoids(
     number: int, period: float, limits: Limits, most: float, grid: Grid = EXACT,
-    free_end: bool = False, plate: np.ndarray | None = None,
+    free_end: bool = False, plate: np.ndarray | None = None, plays: int = 1,
 ) -> LimitedSinusoids:  # fmt: skip
     """Return the family that starts in a state of the plate (3, 3), at rest if left out, and ends
-    at rest or, with `free_end`, in any state; grid is `EXACT` or `ROUGH`."""
+    at rest or, with `free_end`, in any state; grid is `EXACT` or `ROUGH`. Samples are of `plays`
+    plays."""
     longest, least, knots = grid
     count = max(least * max(number, 4), round(period / longest))
-    basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end, knots)
+    basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end, knots, plays)
     return LimitedSinusoids(basis, limits, most, plate)
