@@ -25,7 +25,7 @@ from plate_solver import (
     RotationSolver,
     SinusoidSolver,
 )
-from plate_solver.sinusoids import limited_sinusoids
+from plate_solver.sinusoids import Motions, Problem, descend, limited_sinusoids
 from stages.scenes import scatter
 
 SEED = 50_000
@@ -165,7 +165,9 @@ class Peer:
 
     def __init__(self, rig: Rig, parts: int, own: bool, restarts: int) -> None:
         number, period = HARMONICS[parts], period_of(parts)
-        self._family = limited_sinusoids(number, period, Limits.of(rig), 1.0)
+        limits = Limits.of(rig)
+        self._family = limited_sinusoids(number, period, limits, 1.0)
+        self._motions = Motions.of(self._family.basis, limits)
         self._own, self._restarts = own, restarts
 
     def answer(self, goal: Goal) -> PlateCycle:
@@ -189,12 +191,16 @@ class Peer:
     def _errors(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
         """Return missed displacements, and in one row by how much limits are exceeded [m]."""
         error, _ = goal.error(goal.end(*self._family.samples(theta)))
-        excess = np.linalg.norm(self._family.penalty(theta))
-        return np.append(error, excess)
+        return np.append(error, np.linalg.norm(self._excess(goal, theta)[0]))
 
     def _slopes(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
         slopes = goal.end_slopes(*self._family.samples(theta))
         rows = -self._family.pull_back(theta, *slopes)
-        excess = self._family.penalty(theta)
+        excess, slopes_of_excess = self._excess(goal, theta)
         unit = excess / max(float(np.linalg.norm(excess)), 1e-300)
-        return np.vstack([rows, -unit @ self._family.penalty_slopes(theta)])
+        return np.vstack([rows, -unit @ slopes_of_excess])
+
+    def _excess(self, goal: Goal, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much limits are exceeded (K,) [m], and minus the derivatives (K, P)."""
+        found = descend(Problem.of(goal, self._motions, np.inf), theta, 0.0, 0)
+        return found.error[goal.rows :], found.jacobian[goal.rows :]

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, Rig, load_rig
+from plate_solver import Goal, Limits
+from plate_solver.sinusoids import Motions, Problem, SinusoidFamily, descend
 
 
 @pytest.fixture(scope="session")
@@ -44,6 +46,21 @@ def sinusoid_cycle():
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def excess_of():
+    """Function (family, limits, theta) to what `descend` adds to the errors of the ends, where
+    limits are exceeded: (K,) [m], and minus its derivatives (K, P)."""
+    still = np.zeros((1, 2))
+    goal = Goal(still, still, still, still, np.ones(1))
+
+    def find(family: SinusoidFamily, limits: Limits, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        problem = Problem.of(goal, Motions.of(family.basis, limits), np.inf)
+        found = descend(problem, theta, 0.0, 0)
+        return found.error[goal.rows :], found.jacobian[goal.rows :]
+
+    return find
 
 
 @pytest.fixture

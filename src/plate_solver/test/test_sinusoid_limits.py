@@ -20,28 +20,30 @@ def family(limits, most=1.3, period=0.1):
 
 
 @pytest.mark.parametrize("period", [0.1, 0.4])
-def test_slopes_are_derivatives_of_the_excess(limits, period):
+def test_slopes_are_derivatives_of_the_excess(limits, period, excess_of):
     # 0.1 s presses on the acceleration, 0.4 s on the stroke.
     limited = family(limits, period=period)
     rng = np.random.default_rng(0)
     for _ in range(5):
         theta = 1.2 * limited.random(rng)
-        slopes = limited.penalty_slopes(theta)
+        _, slopes = excess_of(limited, limits, theta)
         way = rng.normal(size=theta.size)
         step = 1e-7 * np.linalg.norm(theta) / np.linalg.norm(way)
-        ahead, behind = (limited.penalty(theta + sign * step * way) for sign in (1, -1))
+        ahead, behind = (
+            excess_of(limited, limits, theta + sign * step * way)[0] for sign in (1, -1)
+        )
         assert len(ahead) == len(behind) == len(slopes) > 0
         difference = (behind - ahead) / (2 * step)
         np.testing.assert_allclose(slopes @ way, difference, rtol=1e-5, atol=1e-6 * EXCESS_M)
 
 
-def test_excess_begins_at_the_aim(limits):
+def test_excess_begins_at_the_aim(limits, excess_of):
     limited = family(limits)
     theta = limited.random(np.random.default_rng(1))
     used = limited.use(theta)
-    assert len(limited.penalty((AIM - 1e-3) / used * theta)) == 0
+    assert len(excess_of(limited, limits, (AIM - 1e-3) / used * theta)[0]) == 0
     # Instants looked at are not all samples: their peak is a little lower.
-    assert len(limited.penalty((AIM + 0.1) / used * theta)) > 0
+    assert len(excess_of(limited, limits, (AIM + 0.1) / used * theta)[0]) > 0
 
 
 @pytest.mark.parametrize("most", [1.0, 1.3])

@@ -33,7 +33,6 @@ STATE = blocks_of(*POINTS, np.ones(PARTS), 1e-3)
 TURNING = turning_blocks_of(*POINTS, np.ones(PARTS), 1e-3, *SPINS)
 TRACED = single(STEPS, 1, TRACE), MOTION[1], 1e-3, 0.1
 TRACED_TURNING = single(STEPS, 1, TURNING_TRACE), *TRACED[1:]
-LOOKS = random(5, 4), random(5, 4), random(5, 4)
 ENDS = Ends(*random(5, 2 * PARTS), np.array([[0, 1], [1, 2]]), random(2), PARTS)
 SETTLING = (
     *(random(256, 3) for _ in range(2)),
@@ -52,8 +51,6 @@ CALLS = {
     "adjoint_turning": (*TRACED_TURNING, single(BINS, 1, 3, 3 * LANES)),
     "end_errors": (random(2 * PARTS), ENDS),
     "request_flags": (*POINTS, random(PARTS, 2), random(PARTS), random(PARTS, 2)),
-    "excess": (random(4, 3), *LOOKS, LIMITS),
-    "force_excess": (random(4, 3), *LOOKS, LIMITS),
     "settling_of": SETTLING,
     "descend": (
         MOTIONS,

@@ -26,7 +26,7 @@ static MatrixOf<Number> transposed(const Table& array) {
 }
 
 // Of bases (n, h) at the instants looked at, of which the last ones, in a tail, heat nothing.
-static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, int tail = 0) {
+static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, int tail) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});
     check("accel", accel, {pose.shape(0), pose.shape(1)});
     if (tail < 0 || static_cast<size_t>(tail) >= pose.shape(0))
@@ -36,22 +36,6 @@ static Looks looks_of(const Table& pose, const Table& twist, const Table& accel,
     std::fill(weight.end() - tail, weight.end(), 0.0);
     return {transposed(pose), transposed(twist), transposed(accel), matrix_of(pose),
             matrix_of(twist), matrix_of(accel),  std::move(weight), heated};
-}
-
-// Values (K,) and slopes (K, h, 3) of what `add` finds of a motion (h, 3).
-template <class Add>
-static nb::tuple found_by(const Table& coefficients, const Looks& basis, int most, Add add) {
-    const size_t size = basis.size();
-    check("coefficients", coefficients, {size, 3});
-    static thread_local Looked at;
-    static thread_local Excess found;
-    look(coefficients.data(), basis, at);
-    found.begin(most, 3 * size);
-    add(at, found);
-    const size_t rows = found.found;
-    const double *value = found.value.data(), *slope = found.slope[0];
-    return nb::make_tuple(to_numpy<1>({value, value + rows}, {rows}),
-                          to_numpy<3>({slope, slope + rows * 3 * size}, {rows, size, 3}));
 }
 
 static Motions motions_of(Table pose, Table twist, Table twist_bins, Table look_pose,
@@ -108,23 +92,6 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
 
 void bind_sinusoids(nb::module_& m) {
     m.attr("EXCESS_M") = EXCESS_M, m.attr("AIM") = AIM;
-    m.def("excess", [](Table own, Table pose, Table twist, Table accel, nb::tuple record) {
-        const Looks basis = looks_of(pose, twist, accel);
-        const Limits limits = limits_of(record);
-        const int most = most_excesses(basis.count());
-        return found_by(own, basis, most, [&](const Looked& at, Excess& found) {
-            Matrix used;
-            excess(at, basis, limits, used, found);
-        });
-    });
-    m.def("force_excess", [](Table own, Table pose, Table twist, Table accel, nb::tuple record) {
-        const Looks basis = looks_of(pose, twist, accel);
-        const Limits limits = limits_of(record);
-        const int most = most_force_excesses(basis.count());
-        return found_by(own, basis, most, [&](const Looked& at, Excess& found) {
-            force_excess(at, basis, limits, found);
-        });
-    });
     nb::class_<Motions>(m, "Motions");
     nb::class_<descent::Settling>(m, "Settling");
     m.def("motions_of", motions_of);
