@@ -15,7 +15,7 @@ from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import Parts, PlateCycle, PlateError, Wanted, load_rig
+from plate_core import PlateCycle, PlateError, Wanted, load_rig
 from plate_core.motion import is_rest
 from plate_core.rig import doubts
 from plate_core.ros import (
@@ -132,7 +132,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         effort: dict[str, Any] = {"restarts": options.restarts} if options.restarts else {}
         threads = options.threads or len(os.sched_getaffinity(0))
         self._controller = Controller(rig, options.method, options.seed, threads=threads, **effort)
-        warm_up(self._controller, rig.plate.half)
+        self._controller.warm_up()
         self._cycles = self.managed_publisher(JointTrajectory, "plate_cycle", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self.managed_subscription(PartForces, "part_forces", self._on_forces, NEWEST)
@@ -284,23 +284,6 @@ class SolverNode(SafeLifecycleNode[Options]):
 
     def _begin_report(self) -> None:
         self._tally = Tally()
-
-
-def warm_up(controller: Controller, half: np.ndarray) -> None:
-    """Answer once: tables and libraries are there when the first request comes."""
-    chosen = controller.method
-    turned = Wanted.make(Parts.make(("part_0",), np.zeros((1, 2))), torque=np.array([1e-6]))
-    for controller.method in ("rotations", "sinusoids"):
-        controller.answer(turned, PlateCycle.rest(IDLE_PERIOD))
-    for count in (2, 4, 6):
-        angle = 2 * np.pi * np.arange(count) / count
-        place = 0.5 * half * np.column_stack([np.cos(angle), np.sin(angle)])
-        parts = Parts.make(tuple(f"part_{i}" for i in range(count)), place)
-        pushed = Wanted.make(parts, 1e-4 * np.ones((count, 2)))
-        for controller.method in ("rotations", "sinusoids"):
-            controller.answer(pushed, PlateCycle.rest(IDLE_PERIOD))
-    controller.method = chosen
-    controller.reset()
 
 
 def main() -> None:

@@ -1,0 +1,147 @@
+"""The predicted state of parts and plate at the start of the requested cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from plate_core import PlateCycle, Rig, Targets, Wanted, part_class
+from plate_core.motion import is_rest
+from plate_core.rig import PartType
+
+from .cycle_map import after, end_turning, finely_sampled, room_spread
+from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Predicted velocities of parts at the start of the running cycle, by id; a part without an
+    entry is at rest.
+
+    A camera that fires once per cycle shows places, but not how fast parts swing at that instant.
+
+    Attributes
+    ----------
+    velocity : mapping of str to (2,)
+        [m/s, plate_home].
+    spin : mapping of str to float
+        [rad/s].
+    """
+
+    velocity: Mapping[str, np.ndarray] = field(default_factory=dict)
+    spin: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StartState:
+    """State of M parts and of the plate when the requested cycle begins.
+
+    Attributes
+    ----------
+    ids : tuple of str
+    position, velocity : (M, 2)
+        [m], [m/s], plate_home.
+    friction_accel : (M,)
+        mu g of each part [m/s2].
+    turn : (M,)
+        Rotation since the start of the running cycle [rad].
+    spin : (M,) or None
+        [rad/s]; None where no rotation is requested, and parts are modelled as points.
+    plate : (3, 3) or None
+        As `PlateCycle.state`; None: at rest at home.
+    """
+
+    ids: tuple[str, ...]
+    position: np.ndarray
+    velocity: np.ndarray
+    friction_accel: np.ndarray
+    turn: np.ndarray
+    spin: np.ndarray | None
+    plate: np.ndarray | None
+
+    @property
+    def memory(self) -> Memory:
+        """What the next prediction needs, once this cycle runs."""
+        spin = {} if self.spin is None else dict(zip(self.ids, self.spin.tolist(), strict=True))
+        return Memory(dict(zip(self.ids, self.velocity, strict=True)), spin)
+
+
+def predict_start(
+    rig: Rig, wanted: Wanted, memory: Memory, running: PlateCycle | None, from_rest: bool
+) -> StartState:
+    """Predict the state when the requested cycle begins.
+
+    The parts' stick-slip motion is integrated over the running cycle, from where the image shows
+    them and with the velocities of `memory`. Where the request has predictions of its own
+    (`Wanted.start`), these count.
+
+    Parameters
+    ----------
+    rig : Rig
+    wanted : Wanted
+        The request, for M parts.
+    memory : Memory
+        Of the last prediction.
+    running : PlateCycle, optional
+        The cycle that runs now; None if the plate is at rest.
+    from_rest : bool
+        Whether the method's cycles begin at rest: then the state is that after the tail of a plate
+        in motion.
+    """
+    parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
+    friction, turn = friction_accel(rig, wanted), np.zeros(len(parts))
+    velocity = np.array([memory.velocity.get(name, np.zeros(2)) for name in parts.ids])
+    spin = np.array([memory.spin.get(name, 0.0) for name in parts.ids])
+    rotates = rotation_weight(wanted, types) is not None
+    position = parts.position
+    if running is None:
+        velocity = np.zeros_like(velocity)
+    elif rotates:
+        spread = contact_spread(types, parts.angle)
+        position, velocity, turn, spin = end_turning(
+            position, velocity, spin, spread, *finely_sampled(running), friction
+        )
+    elif wanted.start is None:
+        position, velocity = after(running, position, velocity, friction)
+    if wanted.start is not None:
+        position, velocity = wanted.start.reshape(-1, 2, 2).transpose(1, 0, 2)
+    plate = wanted.plate
+    if plate is not None and from_rest:
+        if not is_rest(plate):
+            tail = PlateCycle.stopping(plate, TAIL_S, TAIL_PERIOD_S)
+            position, velocity = after(tail, position, velocity, friction)
+        plate = None
+    return StartState(
+        parts.ids, position, velocity, friction, turn, spin if rotates else None, plate
+    )
+
+
+def part_types(rig: Rig, ids: tuple[str, ...]) -> list[PartType]:
+    """Return the type of each part."""
+    return [rig.part_type(part_class(name)) for name in ids]
+
+
+def friction_accel(rig: Rig, wanted: Wanted) -> np.ndarray:
+    """Return mu g (M,) [m/s2] of the parts: friction limit by mass, where that limit is known."""
+    types = part_types(rig, wanted.parts.ids)
+    known = wanted.parts.friction_limit / np.array([t.mass_kg for t in types])
+    own = np.array([t.mu for t in types]) * rig.friction.gravity
+    return np.where(known > 0, known, own)
+
+
+def contact_spread(types: list[PartType], angle: np.ndarray) -> np.ndarray:
+    """Return second moments (M, 3) [m2] of the parts' contacts at angles (M,) [rad]."""
+    return room_spread(np.array([t.spread_m2 for t in types]), angle)
+
+
+def rotation_weight(wanted: Wanted, types: list[PartType]) -> np.ndarray | None:
+    """Return the error that counts as much as a radian to go (M,) [m], 0 where any rotation will
+    do; None if no rotation is requested."""
+    request = wanted.request
+    if isinstance(request, Targets):
+        return None if request.angles is None else request.angles.weight
+    if not np.any(request.torque):
+        return None
+    return np.where(request.torque != 0, [t.reach_m for t in types], 0.0)

@@ -1,0 +1,224 @@
+"""Requests become goals, by values computed by hand; and the four steps depend on nothing but their
+arguments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted
+from plate_sim import simulate
+from plate_solver.controller import leaves_plate, search
+from plate_solver.goal.conversion import form_goal
+from plate_solver.sinusoids.solver import SinusoidCycles
+from plate_solver.start import Memory, predict_start
+
+MASS_KG, RADIUS_M = 0.01, 0.02
+IDS = ("black_1", "grey_1")
+PLACE = np.array([[0.004, 0.0], [-0.1, 0.05]])
+
+
+@pytest.fixture
+def heavy(rig):
+    """A rig whose parts are discs of 10 g and 20 mm radius."""
+    return replace(rig, parts=replace(rig.parts, mass_kg=MASS_KG, radius_m=RADIUS_M), types={})
+
+
+def goal_of(rig, wanted, period=0.2, **state):
+    """The goal of a request at a plate at rest, with a part of the start state replaced."""
+    start = replace(predict_start(rig, wanted, Memory(), None, False), **state)
+    return form_goal(rig, wanted, start, period, 0.03, True)
+
+
+def moving(places=PLACE, **what):
+    """Parts that drift along x by 10 mm/s and spin by 2 rad/s."""
+    drift = np.tile([0.01, 0.0], (len(places), 1))
+    return Parts.make(IDS[: len(places)], places, drift, spin=np.full(len(places), 2.0), **what)
+
+
+def test_a_force_becomes_an_interval_of_displacements(heavy):
+    """d = (v + F T/m) P = (10 mm/s + 2 mN 0.1 s/10 g) 0.2 s = 6 mm, within 0.1 mN T P/m = 0.2 mm.
+
+    The cycle whose drift the force changes need not be as long as the next.
+    """
+    force = np.array([[2e-3, -1e-3], [0.0, 0.0]])
+    goal = goal_of(heavy, Wanted.make(moving(), force, np.full((2, 2), 1e-4), period=0.1))
+    assert goal.displacement == pytest.approx(np.array([[6e-3, -2e-3], [2e-3, 0.0]]))
+    assert goal.tolerance == pytest.approx(np.full((2, 2), 0.2e-3))
+    assert (goal.lasting, goal.weight, goal.coast, goal.free_end) == (False, 1.0, 0.0, False)
+    assert goal.turns is None
+
+
+def test_a_torque_becomes_a_rotation(heavy):
+    """turn = (w + N T/J) P with J = m r^2/2 = 2e-6 kg m2 of a disc: (2 + 4e-5 0.1/2e-6) 0.2 = 0.8.
+
+    A torque of 0 requests nothing: its weight is 0, the other's is the part's radius.
+    """
+    goal = goal_of(heavy, Wanted.make(moving(), torque=np.array([4e-5, 0.0]), period=0.1))
+    assert goal.turns.low[0] == goal.turns.high[0] == pytest.approx(0.8, rel=1e-3)
+    assert goal.turns.weight == pytest.approx([RADIUS_M, 0.0], rel=1e-3)
+
+
+def test_forces_that_lead_off_the_plate_are_cut_at_the_edge(heavy):
+    half = heavy.plate.half
+    place = np.array([half - RADIUS_M - [0.001, 0.1]])
+    goal = goal_of(heavy, Wanted.make(moving(place), np.full((1, 2), 1.0), period=0.1))
+    assert goal.displacement[0] == pytest.approx([0.001, 0.1])
+    assert np.all(goal.tolerance == 0)
+
+
+def test_a_target_becomes_an_interval_of_displacements(heavy):
+    """From the predicted place: 10 to 20 mm less 4 mm is 11 mm within 5 mm."""
+    low, high = np.array([[0.01, 0.0], [-0.1, 0.05]]), np.array([[0.02, 0.0], [-0.1, 0.07]])
+    weight = np.array([[0.5, 0.0], [0.1, 2.0]])
+    goal = goal_of(heavy, Wanted.make(moving(), targets=Targets(low, high, weight, 0.003)))
+    assert goal.displacement == pytest.approx(np.array([[0.011, 0.0], [0.0, 0.01]]))
+    assert goal.tolerance == pytest.approx(np.array([[0.005, 0.0], [0.0, 0.01]]))
+    assert np.array_equal(goal.weight, weight)
+    assert (goal.lasting, goal.coast, goal.free_end) == (True, 0.03, True)
+    clear = 2 * RADIUS_M + 0.003
+    assert goal.clear == pytest.approx(np.full((2, 2), clear))
+    assert goal.turns is None
+
+
+def test_a_target_angle_becomes_a_rotation_from_the_predicted_angle(heavy):
+    """0.3 to 0.5 rad, from 0.1 rad and 0.05 rad of rotation until the start: 0.15 to 0.35."""
+    free = np.zeros((1, 2))
+    angles = AngleTargets(np.array([0.3]), np.array([0.5]), np.array([0.02]))
+    wanted = Wanted.make(
+        moving(PLACE[:1], angle=np.array([0.1])), targets=Targets(free, free, free, 0.0, angles)
+    )
+    goal = goal_of(heavy, wanted, turn=np.array([0.05]))
+    assert (goal.turns.low[0], goal.turns.high[0]) == pytest.approx((0.15, 0.35))
+    assert goal.turns.weight[0] == 0.02
+
+
+def test_forces_beside_targets_are_information(heavy):
+    zone = Targets(PLACE, PLACE + 0.01, np.ones((2, 2)), 0.003)
+    bare = goal_of(heavy, Wanted.make(moving(), targets=zone))
+    shown = Wanted.make(moving(), np.full((2, 2), 1e-3), None, np.full(2, 1e-6), targets=zone)
+    told = goal_of(heavy, shown)
+    assert np.array_equal(told.displacement, bare.displacement)
+    assert np.array_equal(told.tolerance, bare.tolerance)
+    assert told.turns is None
+
+
+def zone(**changed):
+    """Targets, one field of which is wrong."""
+    fields = {"low": PLACE, "high": PLACE + 0.01, "weight": np.ones((2, 2))}
+    return Targets(**fields | changed)
+
+
+def spoilt(name, row, value):
+    """A field of `zone` with one wrong value."""
+    array = np.array(getattr(zone(), name))
+    array[row] = value
+    return Wanted.make(moving(), targets=zone(**{name: array}))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        (Wanted.make(moving(), period=0.0), "period of forces is 0, allowed: above 0"),
+        (Wanted.make(moving(), [[0, 0], [0, np.nan]]), r"force of grey_1 is nan, allowed: -1e\+09"),
+        (
+            Wanted.make(moving(), None, [[0, -0.5], [0, 0]]),
+            "tolerance of black_1 is -0.5, allowed: 0 to inf",
+        ),
+        (Wanted.make(moving(), torque=[0, np.inf]), "torque of grey_1 is inf, allowed: -1e"),
+        (spoilt("low", (1, 0), np.nan), "low end of the target of grey_1 is nan, allowed: -1e"),
+        (spoilt("high", (0, 1), -0.5), "width of the target of black_1 is -0.5, allowed: 0 to"),
+        (
+            spoilt("weight", (0, 1), 2e9),
+            r"weight of the target of black_1 is 2e\+09, all",
+        ),
+        (
+            Wanted.make(moving(), targets=zone(gap_m=-0.1)),
+            "gap_m of targets is -0.1, allowed: 0",
+        ),
+    ],
+)
+def test_a_wrong_request_is_refused_by_name_value_and_range(heavy, wanted, message):
+    with pytest.raises(PlateError, match=message):
+        goal_of(heavy, wanted)
+
+
+def swing(period=0.1):
+    """A cycle that swings along x and rotates."""
+    angle = 2 * np.pi * np.arange(64) / 64
+    return PlateCycle.from_samples(period, np.outer(1 - np.cos(angle), [4e-3, 1e-3, 0.02]))
+
+
+def test_the_state_at_the_start_is_that_of_an_independent_simulation(rig):
+    """From the places of the image and the velocities of the memory, over the running cycle."""
+    velocity = np.array([[0.02, 0.0], [0.0, -0.03]])
+    memory = Memory(dict(zip(IDS, velocity, strict=True)))
+    start = predict_start(rig, Wanted.make(Parts.make(IDS, PLACE)), memory, swing(), False)
+    run = simulate(swing(), PLACE, velocity, rig.friction.mu, rig.friction.gravity)
+    np.testing.assert_allclose(start.position, run.position[-1], atol=1e-4)
+    np.testing.assert_allclose(start.velocity, run.velocity[-1], atol=5e-3)
+    assert start.spin is None
+    assert np.array_equal(start.memory.velocity["grey_1"], start.velocity[1])
+
+
+def test_predictions_of_the_request_count_before_our_own(rig):
+    state = np.array([[0.1, 0.02, 0.0, 0.01], [-0.1, 0.0, 0.03, 0.0]])
+    wanted = Wanted.make(Parts.make(IDS, PLACE), start=state)
+    start = predict_start(rig, wanted, Memory(), swing(), False)
+    assert np.array_equal(np.hstack([start.position, start.velocity]), state)
+
+
+def test_a_method_that_begins_at_rest_begins_after_the_tail(rig):
+    state = np.hstack([PLACE, np.zeros((2, 2))])
+    plate = swing().state(19)
+    wanted = Wanted.make(Parts.make(IDS, PLACE), start=state, plate=plate)
+    going, resting = (predict_start(rig, wanted, Memory(), swing(), rest) for rest in (False, True))
+    assert np.array_equal(going.plate, plate)
+    assert np.array_equal(going.position, PLACE)
+    assert resting.plate is None
+    assert np.all(np.abs(resting.position - PLACE).max(axis=1) > 1e-4), "the tail moves them"
+
+
+def test_each_step_gives_the_same_for_the_same_input_and_leaves_the_input_alone(rig):
+    """Predict, form the goal, search (from solvers in the same state), check."""
+    torque, force = np.array([1e-6, 0.0]), np.full((2, 2), 1e-3)
+    wanted = Wanted.make(Parts.make(IDS, PLACE), force, torque=torque)
+    memory = Memory({IDS[0]: np.array([0.02, 0.0])}, {IDS[1]: 1.0})
+    ends = []
+    for _ in range(2):
+        start = predict_start(rig, wanted, memory, swing(), False)
+        goal = form_goal(rig, wanted, start, 0.1, 0.0, False)
+        found = search(SinusoidCycles(rig, seed=1), goal, 1.0, 0.1, 0.15, np.inf)
+        assert not leaves_plate(rig, IDS, goal, found.predicted)
+        ends.append(
+            [start.position, start.spin, goal.displacement, goal.turns.low, found.predicted]
+        )
+    for first, second in zip(*ends, strict=True):
+        assert np.array_equal(first, second)
+    assert np.array_equal(wanted.parts.position, PLACE)
+    assert np.array_equal(wanted.forces.force, np.full((2, 2), 1e-3))
+    assert list(memory.velocity) == [IDS[0]]
+    assert np.array_equal(memory.velocity[IDS[0]], [0.02, 0.0])
+    assert memory.spin == {IDS[1]: 1.0}
+
+
+@pytest.mark.parametrize(
+    ("at", "to", "end", "leaves"),
+    [
+        (0.10, 0.15, 0.15, False),  # stays
+        (0.10, 0.15, 0.30, True),  # is carried over the edge
+        (0.10, 0.40, 0.30, False),  # is to leave there
+        (0.10, 0.40, -0.30, True),  # is to leave, but at the other side
+        (0.30, 0.10, 0.298, False),  # comes in from the edge
+    ],
+)
+def test_a_part_leaves_the_plate_only_where_its_goal_lies(rig, at, to, end, leaves):
+    """Along x, of a plate that is 0.3 m long to either side."""
+    assert rig.plate.half[0] == 0.3
+    place, target = np.array([[at, 0.0]]), np.array([[to, 0.0]])
+    wanted = Wanted.make(
+        Parts.make(IDS[:1], place), targets=Targets(target, target, np.ones((1, 2)))
+    )
+    start = predict_start(rig, wanted, Memory(), None, False)
+    goal = form_goal(rig, wanted, start, 0.1, 0.0, False)
+    assert leaves_plate(rig, IDS[:1], goal, np.array([end, 0.0])) is leaves
