@@ -65,7 +65,7 @@ EFFORT: dict[str, dict[str, Any]] = {
     "sinusoids": {"iterations": 16, "restarts": 40},
 }
 """Most iterations from one start and most further starts: what suits a loop. More take longer, and
-buy little: see docs/results.md."""
+buy little: see docs/results.md. Motions with a free end have half of the starts (`steer.PLAYS`)."""
 
 
 @dataclass(frozen=True)
