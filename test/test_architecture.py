@@ -222,3 +222,15 @@ def test_others_import_only_public_names():
         and not is_public(name)
     ]
     assert not offenders, "not in `__all__`:\n" + "\n".join(offenders)
+
+
+def test_guards_do_not_trust_the_timeline():
+    """What stops the motors must not depend on the rule by which others predict cycles."""
+    rule = {"Timeline", "in_time", "next_cycle", "timeline"}
+    offenders = [
+        f"{label(path)}: {name}"
+        for path in sources("plate_driver")
+        for name in sorted(imports(path))
+        if name.startswith("plate_core.motion.") and rule & set(name.split("."))
+    ]
+    assert not offenders, "\n".join(offenders)

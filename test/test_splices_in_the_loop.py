@@ -13,14 +13,14 @@ import pytest
 
 from plate_bringup.loop import Setup, run
 from plate_core import CycleError, Parts, PlateCycle, load_rig
+from plate_core.motion import Timeline
 from plate_core.tasks import load_scenario
 from plate_planner import Planner, PlannerOptions
 from plate_sim import Simulation
-from plate_sim.plate import Playback, check_table, next_playback
+from plate_sim.plate import check_table
 from plate_solver import Controller
 
 RIG = load_rig()
-IDLE_S, HOLD_CYCLES = 0.1, 2
 CYCLES = 400
 """Cycles after which a run is given up."""
 
@@ -45,7 +45,6 @@ class Line:
     """The loop, step by step: a step is a cycle of the plate."""
 
     seed: int = 0
-    now: float = 0.0
     played: list[PlateCycle] = field(default_factory=list)
 
     def __post_init__(self):
@@ -56,14 +55,18 @@ class Line:
         self.state = self.planner.start(self.planner.initial())
         self.controller = Controller(RIG, "B", self.seed, restarts=5)
         self.simulation = Simulation(RIG, scenario, self.seed)
-        self.playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
-        self.newest, self.on_its_way, self.told = None, None, []
+        self.timeline = Timeline.at_rest()
+        self.on_its_way, self.told = None, []
         self.rng = np.random.default_rng(self.seed)
         self.progress = None
 
     @property
     def running(self):
-        return self.playback.cycle
+        return self.timeline.cycle
+
+    @property
+    def now(self):
+        return self.timeline.begin
 
     def report(self, again=False):
         self.told.append((self.running, self.now))
@@ -76,8 +79,7 @@ class Line:
             check_table(RIG, cycle, self.running)
         except CycleError:
             return
-        if self.newest is None or cycle.follows(self.running):
-            self.newest = cycle
+        self.timeline = self.timeline.send(cycle)
 
     def step(self, faults=Faults()):
         drawn = {name: self.rng.random() < share for name, share in vars(faults).items()}
@@ -93,9 +95,7 @@ class Line:
             self.report()
         self.simulation.run(self.running)
         self.played.append(self.running)
-        self.now += self.running.period
-        self.playback = next_playback(self.playback, self.newest, HOLD_CYCLES, IDLE_S)
-        self.newest = None
+        self.timeline = self.timeline.next()
         assert self.running.follows(self.played[-1])  # the plate never jumps
 
     def answer(self, drawn):
@@ -198,7 +198,7 @@ def test_clocks_that_are_set_cost_a_tail_and_a_rest(put):
     line = Line(seed=4)
     while sum(moving(line.played)) < 4:
         line.step()
-    line.now += put
+    line.timeline = replace(line.timeline, begin=line.now + put)
     begin = len(line.played)
     for _ in range(8):
         line.step()

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from record.limits import corner_accels, motor_forces
 
-from plate_bringup.loop import HOLD_CYCLES, IDLE_PERIOD, Moment, Setup, run
+from plate_bringup.loop import Moment, Setup, run
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
-from plate_core.motion import plate_state
+from plate_core.motion import HOLD_CYCLES, IDLE_S, plate_state
 from plate_core.serial_protocol import State
 from plate_driver.setpoints import MotorTable
 from plate_driver.transports import Condition, Order, SerialTransport
@@ -144,7 +144,7 @@ class SerialLine:
         device = self.emulator.device
         table = self.transport.sent.get(device.playing)
         if table is None or device.play is None:
-            return PlateCycle.rest(IDLE_PERIOD)
+            return PlateCycle.rest(IDLE_S)
         tail, (_, _, into) = table.cycle.tail, device.play
         return table.cycle if tail is None or into < device.table()[2] else tail
 

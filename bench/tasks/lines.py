@@ -9,6 +9,7 @@ import numpy as np
 from harness import Cache, Result, Table, by_case
 from harness.serial import POLL_TICKS, Operator, Port
 from plate_core import CycleError, load_rig
+from plate_core.motion import HOLD_CYCLES
 from plate_core.serial_protocol import State
 from plate_driver.transports import Condition, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
@@ -18,7 +19,7 @@ BAUDS = (57_600, 115_200, 230_400, 460_800, 921_600)
 LOST = (0.0, 0.01, 0.03, 0.05)
 DELAYS_S = (0.0, 0.02, 0.1)
 
-PIECES, HOLD_CYCLES = 64, 2
+PIECES = 64
 PLAY_S = 60.0
 """Time for which cycles come, one in each period [s]."""
 

@@ -221,7 +221,7 @@ class Judge:
             self.node._watch()
         elif self.verdict.node == "simulator":
             self.node._begin_cycle()
-            self._look(self.node._playback.cycle)
+            self._look(self.node._timeline.cycle)
 
     def _look(self, cycle: PlateCycle) -> None:
         share = float(np.max(limit_shares(self.rig, cycle)))

@@ -29,6 +29,7 @@ from plate_core import (
     load_rig,
 )
 from plate_core.files import check_file
+from plate_core.motion import Timeline
 from plate_core.rig import MAX_HEIGHT_M
 from plate_core.tasks import (
     AssembleTask,
@@ -61,7 +62,7 @@ from plate_planner.tasks import (
     Sorter,
 )
 from plate_sim.camera import NOISE
-from plate_sim.plate import PlateMotion, Playback, next_playback
+from plate_sim.plate import PlateMotion
 from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Simulation, WorldState
 from plate_solver import METHODS, Answer, Controller
 from plate_vision import Prediction, Tracker, make_vision, observe
@@ -70,7 +71,7 @@ from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
 from .views import view_from, with_height
 
 __all__ = [
-    "ALIKE", "HOLD_CYCLES", "IDLE_PERIOD", "Cell", "Direct", "Moment", "Setup",
+    "ALIKE", "Cell", "Direct", "Moment", "Setup",
     "Transport", "as_asked", "load_planner", "predicted", "run", "seen_by", "summary",
     "with_settings",
 ]  # fmt: skip
@@ -103,10 +104,6 @@ NUMBERS = {
     "rig_height_m": (0.0, MAX_HEIGHT_M),
 }  # fmt: skip
 """Settings of `Setup` itself that are numbers, and what is allowed."""
-
-HOLD_CYCLES, IDLE_PERIOD = 2, 0.1
-"""Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
-node's."""
 
 
 @dataclass(frozen=True)
@@ -292,14 +289,15 @@ class Transport(Protocol):
 
     Attributes
     ----------
-    began : float
-        When the cycle that is played began [s].
     now : float
         Time [s].
     """
 
-    began: float
     now: float
+
+    @property
+    def began(self) -> float:
+        """When the cycle that is played began [s]."""
 
     @property
     def running(self) -> PlateCycle:
@@ -376,29 +374,32 @@ class Direct:
     """The simulator's own transport: what is sent during a cycle is played after it."""
 
     def __init__(self) -> None:
-        self.now = self.began = 0.0
-        self._playback = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True)
-        self._newest: PlateCycle | None = None
+        self.now = 0.0
+        self._timeline = Timeline.at_rest()
 
     @property
     def running(self) -> PlateCycle:
         """The cycle that is being played."""
-        return self._playback.cycle
+        return self._timeline.cycle
+
+    @property
+    def began(self) -> float:
+        """When it began [s]."""
+        return self._timeline.begin
 
     def send(self, table: MotorTable) -> None:
         """Take what is played next."""
-        self._newest = table.cycle
+        self._timeline = self._timeline.send(table.cycle)
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
         """Let the cycle that is being played pass, up to its end or `until` [s]."""
-        played, end = self._playback.cycle, self.began + self._playback.cycle.period
+        played, began, end = self.running, self.began, self._timeline.end
         until = until if until < end - MOMENT_S else end
-        begin, stop = self.now - self.began, min(until - self.began, played.period)
+        begin, stop = self.now - began, min(until - began, played.period)
         whole = begin == 0 and stop == played.period
         self.now = min(until, end)
         if self.now == end:
-            self._playback = next_playback(self._playback, self._newest, HOLD_CYCLES, IDLE_PERIOD)
-            self._newest, self.began = None, end
+            self._timeline = self._timeline.next()
         return [played if whole else PlateMotion.piece(played, begin, stop)]
 
 

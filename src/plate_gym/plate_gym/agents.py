@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import Space
 
 from plate_core import Parts, PlateCycle, Rig, Wanted, part_class
+from plate_core.motion import IDLE_S
 from plate_core.tasks import Scenario
 from plate_planner import Planner
 from plate_planner.tasks import FollowMemory
@@ -21,7 +22,6 @@ from plate_vision.shapes import learn_plate
 from .classic import Classic
 from .env import PlateEnv, check_begun
 from .motions import Motions
-from .plates import IDLE_S
 
 __all__ = ["AGENTS", "KNOWN", "Agent", "Brief", "Ours"]
 

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted
+from plate_core.motion import IDLE_S, Timeline
 from plate_core.tasks import FeedTask
 from plate_driver.setpoints import prepare
-from plate_sim.plate import Playback, next_playback
 from plate_sim.world import Simulation
 from plate_solver import Controller
 
@@ -28,9 +28,6 @@ OBSERVATIONS = ("parts", "image")
 CENTRE_NOISE_M, ANGLE_NOISE = 3e-5, 3.5e-3
 """Standard deviation of places [m] and angles [rad] in `parts`: that of this project's vision in
 noisy images (sort_10 and align_6, 30 images each)."""
-
-HOLD_CYCLES, IDLE_S = 2, 0.1
-"""Same as in the simulator node."""
 
 REST = PlateCycle.rest(IDLE_S)
 """Shared by all plates: separate cycles are not equal, but equal seeds must give equal `info`."""
@@ -91,7 +88,6 @@ class Plate:
         )
         self.noise = np.random.default_rng((seed, 1))
         self._seed = seed
-        self.time = 0.0
         self.met_since: float | None = None
         self.done = False
         self.dropped, self.to_go, self.first = 0, 0.0, 0.0
@@ -99,7 +95,7 @@ class Plate:
         self.solving_s = np.zeros(2)  # total time of this project's solver: see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
-        self._playback = Playback(REST, resting=True)
+        self.timeline = Timeline(REST, filling=True)
         self.memory: Memory = shared.judge.begin(self.simulation, self.running)
         # x, y, drift along x and y, angle, time: the last observation of each part
         self.seen = np.tile(UNSEEN, (len(self.ids), 1))
@@ -110,7 +106,12 @@ class Plate:
     @property
     def running(self) -> PlateCycle:
         """The running cycle; it began at the last observation."""
-        return self._playback.cycle
+        return self.timeline.cycle
+
+    @property
+    def time(self) -> float:
+        """When the running cycle began, since the reset [s]."""
+        return self.timeline.begin
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -131,13 +132,12 @@ class Plate:
 
     def begin(self, cycle: PlateCycle) -> None:
         """End the running cycle, and begin the next one."""
-        self.time += self._playback.cycle.period
         if isinstance(self.memory, Feeding) and self.memory.rests:
             cycle = REST
         if self._shared.action == "motion":  # from rest to rest
-            self._playback = Playback(cycle)
+            self.timeline = Timeline(cycle, self.timeline.end)
         else:
-            self._playback = next_playback(self._playback, cycle, HOLD_CYCLES, IDLE_S)
+            self.timeline = self.timeline.send(cycle).next()
         ids, judge = self.ids, self._shared.judge
         self.memory = judge.look(self.memory, self.simulation, self.time, self.running)
         if judge.feeds:

@@ -4,6 +4,7 @@ import copy
 import pickle
 import re
 import sys
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from multiprocessing import get_context
@@ -114,7 +115,8 @@ def test_a_plate_that_has_ended_begins_anew(gym):
     """In the world that `reset` without a seed gives one plate alone."""
     many, one = gym.PlateVectorEnv("Sort4-v1", 2), gym.PlateEnv("Sort4-v1")
     many.reset(seed=3)
-    many.plates.plates[1].time = many.plates.scenario.time_limit_s
+    plate = many.plates.plates[1]
+    plate.timeline = replace(plate.timeline, begin=many.plates.scenario.time_limit_s)
     still = np.zeros(many.action_space.shape)
     assert many.step(still)[3].tolist() == [False, True]
     seen, reward, ended, over, info = many.step(still)
@@ -359,7 +361,8 @@ def test_who_has_fed_27_parts_in_a_minute_has_done_it(gym):
     for picks, done in ((26, False), (27, True)):
         env.reset(seed=0)
         plate = env.plates.plates[0]
-        plate.memory._cell.tally.picks, plate.time = picks, 59.85
+        plate.memory._cell.tally.picks = picks
+        plate.timeline = replace(plate.timeline, begin=59.85)
         for last in (False, True):
             _, reward, ended, over, info = env.step(np.zeros(env.action_space.shape))
             assert (ended, over, info["success"]) == (last and done, last and not done, ended)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle
-from plate_planner.estimation.cycle_log import CycleClock, CycleLog
+from plate_core.status import MOST_AGE_S
+from plate_planner.estimation.cycle_log import MEMORY_S, CycleClock, CycleLog
 
 SHORT, LONG = PlateCycle.rest(0.1), PlateCycle.rest(0.2)
 
@@ -308,3 +309,48 @@ def test_a_cycle_that_is_played_otherwise_than_sent_is_no_lack_of_an_answer():
     assert log.started(smaller, 1.3).unanswered == 1
     # Nor is one whose report overtakes the cycle itself.
     assert played(12, 0).started(swinging(12), 1.2).unanswered == 0
+
+
+def test_a_clock_that_was_set_back_makes_all_older_things_forgotten():
+    log = played(12, 1).hear(swinging(12), 1.15, 1.1)
+    new = log.started(SHORT, log.begin - MEMORY_S - 1e-3)
+    assert new == CycleLog(((new.begin, SHORT),), reported=True, told=new.begin)
+    assert not log.started(SHORT, log.begin - MEMORY_S - 1e-3, triggered=True).reported
+    # So old is the oldest report that is taken for a late one.
+    late = log.started(SHORT, log.begin - MEMORY_S)
+    assert (late.begun, late.delays) == (log.begun + 1, log.delays)
+
+
+def test_reports_say_whether_images_are_taken_at_starts_too():
+    log = CycleLog().started(SHORT, 1.0)
+    assert log.reported
+    assert not log.started(SHORT, 1.1, triggered=True).reported
+
+
+def test_what_was_sent_is_kept_where_no_image_came_for_long():
+    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(swinging(3), 0.15)
+    late = 0.2 + MEMORY_S + 1e-3
+    log = log.advance(late)
+    assert [begin for begin, _ in log.runs] == [late]
+    assert log.runs[0][1].moves
+    assert log.answered == 0.1
+
+
+def test_what_is_awaited_may_move_the_plate_until_it_has_begun():
+    log = told((1.0, SHORT)).hear(LEAVES, 1.05, 1.0)
+    assert log.may_move(1.1)
+    assert not log.may_move(1.0 - MEMORY_S - 1e-3)  # the clock was put back
+    assert log.started(SHORT, 1.1).may_move(1.1)
+    assert not log.started(LEAVES, 1.1).may_move(1.1)
+    assert log.hear(SHORT, 1.06, 1.0).may_move(1.1)  # rest does not call it back
+    ends = 1.0 + MOST_AGE_S + LEAVES.period
+    assert log.may_move(ends - 1e-6)
+    assert not log.may_move(ends)
+
+
+def test_a_cycle_that_waits_for_its_report_is_sent_until_then():
+    log = told((1.0, SHORT)).hear(swinging(1), 1.02, 1.0).hear(swinging(2), 1.05, 1.0)
+    assert log.advance(1.1).sent == log.sent
+    assert [one.cycle.knot_pose[1, 0] for one in log.started(swinging(1), 1.1).sent] == [2e-4]
+    assert log.started(swinging(2), 1.1).sent == ()
+    assert log.started(swinging(3), 1.1).sent == log.sent

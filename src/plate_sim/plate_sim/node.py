@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import Parts, PlateCycle, PlateError, load_rig
-from plate_core.motion import CycleUsage
+from plate_core.motion import HOLD_CYCLES, IDLE_S, CycleUsage, Timeline
 from plate_core.ros import (
     DATA,
     IMAGE,
@@ -41,7 +41,7 @@ from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.srv import MoveRobot, OpenHopper, PlacePart, RemovePart
 
 from .camera import NOISE, Camera
-from .plate import PlateMotion, Playback, check_table, next_playback
+from .plate import PlateMotion, check_table
 from .world import RANGES, WORLD_RANGES, Disturbances, Simulation, run_cycle
 
 START_NS = 1_000_000_000
@@ -110,11 +110,13 @@ class Options(NodeOptions):
     mu_scale: float = parameter(
         1.0, "True friction over the rig file's.", *WORLD_RANGES["mu_scale"], live=True
     )
-    hold_cycles: int = parameter(2, "Repetitions of a table when no new one comes.", 0, 1000)
+    hold_cycles: int = parameter(
+        HOLD_CYCLES, "Repetitions of a table when no new one comes.", 0, 1000
+    )
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S, "Diagnostics say STALE when no motion comes for longer [s].", 0.1, 3600.0
     )
-    idle_period: float = parameter(0.1, "Length of a cycle while at rest [s].", 0.01, 10)
+    idle_period: float = parameter(IDLE_S, "Length of a cycle while at rest [s].", 0.01, 10)
     friction_spread: float = _disturbance(
         "friction_spread", "Friction differs between parts by [share]."
     )
@@ -257,8 +259,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def begin(self) -> None:
         """Go on with the plate at rest, in real time from now."""
         options = self.options
-        self._playback = Playback(PlateCycle.rest(options.idle_period), resting=True)
-        self._newest: PlateCycle | None = None
+        self._timeline = Timeline.at_rest(options.idle_period)
         self._tally = Tally()
         what, topic = "motor table", "motor_setpoints"
         question = "is the driver active, or the computer too slow?"
@@ -277,9 +278,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def rest(self) -> None:
         """Let the plate come to rest: the end of its cycle, and the tail of that."""
         if not self._driven:
-            self._move(self._playback.cycle, self._next_ns)
-            if self._playback.cycle.tail is not None:
-                self._simulation.run(self._playback.cycle.tail)
+            self._move(self._timeline.cycle, self._next_ns)
+            if self._timeline.cycle.tail is not None:
+                self._simulation.run(self._timeline.cycle.tail)
 
     def retune(self) -> None:
         """Take over what disturbs the world, and how fast time goes.
@@ -363,12 +364,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         Returns whether there was an image.
         """
         self._time_ns = self._moved_ns = self._next_ns
-        options, before, newest = self.options, self._playback.cycle, self._newest
-        self._playback = next_playback(
-            self._playback, newest, options.hold_cycles, options.idle_period
-        )
-        self._newest = None
-        cycle = self._playback.cycle
+        options, before = self.options, self._timeline
+        self._timeline = before.next(options.hold_cycles, options.idle_period)
+        cycle = self._timeline.cycle
         self._publish_start()
         seen = self._shot is None and self._take_image(self._time_ns)
         self._publish_truth()
@@ -377,7 +375,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
         # The same again, or a tail, as no table has come.
-        alone = self._playback.repeats > 0 or (newest is None and cycle is before.tail)
+        tail_alone = before.waiting is None and cycle is before.cycle.tail
+        alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone
         self._count["missed images"] += self._shot is None and not seen
         self._advance()
@@ -385,7 +384,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     def _advance(self) -> None:
         """Move the parts to when an image is delivered, or to the cycle's end, and wait for it."""
-        cycle, end_ns = self._playback.cycle, self._next_ns
+        cycle, end_ns = self._timeline.cycle, self._next_ns
         if self._shot is not None and self._delivered_ns < end_ns:
             end_ns = self._delivered_ns
         self._move(cycle, end_ns)
@@ -477,13 +476,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (rivals := self.rivals("motor_setpoints")):
                 raise PlateError(rivals)
-            running = self._playback.cycle
-            self._usage = check_table(self._rig, cycle, running)
-            # The newest one that follows; one from rest would have to wait for the tail. But for
-            # rest, which nothing may go before: it may be a stop.
-            waiting = self._newest is not None and self._newest.follows(running)
-            if cycle.follows(running) or not (cycle.moves and waiting):
-                self._newest = cycle
+            self._usage = check_table(self._rig, cycle, self._timeline.cycle)
+            self._timeline = self._timeline.send(cycle)
         except PlateError as error:
             self._refuse(error)
             self.get_logger().warning(
@@ -623,7 +617,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _publish_start(self) -> None:
         """Tell what the plate plays, and since when."""
         if self._starts.get_subscription_count():
-            self._starts.publish(cycle_to_msg(self._playback.cycle, to_time(self._time_ns)))
+            self._starts.publish(cycle_to_msg(self._timeline.cycle, to_time(self._time_ns)))
 
     def _repeat_image(self) -> None:
         """In lockstep: publish the image and its cycle again, until it is answered."""

@@ -16,7 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateCycle, PlateError, Wanted, load_rig
-from plate_core.motion import is_rest
+from plate_core.motion import in_time, is_rest
 from plate_core.rig import doubts
 from plate_core.ros import (
     DATA,
@@ -48,9 +48,6 @@ LONGEST_S = 1.0
 LATER_S, SOONER_S, LATEST_S = 0.01, 5e-4, 0.06
 """By how much an answer is given sooner after one that was not played, and later after others; and
 most before its cycle [s], as long as `handover_s` is not more."""
-
-HANDOVER_NS = 4_000_000
-"""Time from our publishing a cycle until the device has it [ns]: two hops and the driver."""
 
 
 @dataclass(frozen=True)
@@ -235,9 +232,9 @@ class SolverNode(SafeLifecycleNode[Options]):
         return PlateCycle.rest(IDLE_PERIOD)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:
-        """The cycle that began when the image was taken: the last one that was there in time."""
+        """The cycle that began when the image was taken: the last one that was sent in time."""
         for number, sent in enumerate(reversed(self._sent)):
-            if sent.sent_ns + HANDOVER_NS <= stamp_ns or sent.sent_ns == sent.stamp_ns:
+            if in_time(1e-9 * sent.sent_ns, 1e-9 * stamp_ns):
                 self._count["late_answers"] += number > 0
                 return sent.cycle
         return None

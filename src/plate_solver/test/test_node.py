@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros import DATA, msg_to_cycle, nanoseconds, start_nodes, to_time, wanted_to_msg  # noqa: E402
 from plate_interfaces.msg import PartForces  # noqa: E402
-from plate_solver.node import SolverNode  # noqa: E402
+from plate_solver.node import Sent, SolverNode  # noqa: E402
 
 MS = 1_000_000
 MASS, MU = 0.02, 0.25  # of the default rig
@@ -260,6 +260,16 @@ def test_life_of_a_solver(peer, rig, capfd):
     assert "Traceback" not in output
     assert "part_forces refused" in output
     assert "no solution, plate rests: 2 nodes publish part_forces (peer, rogue)" in output
+
+
+def test_the_cycle_that_runs_is_the_last_that_was_sent_in_time(peer):
+    first, second = PlateCycle.rest(0.1), PlateCycle.rest(0.2)
+    peer.solver._sent.extend([Sent(0, 10 * MS, first), Sent(100 * MS, 150 * MS, second)])
+    for stamp_ms, expected, late in (
+        (13, None, 0), (15, first, 1), (153, first, 2), (155, second, 2), (900, second, 2),
+    ):  # fmt: skip
+        assert peer.solver._running(stamp_ms * MS) is expected, stamp_ms
+        assert peer.solver._count["late_answers"] == late, stamp_ms
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,29 @@
 """The plate's motion: closed cycles, the motors that give them, and the limits they must keep.
 
-A `PlateCycle` is knots and quintic splines; `usage` holds one against a rig's limits.
+A `PlateCycle` is knots and quintic splines; `usage` holds one against a rig's limits. A `Timeline`
+says which cycle runs and which one follows.
 """
 
 from .cycle import PIECES, PlateCycle, control_points, is_rest, quintic_pieces
 from .kinematics import motor_state, plate_state
 from .limits import CycleUsage, corner_accel, derivative, polynomial_peaks, usage
+from .timeline import HANDOVER_S, HOLD_CYCLES, IDLE_S, Timeline, in_time, next_cycle
 
 __all__ = [
+    "HANDOVER_S",
+    "HOLD_CYCLES",
+    "IDLE_S",
     "PIECES",
     "CycleUsage",
     "PlateCycle",
+    "Timeline",
     "control_points",
     "corner_accel",
     "derivative",
+    "in_time",
     "is_rest",
     "motor_state",
+    "next_cycle",
     "plate_state",
     "polynomial_peaks",
     "quintic_pieces",

@@ -14,10 +14,8 @@ from statistics import median_low
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
+from plate_core.motion import in_time, next_cycle
 from plate_core.status import MOST_AGE_S
-
-HANDOVER_S = 4e-3
-"""Time from a cycle's publication until the device has it [s]: two hops and the driver."""
 
 SNAP = 0.25
 """An image at most this fraction of a cycle from its expected end was taken at its end."""
@@ -173,11 +171,9 @@ class CycleLog:
         return log
 
     def next(self, sent: Sequence[PlateCycle]) -> PlateCycle:
-        """Return what follows the last run: the newest of the cycles sent that begin as that one
-        ends, else its tail, or the same again, or rest."""
-        last = self.runs[-1][1]
-        newest = next((cycle for cycle in reversed(sent) if cycle.follows(last)), None)
-        return newest or last.tail or (last if last.closes else PlateCycle.rest(self.period))
+        """Return the cycle that follows the last run, by `plate_core.motion.next_cycle`, from the
+        cycles sent, the newest one last."""
+        return next_cycle(self.runs[-1][1], sent, idle_s=self.period)
 
     def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> CycleLog:
         """Take in a cycle that was sent, and when [s, the time of the stamps].
@@ -194,39 +190,68 @@ class CycleLog:
         return replace(self, sent=(*before, one), answered=asked, awaited=awaited)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
-        """Take in the report that the plate began a cycle at `begin` [s]; `triggered` tells that
-        images are taken at starts all the same. One that comes again changes nothing."""
+        """Record the report that the plate began a cycle at `begin` [s]. A repeated report changes
+        nothing. `triggered`: images are taken at the starts of cycles all the same."""
         if not _playable(cycle):
             return self
-        if self.runs and begin < self.begin - MEMORY_S:
-            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)  # time is anew
-        if begin <= self.told and any(
-            begin == start and _same(cycle, run) for start, run in self.runs
-        ):
+        if self._clock_was_reset(begin):
+            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)
+        if self._is_reported(cycle, begin):
             return self
-        before = tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
+        before = self._runs_before(begin)
         kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
-        sent, delays = self.sent, self.delays
-        rest_asked = bool(sent) and not sent[-1].cycle.moves
-        last = before[-1][1] if before else None
-        goes_on = last is not None and any(_same(cycle, part) for part in last.parts)
-        unanswered = cycle.moves and goes_on and not rest_asked
-        for k, one in enumerate(self.sent):
-            if _same(one.cycle, cycle):
-                sent, unanswered = self.sent[k + 1 :], False
-                if cycle.moves:  # rest does not tell one from another
-                    late = sum(  # short cycles at rest, and tails, tell nothing of others
-                        start > one.asked + SNAP * run.period and run.moves and not _is_tail(run)
-                        for start, run in kept
-                    )
-                    delays = (*delays, late)[-DELAYS_KEPT:]
-                break
-        runs = (*kept, (begin, cycle))
+        answer = self._answer_in(cycle)
         return replace(
-            self, runs=runs, sent=sent, reported=not triggered, delays=delays, told=begin,
-            awaited=self._awaited_after(cycle), begun=self.begun + 1,
-            unanswered=self.unanswered + unanswered,
-        )  # fmt: skip
+            self,
+            runs=(*kept, (begin, cycle)),
+            sent=self.sent if answer is None else self.sent[answer + 1 :],
+            reported=not triggered,
+            delays=self._delays_with(answer, kept),
+            told=begin,
+            awaited=self._awaited_after(cycle),
+            begun=self.begun + 1,
+            unanswered=self.unanswered + (answer is None and self._goes_on(cycle, before)),
+        )
+
+    def _clock_was_reset(self, begin: float) -> bool:
+        """Whether a report's stamp [s] is so old that the clock must have been set back."""
+        return bool(self.runs) and begin < self.begin - MEMORY_S
+
+    def _is_reported(self, cycle: PlateCycle, begin: float) -> bool:
+        """Whether it was reported before that this cycle began at `begin` [s]."""
+        return begin <= self.told and any(
+            begin == start and _same(cycle, run) for start, run in self.runs
+        )
+
+    def _runs_before(self, begin: float) -> tuple[tuple[float, PlateCycle], ...]:
+        """Return the runs that began before a report's `begin` [s]. A run that the log expected at
+        about this time was a prediction, which the report replaces."""
+        return tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
+
+    def _answer_in(self, cycle: PlateCycle) -> int | None:
+        """Return the index in `sent` of the cycle that has begun; None: it was not sent."""
+        return next((k for k, one in enumerate(self.sent) if _same(one.cycle, cycle)), None)
+
+    def _delays_with(
+        self, answer: int | None, kept: tuple[tuple[float, PlateCycle], ...]
+    ) -> tuple[int, ...]:
+        """Return the delays after the answer of this index in `sent` has begun, after the runs
+        `kept`. Rest adds none: one cycle of rest cannot be told from another."""
+        if answer is None or not self.sent[answer].cycle.moves:
+            return self.delays
+        asked = self.sent[answer].asked
+        late = sum(  # short cycles at rest, and tails, do not delay others
+            start > asked + SNAP * run.period and run.moves and not _is_tail(run)
+            for start, run in kept
+        )
+        return (*self.delays, late)[-DELAYS_KEPT:]
+
+    def _goes_on(self, cycle: PlateCycle, before: tuple[tuple[float, PlateCycle], ...]) -> bool:
+        """Whether a cycle moves the plate only because no answer came in time: it is the last run
+        again, or its tail, and rest was not the last answer."""
+        if not (before and cycle.moves) or (self.sent and not self.sent[-1].cycle.moves):
+            return False
+        return any(_same(cycle, part) for part in before[-1][1].parts)
 
     def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
@@ -270,7 +295,7 @@ class CycleLog:
 
     def _begin(self, t: float) -> CycleLog:
         """Return the log after the next cycle has begun at a time [s]."""
-        came = [one for one in self.sent if one.arrival + HANDOVER_S <= t]
+        came = [one for one in self.sent if in_time(one.arrival, t)]
         if self.delay:
             turn = self.delay + 1 - SNAP
             came = [one for one in came if one.asked + turn * one.cycle.period <= t]

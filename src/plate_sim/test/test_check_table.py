@@ -1,10 +1,10 @@
-"""The device's choice of tables."""
+"""Motor tables that the device plays, and those that it refuses."""
 
 import numpy as np
 import pytest
 
 from plate_core import CycleError, PlateCycle, load_rig
-from plate_sim.plate import Playback, check_table, next_playback
+from plate_sim.plate import check_table
 
 RIG = load_rig()
 REST = PlateCycle.rest(0.1)
@@ -20,23 +20,6 @@ def bump(height, period=0.1):
     twist[:, 0] = scale * 3 * u**2 * (1 - 2 * t) / period
     accel[:, 0] = scale * (6 * u * (1 - 2 * t) ** 2 - 6 * u**2) / period**2
     return PlateCycle.from_knots(period * t, pose, twist, accel)
-
-
-def test_the_newest_table_is_played_next():
-    a, b = bump(1e-3), bump(2e-3)
-    assert next_playback(Playback(a, repeats=3), b, 5, 0.1) == Playback(b)
-
-
-@pytest.mark.parametrize("hold", [0, 1, 5])
-def test_a_table_is_repeated_then_the_plate_rests(hold):
-    a, played = bump(1e-3), []
-    state = Playback(a)
-    for _ in range(hold + 2):
-        state = next_playback(state, None, hold, 0.07)
-        played.append(state)
-    assert [p.cycle is a for p in played] == [True] * hold + [False] * 2
-    assert all(p.resting and p.cycle.period == 0.07 for p in played[hold:])
-    assert next_playback(state, a, hold, 0.07) == Playback(a)
 
 
 def test_a_good_table_is_taken_and_measured():
@@ -74,27 +57,10 @@ def leaving(state, begin=HOME, stops_s=0.05):
 
 def test_a_table_in_motion_follows_the_state_in_which_it_begins():
     first, second = leaving(STATE), leaving(2 * STATE, STATE)
-    assert next_playback(Playback(first), second, 5, 0.1) == Playback(second)
     assert check_table(RIG, second, first).stroke_m > 0
     for running in (REST, second, bump(1e-3)):
         with pytest.raises(CycleError, match="as the running one ends"):
             check_table(RIG, second, running)
-
-
-def test_without_such_a_table_the_tail_is_played_once_and_then_what_begins_at_rest():
-    first, other = leaving(STATE), bump(1e-3)
-    tail = next_playback(Playback(first), None, 5, 0.1)
-    assert tail.cycle is first.tail
-    rest = next_playback(tail, None, 5, 0.07)
-    assert not rest.cycle.moves
-    assert rest.cycle.period == 0.07
-    waits = next_playback(Playback(first), other, 5, 0.1)
-    assert waits.cycle is first.tail
-    assert next_playback(waits, None, 5, 0.1).cycle is other
-    newer = bump(2e-3)
-    assert next_playback(waits, newer, 5, 0.1).cycle is newer
-    lost = next_playback(Playback(first), leaving(STATE, 2 * STATE), 5, 0.1)
-    assert not next_playback(lost, None, 5, 0.1).cycle.moves
 
 
 def test_the_tail_keeps_the_limits_too():

@@ -1,8 +1,6 @@
-"""Which motor table the device plays next, and which tables it refuses to play."""
+"""Which motor tables the device refuses to play."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, replace
 
 from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import CycleUsage, usage
@@ -12,37 +10,6 @@ SLACK = 1.02
 
 PERIOD = (0.01, 10.0)
 """Allowed length of a table [s]: one image is taken in each."""
-
-
-@dataclass(frozen=True)
-class Playback:
-    """The table being played, how often it has been repeated, whether it only fills time, and the
-    table that waits for rest."""
-
-    cycle: PlateCycle
-    repeats: int = 0
-    resting: bool = False
-    waiting: PlateCycle | None = None
-
-
-def next_playback(
-    current: Playback, newest: PlateCycle | None, hold_cycles: int, idle_period: float
-) -> Playback:
-    """Return what is played after `current`.
-
-    The newest table if one has come that begins as this one ends; else its tail, after which what
-    begins at rest may follow. Where it has none: the same again, at most `hold_cycles` times; then
-    rest, in cycles of `idle_period` [s], until one comes.
-    """
-    newest = newest or current.waiting
-    if newest is not None and newest.follows(current.cycle):
-        return Playback(newest)
-    if current.cycle.tail is not None:
-        later = newest if newest is not None and newest.starts_at_rest else None
-        return Playback(current.cycle.tail, resting=True, waiting=later)
-    if current.resting or current.repeats >= hold_cycles or not current.cycle.closes:
-        return Playback(PlateCycle.rest(idle_period), resting=True)
-    return replace(current, repeats=current.repeats + 1)
 
 
 def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:

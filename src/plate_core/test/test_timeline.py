@@ -1,0 +1,173 @@
+"""Which cycle runs and which one follows: each case of the rule, and its limits."""
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle
+from plate_core.motion import HANDOVER_S, HOLD_CYCLES, IDLE_S, Timeline, in_time, next_cycle
+
+HOME, STATE = np.zeros((3, 3)), np.array([[1e-3, 0, 0], [0.02, 0, 0], [0, 0, 0]])
+
+
+def swing(height_m, period=0.1):
+    """A cycle from rest to rest, `height_m` [m] to +x half-way; it has no tail."""
+    pose = np.outer([0.0, height_m, 0.0], [1, 0, 0])
+    return PlateCycle.from_knots(np.array([0.0, period / 2, period]), pose, 0 * pose, 0 * pose)
+
+
+def going(begin, end):
+    """A cycle of 50 ms from one state of the plate to another, with a tail of 20 ms."""
+    knots = np.stack([begin, end, end, HOME], axis=1)
+    return PlateCycle.from_knots(np.array([0.0, 0.05, 0.05, 0.07]), *knots)
+
+
+LEAVES, GOES_ON, OTHER = going(HOME, STATE), going(STATE, 2 * STATE), going(3 * STATE, STATE)
+SWING, BIGGER, SHORT = swing(1e-3), swing(2e-3), swing(1e-3, 1e-3)
+
+
+def player(cycle, *sent):
+    """A player that runs a cycle since 3 s, and what was sent to it meanwhile."""
+    timeline = Timeline(cycle, 3.0)
+    for one in sent:
+        timeline = timeline.send(one)
+    return timeline
+
+
+def test_a_cycle_is_in_time_from_the_hand_over_on():
+    assert HANDOVER_S == 0.004
+    assert in_time(0.0, HANDOVER_S)
+    assert in_time(-1.0, HANDOVER_S)
+    assert not in_time(0.0, np.nextafter(HANDOVER_S, 0.0))
+    assert not in_time(0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("running", "sent", "expected"),
+    [
+        (SWING, [BIGGER], BIGGER),
+        (SWING, [SWING, BIGGER], BIGGER),  # two: the newest one
+        (LEAVES, [GOES_ON], GOES_ON),
+        (LEAVES, [GOES_ON, SWING], GOES_ON),  # the newest one that follows
+        (LEAVES, [], LEAVES.tail),
+        (LEAVES, [SWING, OTHER], LEAVES.tail),
+        (LEAVES.tail, [GOES_ON, SWING], SWING),
+        (SWING, [], SWING),
+        (SWING, [GOES_ON], SWING),
+        (SHORT, [], SHORT),
+    ],
+)
+def test_the_rule(running, sent, expected):
+    assert next_cycle(running, sent) is expected
+
+
+@pytest.mark.parametrize(
+    ("running", "repeat"), [(SWING, False), (LEAVES.tail, True), (LEAVES.tail, False)]
+)
+def test_without_any_the_plate_rests(running, repeat):
+    rest = next_cycle(running, [GOES_ON], repeat, 0.03)
+    assert not rest.moves
+    assert rest.period == 0.03
+    assert next_cycle(running, [], repeat).period == IDLE_S
+
+
+def test_a_player_starts_at_rest_and_stays_there():
+    timeline = Timeline.at_rest(0.03)
+    for count in range(4):
+        assert not timeline.cycle.moves
+        assert timeline.filling
+        assert timeline.repeats == 0
+        assert timeline.begin == pytest.approx(0.03 * count)
+        timeline = timeline.next(5, 0.03)
+    assert Timeline.at_rest().cycle.period == IDLE_S
+
+
+def test_each_cycle_begins_as_the_one_before_ends():
+    timeline = player(SWING, SHORT)
+    assert (timeline.begin, timeline.end) == (3.0, 3.1)
+    timeline = timeline.next()
+    assert timeline.cycle is SHORT
+    assert (timeline.begin, timeline.end) == (3.1, 3.1 + 1e-3)
+
+
+def test_a_cycle_that_was_sent_runs_once_more_than_it_is_held():
+    """It is then an answer, and counts anew."""
+    timeline = player(SWING, BIGGER).next()
+    assert timeline == Timeline(BIGGER, 3.1)
+    again = timeline.next()
+    assert again == Timeline(BIGGER, again.begin, repeats=1)
+    assert again.send(BIGGER).next().repeats == 0
+
+
+@pytest.mark.parametrize("hold", [0, 1, HOLD_CYCLES, 5])
+def test_a_cycle_is_repeated_as_often_as_it_is_held_and_then_the_plate_rests(hold):
+    timeline, played = player(SWING), []
+    for _ in range(hold + 2):
+        timeline = timeline.next(hold, 0.07)
+        played.append(timeline)
+    assert [one.repeats for one in played] == [*range(1, hold + 1), 0, 0]
+    assert all(one.cycle is SWING for one in played[:hold])
+    assert not any(one.filling for one in played[:hold])
+    assert all(one.filling and one.cycle.period == 0.07 for one in played[hold:])
+    assert not any(one.cycle.moves for one in played[hold:])
+    assert played[-1].send(SWING).next(hold, 0.07).cycle is SWING
+
+
+def test_the_default_number_of_repetitions():
+    timeline, moved = player(SWING), 0
+    for _ in range(6):
+        timeline = timeline.next()
+        moved += timeline.cycle.moves
+    assert moved == HOLD_CYCLES == 2
+
+
+def test_a_tail_runs_once_and_then_what_begins_at_rest():
+    tail = player(LEAVES).next()
+    assert tail.cycle is LEAVES.tail
+    assert tail.filling
+    assert tail.begin == pytest.approx(3.05)
+    rest = tail.next(5, 0.03)
+    assert not rest.cycle.moves
+    assert rest.begin == pytest.approx(3.07)
+    waits = player(LEAVES, SWING).next()
+    assert waits.cycle is LEAVES.tail
+    assert waits.waiting is SWING
+    assert waits.next().cycle is SWING
+    assert waits.send(BIGGER).next().cycle is BIGGER  # a newer one
+    assert waits.next().next().cycle is SWING  # again: what waited is forgotten
+    assert waits.next().waiting is None
+
+
+def test_a_tail_that_ends_as_it_begins_is_not_repeated():
+    still = going(HOME, HOME)
+    tail = player(still).next()
+    assert tail.cycle is still.tail
+    assert tail.cycle.closes
+    assert tail.next(5, 0.03).cycle.period == 0.03
+
+
+def test_what_fits_nowhere_is_forgotten():
+    tail = player(LEAVES, OTHER).next()
+    assert tail.cycle is LEAVES.tail
+    assert tail.waiting is None
+    again = player(SWING, GOES_ON).next()
+    assert again.cycle is SWING
+    assert again.waiting is None
+
+
+def test_the_newest_that_follows_waits_and_only_rest_goes_before_it():
+    rest = PlateCycle.rest(0.1)
+    assert player(LEAVES, GOES_ON, SWING).waiting is GOES_ON
+    assert player(LEAVES, SWING, GOES_ON).waiting is GOES_ON
+    assert player(LEAVES, SWING, BIGGER).waiting is BIGGER
+    newer = going(STATE, STATE)
+    assert player(LEAVES, GOES_ON, newer).next().cycle is newer
+    stop = player(LEAVES, GOES_ON, rest)  # may be a stop
+    assert stop.next().cycle is LEAVES.tail
+    assert stop.next().next().cycle is rest
+
+
+def test_a_cycle_that_is_sent_changes_nothing_of_the_one_that_runs():
+    before = Timeline(SWING, 3.0, repeats=1)
+    after = before.send(BIGGER)
+    assert after == Timeline(SWING, 3.0, repeats=1, waiting=BIGGER)
+    assert Timeline(LEAVES.tail, 3.0, filling=True).send(SWING).filling
