@@ -246,6 +246,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._asked_ns: int | None = None  # stamp of the last part_forces
         self._open = False  # whether plate_cycle has not answered them yet
         self._asked = False  # whether a goal has come
+        self._before_ns: int | None = None  # stamp of the last part_forces before the task
         self._early: Parts | None = None  # parts that came too early, in lockstep
         self._early_at = 0.0  # when they came [s, steady clock]
         self._told: deque[JointTrajectory] = deque(maxlen=STARTS_KEPT)  # in lockstep: not used yet
@@ -388,8 +389,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
         self._note(msg, parts)
-        # In lockstep an image may come again, also after a goal: the task begins with the next one.
-        again = self.options.lockstep and seconds(stamp) == self._idle.stamp
+        # In lockstep an image may come again, also after a goal: the task begins with the next one,
+        # because the driver lets nothing but rest answer an image of the task before.
+        before = seconds(stamp) == self._idle.stamp or nanoseconds(stamp) == self._before_ns
+        again = self.options.lockstep and before
         if run is None or again:
             if not again:
                 self._idle = self._idle.update(parts, seconds(stamp))
@@ -607,7 +610,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self.get_logger().warning(doubt)
         state = planner.start(planner.initial(self._estimator))
         self._run = Run(planner, state, now, goal)
-        self._asked = True
+        self._asked, self._before_ns = True, self._asked_ns
         self._others_told = False
         self._follow_up()
         self._go_on()

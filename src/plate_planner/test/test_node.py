@@ -1,6 +1,7 @@
 """The node over real topics and services, in one process."""
 
 import itertools
+import operator
 import re
 import time
 
@@ -610,8 +611,9 @@ ORDERS = list(itertools.permutations(("cycle", "start", "parts")))
 @pytest.mark.parametrize("order", ORDERS[1:], ids="-".join)
 def test_in_lockstep_it_does_not_matter_what_is_heard_first(reported, order):
     for one, other in zip(reported(order), reported(ORDERS[0]), strict=True):
-        for name in ("force", "tolerance", "start", "plate"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        for name in ("forces.force", "forces.tolerance", "start", "plate"):
+            value = operator.attrgetter(name)
+            np.testing.assert_array_equal(value(one), value(other))
         np.testing.assert_array_equal(one.parts.velocity, other.parts.velocity)
 
 
@@ -701,6 +703,20 @@ def test_in_lockstep_an_image_that_comes_again_after_the_goal_is_not_planned(gra
     graph.report()
     graph.send()
     graph.until(lambda: graph.planner._run is not None)
+    assert graph.image(1.0, APART).parts.ids == ()
+    assert graph.image(1.1, APART).parts.ids == IDS
+
+
+def test_in_lockstep_an_image_of_the_task_before_is_answered_by_rest(graph):
+    """The driver lets no other answer through, and the image would come again for ever."""
+    graph = graph(lockstep=True)
+    graph.planner.set_parameters([Parameter("preempt", value=True)])
+    first = graph.begin()
+    assert graph.image(1.0, APART).parts.ids == IDS
+    graph.until(lambda: not graph.planner._open)
+    graph.report()
+    graph.send()
+    assert graph.result(first)[1].reason == TaskStatus.PREEMPTED
     assert graph.image(1.0, APART).parts.ids == ()
     assert graph.image(1.1, APART).parts.ids == IDS
 
