@@ -8,13 +8,26 @@ from .ending import ends, piped
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
 from .network import choose_network, ros_domain
-from .parts import MOST_PARTS, OverlookedThing, Parts, part_class
+from .parts import (
+    GROUP,
+    MOST_PARTS,
+    NAMELESS,
+    PLAUSIBLE_AREA,
+    UNKNOWN,
+    OverlookedThing,
+    Parts,
+    part_class,
+)
 from .rig import Rig, load_rig
 from .wanted import AngleTargets, Forces, Targets, Wanted
 from .yaml_fields import config_path
 
 __all__ = [
+    "GROUP",
     "MOST_PARTS",
+    "NAMELESS",
+    "PLAUSIBLE_AREA",
+    "UNKNOWN",
     "AngleTargets",
     "CycleError",
     "Forces",

@@ -12,6 +12,19 @@ from .errors import PlateError
 MOST_PARTS = 100
 """In a scenario, and in one request: a thousand keep the solver busy for three seconds."""
 
+UNKNOWN = "unknown"
+"""Class of a thing that may be a part, but matches no type."""
+
+GROUP = "group"
+"""Class of parts that touch and are not told apart."""
+
+NAMELESS = (UNKNOWN, GROUP)
+"""Classes that no type of part may have."""
+
+PLAUSIBLE_AREA = 0.3, 3.0
+"""Range of a thing's area that may be a part, relative to the smallest and the largest part [-].
+Smaller things are dust or reflections, larger ones tools or hands."""
+
 
 class OverlookedThing(NamedTuple):
     """A thing that vision sees and does not take for a part: centre x, y [m, plate_home], radius

@@ -25,6 +25,7 @@ from plate_core.ros import (
     DATA,
     DIAGNOSTICS_PERIOD_S,
     LATCHED,
+    WARN_S,
     Diagnostics,
     NodeOptions,
     SafeLifecycleNode,
@@ -76,9 +77,6 @@ WATCH_PERIOD_S = 0.02
 STALLED_S, SETTLE_S = 0.05, 0.01
 """A process that has not run for so long is given this time to receive what was sent to it
 meanwhile [s]: the end of a task would else be heard after a cycle that came later."""
-
-QUIET_S = 2.0
-"""Least time between two warnings of the same kind [s]."""
 
 REST_S = 3.0
 """Longest wait for motors that brake, go home and lose their current [s]."""
@@ -336,7 +334,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._making.release()
 
     def _on_defect(self, error: Exception) -> None:
-        self.get_logger().error(f"transport: {error!r}", throttle_duration_sec=QUIET_S)
+        self.get_logger().error(f"transport: {error!r}", throttle_duration_sec=WARN_S)
 
     def stop_motors(self, cut: bool) -> bool:
         """Stop, in any state: where no transport is open one is opened for it.
@@ -426,7 +424,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         try:
             msg = deserialized(data, TaskStatus)
         except PlateError as error:  # a longer one was cut off: neither is the planner's
-            self.get_logger().warning(f"task_status: {error}", throttle_duration_sec=QUIET_S)
+            self.get_logger().warning(f"task_status: {error}", throttle_duration_sec=WARN_S)
             return
         self.task_runs = msg.state == TaskStatus.RUNNING
         if size <= len(data) and not self.task_runs:
@@ -462,7 +460,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         if status.state is not DriverState.READY:
             self._guard = self._guard.refused()
             text = f"cycle refused: the driver is {status.text}"  # never hidden by another reason
-            self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+            self.get_logger().warning(text, throttle_duration_sec=WARN_S)
             return
         try:
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
@@ -482,11 +480,11 @@ class DriverNode(SafeLifecycleNode[Options]):
                 self._motions = dict(motions[-MOTIONS_KEPT:])
         except PlateError as error:
             self._guard, self._refusal = self._guard.refused(), str(error)
-            self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
+            self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=WARN_S)
             return
         self._refusal = ""
         if fit.factor < WORTH_A_WARNING:
-            self.get_logger().warning(fit.summary, throttle_duration_sec=QUIET_S)
+            self.get_logger().warning(fit.summary, throttle_duration_sec=WARN_S)
 
     def _guarded(self, transport: TransportThread) -> Guard:
         """The guard, with what the device is now known to hold."""
@@ -530,7 +528,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         if problem:
             self._guard = self._guard.noted(NO_START)
             text = f"{NO_START}: table {measured.table} {problem}"
-            self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+            self.get_logger().warning(text, throttle_duration_sec=WARN_S)
         if began is not None and self._starts.get_subscription_count():
             age_ns = max(0, round(1e9 * (now - began)))
             stamp = to_time(max(0, self.get_clock().now().nanoseconds - age_ns))
@@ -547,7 +545,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._note_start(measured)
             if self._experiment is not None:
                 self._experiment = self._experiment.with_sample(measured)
-        quiet_since = time.monotonic() - QUIET_S
+        quiet_since = time.monotonic() - WARN_S
         self._warned = {t: at for t, at in self._warned.items() if at > quiet_since}
         for trouble in transport.troubles():
             self._guard = self._guard.noted(trouble)
@@ -582,9 +580,9 @@ class DriverNode(SafeLifecycleNode[Options]):
         if over:
             text = f"no plate_cycle for {hold_s:.3g} s: the plate rests"
             if self.task_runs:
-                self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+                self.get_logger().warning(text, throttle_duration_sec=WARN_S)
             else:  # nobody sends one
-                self.get_logger().debug(text, throttle_duration_sec=QUIET_S)
+                self.get_logger().debug(text, throttle_duration_sec=WARN_S)
 
     # Calibration
 

@@ -17,6 +17,7 @@ from plate_core.tasks import FeedTask
 from plate_driver.setpoints import prepare
 from plate_sim.world import Simulation
 from plate_solver import Controller
+from plate_vision.bare_plate import BARE_IMAGES
 
 from .judge import ROUNDING_S, Feeding, Judge, Memory, Score, rows_of
 from .motions import Motions
@@ -31,9 +32,6 @@ noisy images (sort_10 and align_6, 30 images each)."""
 
 REST = PlateCycle.rest(IDLE_S)
 """Shared by all plates: separate cycles are not equal, but equal seeds must give equal `info`."""
-
-BARE_IMAGES = 5
-"""Number of images of the bare plate, for rigs with types of parts."""
 
 GAP = 0.5
 """Minimum distance between the edges of two moving parts, in `progress` [part radii]."""

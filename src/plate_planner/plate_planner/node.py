@@ -33,6 +33,7 @@ from plate_core.ros import (
     LATCHED,
     NEWEST,
     RESULT_S,
+    WARN_S,
     NodeOptions,
     SafeLifecycleNode,
     forces_to_msg,
@@ -75,9 +76,6 @@ from .tasks import FollowOptions
 
 WATCH_PERIOD_S = 0.1
 """Time between looks whether a running task can go on [s]."""
-
-WARN_PERIOD_S = 2.0
-"""Least time between two equal warnings [s]."""
 
 IDLE_S = 1.0
 """Period of the alarm while no answer is due [s]."""
@@ -794,7 +792,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _warn(self, text: str) -> None:
         self._refused = text
-        self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+        self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, PlateError, Rig, Targets, Wanted, part_class
+from plate_core import NAMELESS, Parts, PlateCycle, PlateError, Rig, Targets, Wanted, part_class
 from plate_core.tasks import (
     FeedMode,
     FeedOrder,
@@ -26,7 +26,6 @@ from plate_core.tasks import (
 
 from .estimation import COAST, Coast, Estimator
 from .supervision import (
-    BYSTANDERS,
     STOP,
     Failure,
     Findings,
@@ -319,7 +318,7 @@ class Planner:
         if self.rules.open_ended:  # there is no end to names, and none is missed
             there = self._without_doubles(there, estimator.seen)
         else:
-            there = self._without_doubles(there, estimator.seen, BYSTANDERS)
+            there = self._without_doubles(there, estimator.seen, NAMELESS)
             last = self._last_seen(last, there, estimator.stamp)
         present = without_surplus(self._on_plate(there), self._labels)
         state = replace(state, last=last, due=np.inf)

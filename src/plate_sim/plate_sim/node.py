@@ -21,6 +21,7 @@ from plate_core.motion import HOLD_CYCLES, IDLE_S, CycleUsage, Timeline
 from plate_core.ros import (
     DATA,
     IMAGE,
+    WARN_S,
     NodeOptions,
     SafeLifecycleNode,
     array_to_image,
@@ -58,9 +59,6 @@ SHORTEST_NS = 20_000_000
 
 GAP_NS = 1_000_000
 """Stretches that are further apart do not follow each other [ns]."""
-
-QUIET_S = 2.0
-"""Least time between two warnings of the same kind [s]."""
 
 MOST_WRONG_NS = 50_000_000
 """How far stamps may be from the system's clock in real time [ns]."""
@@ -482,7 +480,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._refuse(error)
             self.get_logger().warning(
                 f"motor table refused, the plate carries on: {error}",
-                throttle_duration_sec=QUIET_S,
+                throttle_duration_sec=WARN_S,
             )
         if lockstep:
             self._begin_cycle()
@@ -496,7 +494,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         except PlateError as error:
             self._refuse(error)
             self.get_logger().warning(
-                f"motor motion refused, the parts stay: {error}", throttle_duration_sec=QUIET_S
+                f"motor motion refused, the parts stay: {error}",
+                throttle_duration_sec=WARN_S,
             )
             return
         begin_ns = nanoseconds(msg.header.stamp)

@@ -21,6 +21,7 @@ from plate_core.rig import doubts
 from plate_core.ros import (
     DATA,
     NEWEST,
+    WARN_S,
     NodeOptions,
     SafeLifecycleNode,
     centres_to_msg,
@@ -35,9 +36,6 @@ from plate_interfaces.msg import PartForces
 
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
 from .library import Library, condition_number
-
-QUIET_S = 2.0
-"""Least time between two warnings of the same kind [s]."""
 
 RESTART_NS = 1_000_000_000
 """A stamp this much older than the last means that the camera or simulator began anew [ns]."""
@@ -193,7 +191,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._count["refused_messages"] += 1
         self._tally.refused += 1
         self._tally.why = text
-        self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+        self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 
     def _answer(self, wanted: Wanted, stamp_ns: int, start_ns: int) -> PlateCycle:
         began, running = time.monotonic(), self._running(stamp_ns)
@@ -228,7 +226,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         """Note that there is no solution, and return a plate at rest."""
         self._tally.failed = why
         self._count["no_solution"] += 1
-        self.get_logger().error(f"no solution, plate rests: {why}", throttle_duration_sec=QUIET_S)
+        self.get_logger().error(f"no solution, plate rests: {why}", throttle_duration_sec=WARN_S)
         return PlateCycle.rest(IDLE_PERIOD)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:

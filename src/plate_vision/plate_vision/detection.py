@@ -16,6 +16,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from plate_core.rig import PART_PX
+from plate_core.tasks import CLASSES
 
 from .camera import Calibration, grey_levels
 from .discs import (
@@ -55,9 +56,6 @@ from .remains import (
 )
 from .shadow_search import FEWEST, GOOD_FIT, find_shadow
 from .shapes import find_outlines
-
-CLASSES = ("black", "grey")
-"""The labels of parts darker than the plate, darkest first."""
 
 BRIGHT = "white"
 """The label of parts brighter than what is behind them."""

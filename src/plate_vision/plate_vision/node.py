@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import OverlookedThing, PlateError, Rig, load_rig, part_class
+from plate_core import NAMELESS, OverlookedThing, PlateError, Rig, load_rig, part_class
 from plate_core.rig import doubts, home_pose
 from plate_core.ros import (
     CAMERA,
@@ -26,6 +26,7 @@ from plate_core.ros import (
     IMAGE,
     LATCHED,
     TRANSFORMS,
+    WARN_S,
     NodeOptions,
     SafeLifecycleNode,
     array_to_image,
@@ -60,16 +61,13 @@ from .drawing import ARROW_S, draw_detections, outlines_px
 from .errors import ImageError, TeachError, check_size
 from .faint import faint_finding, faint_patches
 from .live_teaching import Teaching, learn_shown
-from .overlooked import NAMELESS, Expected, OverlookedTally, beside_parts, remedy
+from .overlooked import Expected, OverlookedTally, beside_parts, remedy
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
 from .ros import AimingView
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
-
-WARN_PERIOD_S = 2.0
-"""Minimum time between two warnings of a kind [s]."""
 
 PLANNED_S = 1.0
 """Maximum time between an image and the planner's prediction of parts while a task runs [s]:
@@ -743,7 +741,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self.options.photographs:
             self.get_logger().warning(text)  # for each photograph
         else:
-            self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+            self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
         content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from plate_core import GROUP, NAMELESS, PLAUSIBLE_AREA
 from plate_core.status import Finding, Level
 
 REASONS = (
@@ -40,17 +41,9 @@ OVERLOOKED = np.dtype(
 """One thing that is not taken for a part: centre and radius [px] of the disc of the same area;
 centre [m, plate_home]; one of `REASONS`."""
 
-NAMELESS = ("unknown", "group")
-"""Classes of sightings without a part class: `unknown` may be a part, `group` is several parts that
-could not be separated."""
-
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
 """No overlooked things, (0,) `OVERLOOKED`."""
 NONE_OVERLOOKED.setflags(write=False)
-
-PLAUSIBLE_AREA = 0.3, 3.0
-"""Range of a thing's area that may be a part, relative to a part's area [-]. Smaller things are
-dust or reflections, larger ones tools or hands."""
 
 APART = 0.9
 """A thing nearer to a part than this fraction of the sum of their radii [-] belongs to that part,
@@ -141,7 +134,7 @@ def unnamed_things(
     """
     reason = np.full(len(seen), "misfit", OVERLOOKED["reason"])
     reason[radius > largest] = "too large"
-    reason[seen["label"] == NAMELESS[1]] = "group"
+    reason[seen["label"] == GROUP] = "group"
     reason[seen["blurred"]] = "blurred"
     reason[radius < smallest] = "too small"
     reason[~seen["whole"]] = "at the edge"

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plate_core import Rig
+from plate_core import NAMELESS, PLAUSIBLE_AREA, Rig
 from plate_core.rig import to_home
 
 from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, PartView, find_discs
 from .discs import SeenDiscs, outlines
 from .errors import check_size
-from .overlooked import NAMELESS, OVERLOOKED, PLAUSIBLE_AREA, may_be_parts, unnamed_things
+from .overlooked import OVERLOOKED, may_be_parts, unnamed_things
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
 from .recognition import find_types_under, model_plate

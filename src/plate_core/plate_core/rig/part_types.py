@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RigError
+from ..parts import NAMELESS
 from ..yaml_fields import (
     Fields,
     Key,
@@ -53,7 +54,7 @@ NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
 LONGEST = 32
 """Letters of a name."""
 
-TAKEN = ("black", "grey", "unknown", "group")
+TAKEN = ("black", "grey", *NAMELESS)
 """The classes of round parts on rigs without types, and of what is of no type."""
 
 CENTRED = 0.03

@@ -41,7 +41,7 @@ from .goals import (
     pick_to_msg,
     scenario_to_goal,
 )
-from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
+from .lifecycle import WARN_S, NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
@@ -60,6 +60,7 @@ __all__ = [
     "NEWEST",
     "RESULT_S",
     "TRANSFORMS",
+    "WARN_S",
     "Diagnostics",
     "NodeExecutor",
     "NodeOptions",

@@ -30,6 +30,9 @@ from .qos import CALLS
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 """What ROS calls a node of which it knows no more yet than a topic."""
 
+WARN_S = 2.0
+"""Minimum time between two warnings of the same kind [s]."""
+
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..rig.keys import FAR_M
 from ..yaml_fields import Choice, Flag, Key, List, Number, Numbers, Section, Table, Text, Whole
 from .tasks import Side
 
@@ -29,9 +30,6 @@ CURVES = ("waypoints_m", "circle", "spline_m")
 
 SLOWEST_MPS, FASTEST_MPS = 1e-5, 10.0
 """Speeds along a path [m/s]."""
-
-FAR_M = 10.0
-"""No coordinate is greater [m]; whether a point is on the plate is checked with the rig."""
 
 ALL_DIFFERENT = "each class once"
 PLACE = Numbers((2,), -FAR_M, FAR_M)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, part_class
+from plate_core import UNKNOWN, Parts, PlateCycle, part_class
 
 from .. import _kernels
 from .cycle_log import CycleLog
@@ -48,10 +48,6 @@ FRICTION_RANGE = np.log(3.0)
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
 """The state and its neighbours, (6, 5)."""
-
-
-UNKNOWN = "unknown"
-"""Class of things that may be parts, see `plate_planner.supervision`."""
 
 
 class Coast(NamedTuple):

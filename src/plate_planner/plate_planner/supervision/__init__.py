@@ -3,7 +3,7 @@
 `begin`, `judge` and `stopped` lead from phase to phase; `Inputs` watches the other nodes.
 """
 
-from .bystanders import BYSTANDERS, Overlooked, bystanders_text, is_bystander, without_surplus
+from .bystanders import Overlooked, bystanders_text, is_bystander, without_surplus
 from .failure import LastSeen, loss_of, outlook, shortfall_text
 from .inputs import Inputs
 from .phase import (
@@ -23,7 +23,6 @@ from .phase import (
 from .progress import Progress
 
 __all__ = [
-    "BYSTANDERS",
     "STOP",
     "Failure",
     "Findings",

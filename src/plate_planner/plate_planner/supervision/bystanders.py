@@ -13,14 +13,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core import MOST_PARTS, OverlookedThing, Parts, Rig, part_class
-
-BYSTANDERS = ("unknown", "group")
-"""Classes of what vision sees and cannot name."""
-
-PLAUSIBLE_AREA = 0.3, 3.0
-"""Area of a thing that may be a part, relative to the smallest and the largest part [-]: smaller
-ones are dust or shine, larger ones tools or hands."""
+from plate_core import (
+    MOST_PARTS,
+    NAMELESS,
+    PLAUSIBLE_AREA,
+    OverlookedThing,
+    Parts,
+    Rig,
+    part_class,
+)
 
 SEVERAL = 5
 """Images of which most must show a thing before it counts: a reflection comes and goes."""
@@ -33,7 +34,7 @@ def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
     """Whether a part belongs to no class of the task, whose classes are `labels`, nor to any other
     class that vision knows."""
     label = part_class(part_id)
-    return label in BYSTANDERS and label not in labels
+    return label in NAMELESS and label not in labels
 
 
 def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:

@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import Parts, Rig, part_class
+from plate_core import NAMELESS, Parts, Rig, part_class
 from plate_core.rig import LEAST_GAMMA
 
 from ..estimation import LastRequest
-from .bystanders import BYSTANDERS
 from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
@@ -49,7 +48,7 @@ def loss_of(
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
     away = np.hypot(*(parts.position - last.position).T)
     for row in np.flatnonzero(away < SAME_PLACE * rig.parts.radius_m):
-        if part_class(parts.ids[row]) in BYSTANDERS:
+        if part_class(parts.ids[row]) in NAMELESS:
             text = f"{name} was seen last {where}, where {parts.ids[row]} is now"
             return Failure(Reason.PART_UNSEEN, f"{text}: its class is no longer recognised; {LOOK}")
     edge = float(np.min(rig.plate.half - np.abs(last.position)))

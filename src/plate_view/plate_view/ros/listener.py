@@ -21,6 +21,7 @@ from plate_core.ros import (
     CAMERA,
     DATA,
     LATCHED,
+    WARN_S,
     image_to_array,
     msg_to_cycle,
     msg_to_parts,
@@ -53,9 +54,6 @@ LATENCIES = 200
 
 CAMERA_S = 0.1
 """Minimum time between two pictures in the aiming view [s]."""
-
-WARN_PERIOD_S = 2.0
-"""Minimum time between two equal warnings [s]."""
 
 
 TASK_STATES = state_names(TaskStatus, "IDLE", "RUNNING", "DONE", "STUCK", "LOST", "ABORTED")
@@ -195,7 +193,7 @@ class Listener:
                 TOPICS[topic].take(self, msg)
             except (PlateError, ValueError) as error:  # ValueError: NaN in JSON
                 warn = self._node.get_logger().warning
-                warn(f"{topic}: {error}", throttle_duration_sec=WARN_PERIOD_S)
+                warn(f"{topic}: {error}", throttle_duration_sec=WARN_S)
 
     def _show_parts(self, msg: Parts) -> None:
         self.parts = msg

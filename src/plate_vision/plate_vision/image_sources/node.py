@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from plate_core import PlateError, load_rig
 from plate_core.ros import (
     IMAGE,
+    WARN_S,
     NodeOptions,
     SafeLifecycleNode,
     array_to_image,
@@ -36,9 +37,6 @@ RETRY_S = 0.5
 SILENCE_S, SILENT_IMAGES = 0.8, 5
 """Time without an image after which diagnostics report it [s], and the minimum of this time in
 intervals between images."""
-
-WARN_PERIOD_S = 2.0
-"""Minimum time between two warnings about refused images [s]."""
 
 LOOK_S = 0.05
 """Polling interval for a subscriber before a film starts [s]."""
@@ -163,7 +161,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._ended = False
         self._waits = self._played
         self._last_at = self._reported_at = time.monotonic()
-        self._warned_at = -WARN_PERIOD_S
+        self._warned_at = -WARN_S
         self._halt = threading.Event()
         self._thread = threading.Thread(
             target=self._work, args=(self._source, self._halt, self._thread), name="camera",
@@ -282,7 +280,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self._refused_total += 1
             self._why = why
             self._last_at = now = time.monotonic()
-        if now - self._warned_at >= WARN_PERIOD_S:
+        if now - self._warned_at >= WARN_S:
             self._warned_at = now
             self.get_logger().warning(why)
 

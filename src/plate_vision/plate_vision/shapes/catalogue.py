@@ -17,9 +17,6 @@ from plate_core.rig import PartType
 from .. import _kernels
 from .outlines import HARMONICS, Outline, distances, make_outline
 
-ROUND_CORNERS = 96
-"""Number of corners of the polygon that represents a disc where a polygon is required."""
-
 GRID = 13
 """Number of points along each side of the bounding box at which a type is sampled."""
 
@@ -130,16 +127,7 @@ def make_template(part: PartType) -> Template:
 
 def _corner_rings(part: PartType) -> list[np.ndarray]:
     """Return the corners (n, 2) [m] of a type's outline and of its holes."""
-    rings = [part.polygon]
-    if part.radius_m:
-        step = 2 * np.pi / ROUND_CORNERS
-        turn = step * np.arange(ROUND_CORNERS)
-        rings[0] = (
-            part.radius_m
-            * np.sqrt(step / np.sin(step))
-            * np.column_stack([np.cos(turn), np.sin(turn)])
-        )
-    return rings + [np.array(hole) for hole in part.holes]
+    return [part.polygon, *(np.array(hole) for hole in part.holes)]
 
 
 @dataclass(frozen=True, eq=False)

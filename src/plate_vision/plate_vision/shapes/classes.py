@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from plate_core import GROUP, UNKNOWN
 from plate_core.rig import PartType, to_home
 
 from .. import _kernels
@@ -29,12 +30,6 @@ from .holes import Look
 from .outlines import POINTS, THREE, Outline, make_outline, patch_rings
 from .patch import Patch
 from .shadows import SHORTEST_PX, Lamp
-
-UNKNOWN = "unknown"
-"""Label of a patch that matches no type."""
-
-GROUP = "group"
-"""Label of touching parts that could not be separated."""
 
 ASTRAY = 2.0
 """Factor between the distance of a fit after two steps and its maximum final distance, above which

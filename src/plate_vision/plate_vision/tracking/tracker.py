@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from plate_core import Parts
+from plate_core import NAMELESS, Parts
 
 from ..discs.shadow import Shadow
 from ..errors import TrackError, check_ranges
-from ..overlooked import NAMELESS, NONE_OVERLOOKED, OVERLOOKED, REASONS
+from ..overlooked import NONE_OVERLOOKED, OVERLOOKED, REASONS
 from ..shapes.shadows import Lamp
 from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
