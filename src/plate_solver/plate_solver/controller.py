@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, PlateError, Rig, Targets, Wanted
+from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted
 
 from .cycle_map import finely_sampled
 from .goal import Goal, Solution, Status
-from .goal.conversion import form_goal
+from .goal.conversion import RequestFacts, form_goal
 from .motion_solver import MotionSolver
 from .rotations.solver import RotationCycles
 from .sinusoids.solver import SinusoidCycles
-from .start import Memory, part_types, predict_start, rotation_weight
+from .start import Memory, part_types, predict_start
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
 """Names of the methods: the paper's letters and ours."""
@@ -49,10 +49,6 @@ searches from other starts than its last motion."""
 
 EXACT_MISS = 0.02
 """The same where the request gives a part no tolerance: then it is meant exactly."""
-
-NEAR_M = 0.006
-"""Distance within which a part counts as near its target [m]. If all parts are near, every cycle
-ends at rest so that they stay in place."""
 
 COAST_S = 0.03
 """Time for which parts are extrapolated by their final velocities when a cycle's end is evaluated
@@ -190,20 +186,23 @@ class Controller:
         if not len(wanted.parts):
             self._memory = Memory()
             return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
-        rig, solver, far = self._rig, self._solvers[method], far_to_go(self._rig, wanted)
+        rig, solver, facts = self._rig, self._solvers[method], RequestFacts.of(self._rig, wanted)
         certain = wanted.plate is not None and wanted.start is not None
-        goes_on = method == "sinusoids" and far and certain
+        goes_on = method == "sinusoids" and facts.far and certain
         period = solver.steering_period(
-            len(wanted.parts), rotation_count(rig, wanted), wanted.targets is not None, goes_on
+            len(wanted.parts), facts.rotating or 0, facts.lasting, goes_on
         )
-        start = predict_start(rig, wanted, self._memory, running, method == "rotations")
+        start = predict_start(
+            rig, wanted, self._memory, running, facts.rotating is not None, method == "rotations"
+        )
         self._memory = start.memory
-        goal = form_goal(rig, wanted, start, period, COAST_S if far else 0.0, goes_on)
+        goal = form_goal(rig, wanted, start, period, COAST_S if facts.far else 0.0, goes_on)
         rest = PlateCycle.rest(period)
         if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
             return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)
         for fraction in FRACTIONS:
-            solution = search(solver, goal, fraction, period, tolerated_miss(wanted), until)
+            miss = EXACT_MISS if facts.exact else GOOD_MISS
+            solution = search(solver, goal, fraction, period, miss, until)
             if not leaves_plate(rig, wanted.parts.ids, goal, np.asarray(solution.predicted)):
                 return answer_of(goal, solution, fraction, period)
             solver.forget()
@@ -293,30 +292,3 @@ def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> Answer:
     )
     requested = 0.0 if goal.lasting else goal.size
     return Answer(rest, solution, message, requested, requested, 0.0)
-
-
-def tolerated_miss(wanted: Wanted) -> float:
-    """Return the fraction of requested displacements that may be missed; see `search`."""
-    tolerance = wanted.forces.tolerance
-    return GOOD_MISS if np.all(np.any(tolerance > 0, axis=1)) else EXACT_MISS
-
-
-def rotation_count(rig: Rig, wanted: Wanted) -> int:
-    """Return the number of parts whose rotation is requested."""
-    weight = rotation_weight(wanted, part_types(rig, wanted.parts.ids))
-    return 0 if weight is None else int(np.count_nonzero(weight))
-
-
-def far_to_go(rig: Rig, wanted: Wanted) -> bool:
-    """Whether a part, or its rim by rotation, is farther than `NEAR_M` from its target."""
-    to, angle = wanted.request, wanted.parts.angle
-    if not isinstance(to, Targets):
-        return False
-    place = wanted.parts.position if wanted.start is None else wanted.start[:, :2]
-    way = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
-    way = np.hypot(*np.where(to.weight > 0, way, 0.0).T)
-    if to.angles is not None:
-        turn = np.maximum(np.maximum(to.angles.low - angle, angle - to.angles.high), 0.0)
-        reach = np.array([kind.reach_m for kind in part_types(rig, wanted.parts.ids)])
-        way = np.maximum(way, np.where(to.angles.weight > 0, reach * turn, 0.0))
-    return bool(np.any(way > NEAR_M))

@@ -1,4 +1,4 @@
-"""The solver node: wanted forces in, the next plate cycle out."""
+"""The solver node: requests in, the next plate cycle out."""
 
 from __future__ import annotations
 

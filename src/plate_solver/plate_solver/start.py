@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig, Targets, Wanted, part_class
+from plate_core import PlateCycle, Rig, Wanted, part_class
 from plate_core.motion import is_rest
 from plate_core.rig import PartType
 
@@ -48,7 +48,7 @@ class StartState:
     turn : (M,)
         Rotation since the start of the running cycle [rad].
     spin : (M,) or None
-        [rad/s]; None where no rotation is requested, and parts are modelled as points.
+        [rad/s]; None if no rotation is requested: parts are modelled as points.
     plate : (3, 3) or None
         As `PlateCycle.state`; None: at rest at home.
     """
@@ -69,7 +69,12 @@ class StartState:
 
 
 def predict_start(
-    rig: Rig, wanted: Wanted, memory: Memory, running: PlateCycle | None, from_rest: bool
+    rig: Rig,
+    wanted: Wanted,
+    memory: Memory,
+    running: PlateCycle | None,
+    rotates: bool,
+    from_rest: bool,
 ) -> StartState:
     """Predict the state when the requested cycle begins.
 
@@ -86,6 +91,8 @@ def predict_start(
         Of the last prediction.
     running : PlateCycle, optional
         The cycle that runs now; None if the plate is at rest.
+    rotates : bool
+        Whether a rotation is requested: else parts are modelled as points.
     from_rest : bool
         Whether the method's cycles begin at rest: then the state is that after the tail of a plate
         in motion.
@@ -94,7 +101,6 @@ def predict_start(
     friction, turn = friction_accel(rig, wanted), np.zeros(len(parts))
     velocity = np.array([memory.velocity.get(name, np.zeros(2)) for name in parts.ids])
     spin = np.array([memory.spin.get(name, 0.0) for name in parts.ids])
-    rotates = rotation_weight(wanted, types) is not None
     position = parts.position
     if running is None:
         velocity = np.zeros_like(velocity)
@@ -134,14 +140,3 @@ def friction_accel(rig: Rig, wanted: Wanted) -> np.ndarray:
 def contact_spread(types: list[PartType], angle: np.ndarray) -> np.ndarray:
     """Return second moments (M, 3) [m2] of the parts' contacts at angles (M,) [rad]."""
     return room_spread(np.array([t.spread_m2 for t in types]), angle)
-
-
-def rotation_weight(wanted: Wanted, types: list[PartType]) -> np.ndarray | None:
-    """Return the error that counts as much as a radian to go (M,) [m], 0 where any rotation will
-    do; None if no rotation is requested."""
-    request = wanted.request
-    if isinstance(request, Targets):
-        return None if request.angles is None else request.angles.weight
-    if not np.any(request.torque):
-        return None
-    return np.where(request.torque != 0, [t.reach_m for t in types], 0.0)

@@ -9,7 +9,7 @@ import pytest
 from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted
 from plate_sim import simulate
 from plate_solver.controller import leaves_plate, search
-from plate_solver.goal.conversion import form_goal
+from plate_solver.goal.conversion import RequestFacts, form_goal
 from plate_solver.sinusoids.solver import SinusoidCycles
 from plate_solver.start import Memory, predict_start
 
@@ -26,7 +26,8 @@ def heavy(rig):
 
 def goal_of(rig, wanted, period=0.2, **state):
     """The goal of a request at a plate at rest, with a part of the start state replaced."""
-    start = replace(predict_start(rig, wanted, Memory(), None, False), **state)
+    rotates = RequestFacts.of(rig, wanted).rotating is not None
+    start = replace(predict_start(rig, wanted, Memory(), None, rotates, False), **state)
     return form_goal(rig, wanted, start, period, 0.03, True)
 
 
@@ -103,6 +104,27 @@ def test_forces_beside_targets_are_information(heavy):
     assert told.turns is None
 
 
+def test_facts_of_a_request(rig):
+    """Forces or targets, rotations, distances of more than 6 mm, parts without a tolerance."""
+    parts = Parts.make(IDS, PLACE)
+    bare = Wanted.make(parts, tolerance=np.array([[0.0, 1e-3], [0.0, 0.0]]))
+    assert RequestFacts.of(rig, bare) == RequestFacts(False, None, False, True)
+    free = Wanted.make(parts, tolerance=np.array([[0.0, 1e-3], [1e-3, 0.0]]), torque=[0.0, 1e-6])
+    assert RequestFacts.of(rig, free) == RequestFacts(False, 1, False, False)
+    for way, far in ((0.0059, False), (0.0061, True)):
+        to = Targets(PLACE + [way, 0], PLACE + [way + 0.1, 0], np.ones((2, 2)))
+        assert RequestFacts.of(rig, Wanted.make(parts, targets=to)).far is far
+        assert not RequestFacts.of(
+            rig, Wanted.make(parts, targets=replace(to, weight=0 * PLACE))
+        ).far
+    angle = 0.0061 / rig.parts.radius_m * np.ones(2)
+    angles = AngleTargets(angle, angle, np.array([0.01, 0.0]))
+    to = Targets(PLACE, PLACE, np.ones((2, 2)), 0.0, angles)
+    assert RequestFacts.of(rig, Wanted.make(parts, targets=to)) == RequestFacts(
+        True, 1, True, False
+    )
+
+
 def zone(**changed):
     """Targets, one field of which is wrong."""
     fields = {"low": PLACE, "high": PLACE + 0.01, "weight": np.ones((2, 2))}
@@ -153,7 +175,7 @@ def test_the_state_at_the_start_is_that_of_an_independent_simulation(rig):
     """From the places of the image and the velocities of the memory, over the running cycle."""
     velocity = np.array([[0.02, 0.0], [0.0, -0.03]])
     memory = Memory(dict(zip(IDS, velocity, strict=True)))
-    start = predict_start(rig, Wanted.make(Parts.make(IDS, PLACE)), memory, swing(), False)
+    start = predict_start(rig, Wanted.make(Parts.make(IDS, PLACE)), memory, swing(), False, False)
     run = simulate(swing(), PLACE, velocity, rig.friction.mu, rig.friction.gravity)
     np.testing.assert_allclose(start.position, run.position[-1], atol=1e-4)
     np.testing.assert_allclose(start.velocity, run.velocity[-1], atol=5e-3)
@@ -164,7 +186,7 @@ def test_the_state_at_the_start_is_that_of_an_independent_simulation(rig):
 def test_predictions_of_the_request_count_before_our_own(rig):
     state = np.array([[0.1, 0.02, 0.0, 0.01], [-0.1, 0.0, 0.03, 0.0]])
     wanted = Wanted.make(Parts.make(IDS, PLACE), start=state)
-    start = predict_start(rig, wanted, Memory(), swing(), False)
+    start = predict_start(rig, wanted, Memory(), swing(), False, False)
     assert np.array_equal(np.hstack([start.position, start.velocity]), state)
 
 
@@ -172,7 +194,9 @@ def test_a_method_that_begins_at_rest_begins_after_the_tail(rig):
     state = np.hstack([PLACE, np.zeros((2, 2))])
     plate = swing().state(19)
     wanted = Wanted.make(Parts.make(IDS, PLACE), start=state, plate=plate)
-    going, resting = (predict_start(rig, wanted, Memory(), swing(), rest) for rest in (False, True))
+    going, resting = (
+        predict_start(rig, wanted, Memory(), swing(), False, rest) for rest in (False, True)
+    )
     assert np.array_equal(going.plate, plate)
     assert np.array_equal(going.position, PLACE)
     assert resting.plate is None
@@ -186,7 +210,7 @@ def test_each_step_gives_the_same_for_the_same_input_and_leaves_the_input_alone(
     memory = Memory({IDS[0]: np.array([0.02, 0.0])}, {IDS[1]: 1.0})
     ends = []
     for _ in range(2):
-        start = predict_start(rig, wanted, memory, swing(), False)
+        start = predict_start(rig, wanted, memory, swing(), True, False)
         goal = form_goal(rig, wanted, start, 0.1, 0.0, False)
         found = search(SinusoidCycles(rig, seed=1), goal, 1.0, 0.1, 0.15, np.inf)
         assert not leaves_plate(rig, IDS, goal, found.predicted)
@@ -219,6 +243,6 @@ def test_a_part_leaves_the_plate_only_where_its_goal_lies(rig, at, to, end, leav
     wanted = Wanted.make(
         Parts.make(IDS[:1], place), targets=Targets(target, target, np.ones((1, 2)))
     )
-    start = predict_start(rig, wanted, Memory(), None, False)
+    start = predict_start(rig, wanted, Memory(), None, False, False)
     goal = form_goal(rig, wanted, start, 0.1, 0.0, False)
     assert leaves_plate(rig, IDS[:1], goal, np.array([end, 0.0])) is leaves

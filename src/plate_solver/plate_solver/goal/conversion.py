@@ -7,15 +7,55 @@ the state at its start, which the solver chooses and predicts.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from plate_core import AngleTargets, Forces, PlateError, Rig, Targets, Wanted
 
-from ..start import StartState, contact_spread, part_types, rotation_weight
+from ..start import StartState, contact_spread, part_types
 from .goal import Goal, Turns
 
 MAX_REQUEST = 1e9
 """Maximum value in a request, in SI units: enough for all, and its square can be computed with."""
+
+NEAR_M = 0.006
+"""Distance within which a part counts as near its target [m]. If all parts are near, every cycle
+ends at rest so that they stay in place."""
+
+
+@dataclass(frozen=True)
+class RequestFacts:
+    """Properties of a request that decide how long a cycle is, and how it is searched.
+
+    Attributes
+    ----------
+    lasting : bool
+        Whether targets are requested, which later cycles may reach too.
+    rotating : int or None
+        Number of parts with a requested rotation; None if no rotation is requested.
+    far : bool
+        Whether a part, or its rim by rotation, is farther than `NEAR_M` from its target.
+    exact : bool
+        Whether forces are requested, of a part without any tolerance.
+    """
+
+    lasting: bool
+    rotating: int | None
+    far: bool
+    exact: bool
+
+    @classmethod
+    def of(cls, rig: Rig, wanted: Wanted) -> RequestFacts:
+        """Return those of a request."""
+        request = wanted.request
+        if isinstance(request, Forces):
+            rotating = int(np.count_nonzero(request.torque)) or None
+            exact = not np.all(np.any(request.tolerance > 0, axis=1))
+            return cls(False, rotating, False, exact)
+        angles = request.angles
+        rotating = None if angles is None else int(np.count_nonzero(angles.weight))
+        return cls(True, rotating, bool(np.any(_to_go(rig, wanted, request) > NEAR_M)), False)
 
 
 def form_goal(
@@ -56,8 +96,8 @@ def _goal_of_targets(
 
         d = target - x0,    turn = target angle - a0,
 
-    for both ends of each interval. The goal lasts: no motion misses it, since later cycles go on.
-    Edges and other parts count beside the targets.
+    for both ends of each interval. The goal lasts: every motion is accepted that leaves little of
+    the distances, since later cycles go on. Places near edges and other parts count as errors too.
     """
     ids, types = wanted.parts.ids, part_types(rig, wanted.parts.ids)
     _check_targets(ids, "target", targets)
@@ -97,8 +137,7 @@ def _goal_of_forces(
         d = (v + F T/m) P,    turn = (w + N T/J) P,    J = m (Sxx + Syy)
 
     with the second moments S of its contacts. A half width of forces is one of displacements in the
-    same ratio. All displacements that are requested have weight 1; an arc on the part's rim counts
-    as much as a displacement.
+    same ratio. Displacements have weight 1, rotations the radius at which the part's rim moves.
     """
     parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
     if not 0 < forces.period <= MAX_REQUEST:
@@ -115,8 +154,9 @@ def _goal_of_forces(
     edge = rig.plate.half - np.array([[t.reach_m] for t in types])
     low = np.clip(displacement - tolerance, -edge - start.position, edge - start.position)
     high = np.clip(displacement + tolerance, -edge - start.position, edge - start.position)
-    turns, weight = None, rotation_weight(wanted, types)
-    if start.spin is not None and weight is not None:
+    turns = None
+    if start.spin is not None:
+        weight = np.where(forces.torque != 0, [t.reach_m for t in types], 0.0)
         inertia = np.array([(t.mass_kg or 0.0) * np.trace(t.spread_m2) for t in types])
         turn = (parts.spin + forces.period / inertia * forces.torque) * period
         spread = contact_spread(types, parts.angle + start.turn)
@@ -130,6 +170,19 @@ def _goal_of_forces(
         turns=turns,
         plate=start.plate,
     )
+
+
+def _to_go(rig: Rig, wanted: Wanted, to: Targets) -> np.ndarray:
+    """Return the distance (M,) [m] of each part from its target, or of its rim by rotation."""
+    place = wanted.parts.position if wanted.start is None else wanted.start[:, :2]
+    way = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
+    way = np.hypot(*np.where(to.weight > 0, way, 0.0).T)
+    if to.angles is None:
+        return np.asarray(way)
+    angle = wanted.parts.angle
+    turn = np.maximum(np.maximum(to.angles.low - angle, angle - to.angles.high), 0.0)
+    reach = np.array([kind.reach_m for kind in part_types(rig, wanted.parts.ids)])
+    return np.maximum(way, np.where(to.angles.weight > 0, reach * turn, 0.0))
 
 
 def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTargets) -> None:
