@@ -11,17 +11,15 @@ import argparse
 import io
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from graph.session import Session, session
-from needs import program
+from graph.browser import browsed
+from graph.session import Session
 from PIL import Image
 
 from plate_bringup import RunOptions
 from plate_core import PlateError, piped
 
-SIZE: Any = {"width": 1366, "height": 768}
 WIDTH_PX, QUALITY = 860, 55
 
 DEFOCUS_PX = 2.5
@@ -61,29 +59,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("docs/first_day"), help="(docs/first_day)")
     out = parser.parse_args().out
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        parser.error("playwright is missing: make test-tools")
-    chromium = program("chromium")
-    if chromium is None:
-        parser.error("chromium is missing: apt install chromium")
     out.mkdir(parents=True, exist_ok=True)
-    options = RunOptions(scenario="sort_6", seed=1, view=True)
     try:
-        with (
-            TemporaryDirectory() as logs,
-            session(options, Path(logs), pictures=False) as graph,
-            sync_playwright() as playwright,
-        ):
+        with browsed(RunOptions(scenario="sort_6", seed=1, view=True)) as (graph, page):
             graph.observer.await_ready()
             graph.observer.set_parameter("simulator", "friction_spread", 0.1)
-            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-            page = browser.new_page(viewport=SIZE)
-            page.goto(graph.page())
-            page.wait_for_timeout(3000)
             shoot(page, graph, out)
-            browser.close()
     except PlateError as error:
         parser.error(str(error))
     return 0

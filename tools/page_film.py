@@ -2,7 +2,7 @@
 
 python tools/page_film.py [--out docs/results]
 
-Needs Chromium, and: pip install -r requirements-bench.txt
+Needs Chromium, and: make test-tools
 """
 
 from __future__ import annotations
@@ -13,18 +13,15 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from graph.session import session
-from needs import program
+from graph.browser import browsed
 from PIL import Image
 from record.webp import save_film
 
 from plate_bringup import RunOptions
 from plate_core import PlateError, piped
 
-SIZE: Any = {"width": 1366, "height": 768}
 FRAME_S = 0.25
 FILM_WIDTH_PX, QUALITY = 720, 40
 STILL_S = 9.0
@@ -121,26 +118,9 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("docs/results"), help="(docs/results)")
     out = parser.parse_args().out
     try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        parser.error("playwright is missing: pip install -r requirements-bench.txt")
-    chromium = program("chromium")
-    if chromium is None:
-        parser.error("chromium is missing: apt install chromium")
-    options = RunOptions(scenario="play", seed=1, view=True)
-    try:
-        with (
-            TemporaryDirectory() as logs,
-            session(options, Path(logs), pictures=False) as graph,
-            sync_playwright() as playwright,
-        ):
-            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-            page = browser.new_page(viewport=SIZE)
-            page.goto(graph.page())
-            page.wait_for_timeout(3000)
+        with browsed(RunOptions(scenario="play", seed=1, view=True)) as (_, page):
             film = Film(page)
             shoot(film)
-            browser.close()
     except PlateError as error:
         parser.error(str(error))
     out.mkdir(parents=True, exist_ok=True)
