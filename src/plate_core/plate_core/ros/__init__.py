@@ -46,7 +46,7 @@ from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
 from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST, RESULT_S, TRANSFORMS
-from .unlocked import UnlockedSubscription, deserialized
+from .rclpy_workarounds import UnlockedSubscription, deserialized, end_executor
 
 __all__ = [
     "ACTIONS",
@@ -76,6 +76,7 @@ __all__ = [
     "declare",
     "deserialized",
     "driver_status_to_msg",
+    "end_executor",
     "follow",
     "forces_to_msg",
     "goal_to_scenario",

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import time
-import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.time_source import USE_SIM_TIME_NAME
@@ -26,14 +24,13 @@ from .diagnostics import Diagnostics
 from .frames import add_prefix
 from .params import Spec, declare, follow, parameter, set_parameters
 from .qos import CALLS
+from .rclpy_workarounds import RclpyLifecycleNode, logged
 
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 """What ROS calls a node of which it knows no more yet than a topic."""
 
 WARN_S = 2.0
 """Minimum time between two warnings of the same kind [s]."""
-
-Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
 @dataclass(frozen=True)
@@ -55,27 +52,7 @@ class NodeOptions:
 Options = TypeVar("Options", bound=NodeOptions)
 
 
-def logged(transition: Transition) -> Transition:
-    """Log what a transition raises: rclpy turns it into an error state without a word."""
-
-    @functools.wraps(transition)
-    def wrapper(self: Any, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            return transition(self, state)
-        except Exception as error:  # whatever it is: unlogged, the error state had no reason
-            self.failure = error
-            wrong_input = isinstance(error, PlateError)
-            if not self.starting:  # `start_nodes` raises it: one problem is said once
-                text = str(error) if wrong_input else traceback.format_exc()
-                self.get_logger().error(f"{transition.__name__}: {text}")
-            if wrong_input:
-                return TransitionCallbackReturn.FAILURE
-            return TransitionCallbackReturn.ERROR
-
-    return wrapper
-
-
-class SafeLifecycleNode(LifecycleNode, Generic[Options]):
+class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     """A lifecycle node that rests before it stops being active, however it ends.
 
     A subclass makes things in `configure`, by the methods `managed_...` or handed to `keep`, and
@@ -96,34 +73,17 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
     active : bool
     configuring : bool
         Whether it is being configured, which may take long.
-    failure : Exception, optional
-        Why the last transition failed.
     """
 
     def __init__(self, name: str, kind: type[Options]) -> None:
         super().__init__(name)
-        self.failure: Exception | None = None
-        self.starting = self.configuring = self.configured = self.active = False
+        self.configuring = self.configured = self.active = False
         self._closed = False
         self._turns: dict[str, Turns] = {}
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
         self.add_on_set_parameters_callback(self._keep_clock)  # called first: the last one added is
-
-    def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
-        """Answer a request for a transition that the state does not have with `success: false`.
-
-        rclpy lets the error of its state machine end the process, and has no public place for this.
-        """
-        try:
-            # mypy does not know names that Python has mangled.
-            return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
-        except RuntimeError as error:  # RCLError, which has no public name
-            wanted = request.transition.label or request.transition.id
-            self.get_logger().error(f"transition {wanted} refused: {error}")
-            response.success = False
-            return response
 
     # What a subclass says
 
@@ -367,8 +327,6 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         try:
             self.close()
         finally:  # whatever that has raised
-            # rclpy leaves it to the garbage collector, and until then the node is there.
-            self._state_machine.destroy_when_not_in_use()
             super().destroy_node()
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
-from plate_core.ros import CALLS, LATCHED, driver_status_to_msg
+from plate_core.ros import CALLS, LATCHED, driver_status_to_msg, end_executor
 from plate_core.standstill import Standstill
 from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 
@@ -143,9 +143,7 @@ class SafetyNode:
         self._statuses.wait_for_all_acked(Duration(seconds=FAREWELL_S))
         self._ended = True
         self._thread.join(END_S)
-        # rclpy's own shutdown waits for no callback, but destroys what each one needs at its end.
-        self._executor._executor.shutdown()
-        self._executor.shutdown(timeout_sec=END_S)
+        end_executor(self._executor, END_S)
 
     def destroy(self) -> None:
         """Destroy the node."""
