@@ -33,5 +33,16 @@ def differs(shown: str, printed: str, decimals_vary: bool = False) -> str:
     return ""
 
 
+def says(text: str, *words: str) -> bool:
+    """Whether a text contains these words in this order, whatever stands between them."""
+    at = 0
+    for each in words:
+        at = text.find(each, at)
+        if at < 0:
+            return False
+        at += len(each)
+    return True
+
+
 def _tidy(text: str) -> str:
     return " ".join(text.split())

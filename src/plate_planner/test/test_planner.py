@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plant import RIG, Plant, T, ready, run, without
+from shown_text import says
 
 from plate_core import Parts, PlateCycle, ScenarioError, part_class
 from plate_core.tasks import Bin, Side, SortTask, load_scenario
@@ -292,10 +293,7 @@ def test_time_put_on_ends_a_running_task():
     state, _, _ = run(planner, plant, cycles=50, t=1000.0)
     late, asked, progress = planner.plan(state, plant.seen(), 1e9)
     assert (late.task.reason, len(asked.parts)) == (Reason.NO_PARTS, 0)
-    assert progress.text == (
-        "aborted after 4.9 s: no parts for 999998995 s by the stamps of the images: is the "
-        "camera's clock set?"
-    )
+    assert says(progress.text, "aborted after 4.9 s", "no parts for 999998995 s", "clock")
     _, _, progress = planner.plan(state, plant.seen(), state.estimator.stamp + 9.9)
     assert progress.phase is not Phase.ABORTED
 

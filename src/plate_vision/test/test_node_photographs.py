@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from detector_graph import CENTRE_PX, LABEL, Graph, image
+from shown_text import says
 
 from plate_core.ros import msg_to_parts
 
@@ -54,8 +55,7 @@ def test_photographs_of_another_size_show_the_whole_plate():
         expected = (CENTRE_PX - 50 - [239.5, 149.5]) * [1, -1] * 0.6 / 480
         assert np.abs(parts.position - expected).max() < 2e-4
         (warning,) = graph.warnings
-        assert warning.startswith("480 x 300 px, not 640 x 480 px as the rig's camera: ")
-        assert "a plate of 0.6 x 0.375 m that fills it; the rig's is 0.6 x 0.3 m. " in warning
+        assert says(warning, "480 x 300 px", "640 x 480 px", "0.6 x 0.375 m", "0.6 x 0.3 m")
     finally:
         graph.close()
 
@@ -73,8 +73,7 @@ def test_parts_of_another_size_than_the_rig_says(draw, rng):
         assert image_notes(graph) == ["image 1: no parts; 4 unknown", "image 2: no parts"]
         size, refused = graph.warnings
         found = re.match(
-            r"image 1: no part is detected, but 4 things are seen: 4 too large "
-            r"\(radius ([0-9.]+) mm, parts: radius_m is 8 mm\)",
+            r"image 1: no part .* 4 too large \(radius ([0-9.]+) mm, .* 8 mm\)",
             size,
         )
         assert found, size
