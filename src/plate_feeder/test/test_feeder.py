@@ -541,6 +541,20 @@ def test_purge_ends_when_the_plate_is_empty():
     assert not [t for t, _ in cell.opened if t > 100.2]
 
 
+@pytest.mark.parametrize("command", ["get_part", "prepare_part", "purge"])
+def test_the_next_command_ends_a_reservation(command):
+    cell = Cell(PURGED, ready=("black_1",))
+    cell.get()
+    name = cell.answer().part.id
+    assert cell.feeder.state(cell.t) is State.RESERVED
+    cell.do(command, now=cell.t)
+    assert cell.feeder.state(cell.t) is not State.RESERVED
+    cell.run(2)
+    assert cell.output.order.mode is (FeedMode.PURGE if command == "purge" else FeedMode.FEED)
+    reply = cell.do("part_taken")
+    assert reply.text == f"{name} is taken, but was no longer reserved: the plate may have moved"
+
+
 def test_purge_that_takes_too_long_or_is_withdrawn_or_has_no_chute():
     cell = Cell(PURGED)
     cell.do("purge", 2.0, now=cell.t)

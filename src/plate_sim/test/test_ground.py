@@ -265,3 +265,26 @@ def test_motion_in_one_direction_for_a_while_is_not_taken_for_a_line():
     steps = simulate(motion, STILL, STILL, MU, G, samples=20_000)
     assert exact.position[-1] == pytest.approx(steps.position[-1], abs=1e-7)
     assert exact.position[-1, 0, 1] > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        *(("tilt", value, "rad, allowed: two angles, up to 0.5") for value in (
+            (0.1,), (0.1, 0.1, 0.1), (np.nan, 0.0), (0.0, -np.inf), (0.31, -0.41), (0.0, 0.51),
+        )),
+        *(("static_ratio", value, ", allowed: 1 to 10") for value in (0.99, 10.1, np.nan)),
+        *(("friction_slope", value, ", allowed: -5 to 5") for value in (-5.1, 5.1, np.nan)),
+        *(("heave", value, ", allowed: -0.1 to 0.1") for value in (-0.11, 0.11, np.nan)),
+    ],
+)  # fmt: skip
+def test_ground_out_of_range_is_refused(name, value, allowed):
+    with pytest.raises(PlateError) as error:
+        Ground(**{name: value})
+    assert str(error.value).startswith(f"{name} is {value!r}")
+    assert str(error.value).endswith(allowed)
+
+
+def test_ground_at_the_ends_of_its_ranges_is_allowed():
+    for static, slope, heave in ((1.0, -5.0, -0.1), (10.0, 5.0, 0.1)):
+        Ground(static, (0.3, -0.4), slope, heave)

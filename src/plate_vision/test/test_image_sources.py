@@ -289,6 +289,13 @@ def test_a_pipe_of_raw_frames(tmp_path):
     assert frames[0].instant == pytest.approx(5.0 - 0.003)
     with pytest.raises(CameraError, match="the program that writes has ended"):
         source.read(Event())
+    assert source.state()["exposure_us"] == "2000"
+    source.change(Settings(str(path), 64, 48, exposure_us=4000.0, readout_us=1000.0))
+    assert source.state()["exposure_us"] == "4000"
+    with path.open("wb") as file:
+        file.write(bytes(64 * 48))
+        file.flush()
+        assert source.read(Event()).instant == pytest.approx(5.0 - 0.005)
     source.close()
     with pytest.raises(CameraError, match="format is MJPG, allowed in a pipe: GREY"):
         PipeSource(Settings(str(path), format="MJPG"), pytest.fail).open()

@@ -7,6 +7,7 @@ import pytest
 from plate_vision import ImageError, detect, make_region
 from plate_vision.shapes import Patch, find_outlines, find_patches, learn_plate, model_background
 from plate_vision.shapes.grouping import pieces_of
+from plate_vision.shapes.outlines import patch_rings
 
 SUB = 8
 """Sub-pixels along each side of a pixel."""
@@ -343,6 +344,24 @@ def test_what_a_wider_neck_joins_is_two_parts_if_both_are_large_or_like_others()
     parted = [piece for piece in pieces([large, knob], *apart) if piece.rank == 0]
     assert len(parted) == 2
     assert min(shares(parted, [large, knob])) > 0.85
+
+
+@pytest.mark.parametrize(("count", "larger", "smaller"), [(240, 80, 40), (60, 20, 12)])
+def test_rings_of_holes_are_as_dense_as_the_rim_and_specks_are_no_holes(count, larger, smaller):
+    holes = [(80.3, 70.2, 20), (130.6, 70.4, 10), (100.5, 115.1, 6)]
+    cover = cover_of(disc(100, 80, 60))
+    for hole in holes:
+        cover = cover - cover_of(disc(*hole))
+    window = np.rint(200 - 150 * cover).astype(np.uint8)
+    mask = np.pad((cover > 0.5).astype(np.uint8), 1)
+    rings, colour = patch_rings(mask, window, count)
+    outer, *inner = sorted(rings, key=len, reverse=True)
+    assert colour.tolist() == [50, 50, 50]
+    assert len(outer) == count
+    assert np.hypot(*(outer - [100, 80]).T) == pytest.approx(60, abs=0.25)
+    assert [len(ring) for ring in inner] == pytest.approx([larger, smaller], rel=0.1)
+    for ring, (x, y, radius) in zip(inner, holes, strict=False):
+        assert np.hypot(*(ring - [x, y]).T) == pytest.approx(radius, abs=0.3)
 
 
 def test_outlines_of_a_photograph_are_measured():

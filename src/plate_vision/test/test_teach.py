@@ -278,6 +278,10 @@ def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkey
         (["nut", "screw.png", "small.png"], "small.png: 40 x 30 px, allowed: "),
         (["nut", "screw.png", "small.png", "--box", "1,1,9,9"], "--box: 2 pictures, allowed: one"),
         (["nut", "small.png", "--box", "1,1,99,9"], "box is 1,1,99,9, allowed: within 40 x 30 px"),
+        *(
+            (["nut", "small.png", f"--box={box}"], f"box is '{box}', allowed: x, y, width and")
+            for box in ("-1,1,9,9", "1,-1,9,9", "1,1,0,9", "1,1,9,0", "1,1,9,9,9", "a,1,9,9")
+        ),
         (["nut", "small.png", "--box", "1,9"], "box is '1,9', allowed: x, y, width and height"),
         (["nut", "small.png", "--scale", "0"], "scale is '0', allowed: 0.01 to 1000 px/mm"),
         (["nut", "nothing.png"], "nothing.png: no such file or folder"),
