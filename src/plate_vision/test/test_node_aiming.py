@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 
 from detector_graph import CENTRE_PX, LABEL, Graph, called, image, plan
 
-from plate_core import config_path
+from plate_core import config_path, load_rig
 from plate_core.ros import DATA, msg_to_parts, to_time
 from plate_interfaces.msg import Aim, AimCheck, LensPictures
 from plate_interfaces.srv import TakeLensPictures
@@ -83,6 +83,17 @@ def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, corne
         assert called(graph, "find_home").success
         msg, _ = aimed.show(image(plate.take([0, 0, 0], rng), 2.0))
         assert msg.home.startswith("found, corners of the markers fit within 0.")
+        found = graph.detector._aiming._corners
+        assert msg.home.endswith(f"; corners_px: {[list(corner) for corner in found]}")
+        written = called(graph, "save_home")
+        assert written.success
+        assert written.message.startswith(f"written: {marked_rig}; ")
+        assert load_rig(marked_rig).camera.corners_px == found
+        assert np.abs(np.array(found) - corners_px).max() < 0.3
+        again = called(graph, "save_home")
+        assert (again.success, again.message) == (
+            False, "home was not found, allowed: after ~/find_home",
+        )  # fmt: skip
     finally:
         graph.close()
     graph = Graph()
