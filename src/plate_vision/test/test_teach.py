@@ -89,6 +89,19 @@ def test_a_box_picks_one_part_of_many(draw_types):
     assert [*find_parts(scene, types)["label"]].count("bar") == 1
 
 
+def test_a_box_picks_the_part_that_its_centre_is_on(draw_types):
+    """Also one that does not hold the part's own centre: at an end of a bar."""
+    rng = np.random.default_rng(5)
+    poses = [("bar", 0.06, 0.02, 0.0), ("nut", -0.06, -0.03, 0.0)]
+    scene = draw_types(TYPES, poses, rng, size_px=SIZE_PX)
+    for x in (171, 187):  # the bar's centre is at (179.5, 59.5)
+        box = (x - 3, 61, x + 3, 65)
+        assert learn_type("bar", [Example(scene, box)], HOME).part.symmetry == 2
+    for box in ((176, 70, 182, 74), (190, 57, 202, 61)):  # beside it
+        with pytest.raises(TeachError):
+            learn_type("bar", [Example(scene, box)], HOME)
+
+
 def test_what_cannot_be_learned_says_why(draw_types):
     bare = picture(draw_types, "nut", 6, count=0)
     nuts, coins = (
