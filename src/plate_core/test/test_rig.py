@@ -179,6 +179,23 @@ def test_wrong_fiducials_are_refused(data, load, words, change):
         load({**data, "fiducials": {**MARKERS, **change}})
 
 
+def test_markers_span_an_area_as_wide_as_their_side(data, load):
+    """Also no centre is nearer to another than 1.2 sides."""
+    side = MARKERS["side_m"]
+
+    def placed(wide, step=0.1):
+        high = (0.5, -0.5, -0.5, 0.5)
+        centres = {f"marker_{k}": [step * (k - 1.5), wide * side * high[k]] for k in range(4)}
+        return load({**data, "fiducials": {**MARKERS, "centre_m": centres}}).fiducials
+
+    assert placed(1.01).numbers == (0, 1, 2, 3)
+    with pytest.raises(RigError, match="all in one line"):
+        placed(0.99)
+    assert placed(2.0, 1.21 * side).numbers == (0, 1, 2, 3)
+    with pytest.raises(RigError, match=r"apart, allowed: more than 1\.2 sides"):
+        placed(2.0, 1.19 * side)
+
+
 @pytest.mark.parametrize("block", [False, True])
 def test_a_rig_file_is_changed_in_either_style_of_yaml(tmp_path, block):
     path, corners = tmp_path / "rig.yaml", ((9.5, 400), (600, 401.25), (590, 80), (12, 90))
