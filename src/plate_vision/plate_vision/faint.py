@@ -15,13 +15,18 @@ from .camera.encodings import grey_levels
 from .overlooked import REMEDIES, WARN_COUNT, WARN_FRACTION
 from .plate.region import Region
 
-INNER, RING = 1.6, (2.6, 4.6)
-"""Side of the averaged square, and sides of the squares that bound the ring [part radii]. The inner
-square fits into the part; the ring is outside it."""
+INNER = 1.6
+"""Side of the averaged square, which fits into the part [part radii]."""
 
-NOISE_FACTOR, MIN_CONTRAST = 8.0, 2.0
-"""Minimum contrast of a patch to the ring around it: in standard deviations of that contrast over
-the plate, to exclude texture, and in grey levels, to exclude stripes and spots of the light."""
+RING = (2.6, 4.6)
+"""Sides of the squares that bound the ring outside the part [part radii]."""
+
+NOISE_FACTOR = 8.0
+"""Minimum contrast of a patch to the ring around it, in standard deviations of that contrast over
+the plate: excludes texture."""
+
+MIN_CONTRAST = 2.0
+"""The same [grey levels]: excludes stripes and spots of the light."""
 
 CLEAR = 3.4
 """Distance from parts and other things within which patches are ignored [part radii], because of

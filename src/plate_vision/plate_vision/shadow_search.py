@@ -53,14 +53,21 @@ DARKEST, EDGE_RANGE_PX = (0.05, 0.9), (0.5, 8.0)
 """Nelder-Mead search: initial simplex (changes of the displacement [mm], of the darkness [0.1] and
 of the edge [px]), maximum number of evaluations, and bounds of the darkness and the edge [px]."""
 
-GOOD_FIT, BETTER, SURE = 0.1, 0.75, 0.7
-"""Maximum mean misfit with a shadow: absolute, relative to the misfit without a shadow, and
-relative to the misfit with a shadow to the opposite side. Above the last one the side is unknown;
-synthetic shadows that were assigned to the wrong side had 0.76 and more."""
+GOOD_FIT = 0.1
+"""Maximum mean misfit with a shadow."""
 
-UNLIKE, UNLIKE_FRACTION = 0.15, 0.3
-"""Minimum difference in darkness by which a part is distinguished from its shadow, and the minimum
-fraction of parts that must have it."""
+BETTER = 0.75
+"""The same, relative to the misfit without a shadow."""
+
+SURE = 0.7
+"""The same, relative to the misfit with a shadow to the opposite side. Above it the side is
+unknown: synthetic shadows that were assigned to the wrong side had 0.76 and more."""
+
+UNLIKE = 0.15
+"""Minimum difference in darkness by which a part is distinguished from its shadow."""
+
+UNLIKE_FRACTION = 0.3
+"""Minimum fraction of parts that must have this difference."""
 
 EQUAL = 1.05
 """A shadow whose length is measured replaces the one whose length is fitted if its misfit is good,

@@ -13,10 +13,13 @@ import numpy as np
 from .. import _kernels
 from .region import Region
 
-DARK_PERCENTILE, BURNT_PERCENTILE = 95, 50
-"""Percentiles of an image's brightness. Too little light: the first one is below the plate's
-minimum, with a twentieth of the image left for lamps and glare. Too much light: the second one is
-at white, so more than half of the image is overexposed."""
+DARK_PERCENTILE = 95
+"""Percentile of an image's brightness that is below the plate's minimum if there is too little
+light: a twentieth of the image is left for lamps and glare."""
+
+BURNT_PERCENTILE = 50
+"""Percentile of an image's brightness that is at white if there is too much light: more than half
+of the image is overexposed."""
 
 BURNT_GREY = 254
 """Grey level from which a pixel counts as overexposed."""

@@ -27,30 +27,43 @@ REST_M = 5e-4
 """Maximum range of an edge's places in these images at which the plate counts as at rest [m]. A
 plate at rest has 0.1 mm, with noise of 15 grey levels."""
 
-RECHECK_S, UNSEEN_S = 1.0, 10.0
-"""Minimum time until the next evaluation [s]: after a finding; and if the plate was not visible or
-moved. An image takes 20 to 60 ms."""
+RECHECK_S = 1.0
+"""Minimum time from a finding to the next evaluation [s]. An image takes 20 to 60 ms."""
+
+UNSEEN_S = 10.0
+"""The same if the plate was not visible or moved [s]."""
 
 SEARCH = 0.15
 """Distance from the predicted edge within which the edge is searched [smaller side of the plate]. A
 missing model of a published barrel lens shifts corners by 8 %."""
 
-STATIONS, STATION_END = 64, 0.94
-"""Number of profiles along an edge, and the fraction of the edge that they span. Corners are often
-rounded."""
+STATIONS = 64
+"""Number of profiles along an edge."""
 
-NEAR_M, NEAR_STROKE, NEAR_PX = 3e-3, 0.3, 3.0
-"""Tolerated deviation: the smaller of the first [m] and a fraction of the stroke, but at least the
-last [px]. At a cycle's start the plate is within 2 mm of home. Corners measured by hand have errors
-of 1 to 2 px."""
+STATION_END = 0.94
+"""Fraction of an edge that the profiles span. Corners are often rounded."""
 
-BOW_PX, BOW_M = 1.0, 5e-4
-"""Tolerated bow in the middle of an edge, the larger of the two [px, m]. It is measured to 0.2 px,
-and sawn plates are straight to 0.3 mm."""
+NEAR_M = 3e-3
+"""Tolerated deviation [m]: at a cycle's start the plate is within 2 mm of home."""
 
-TURN_RAD, STRETCH = np.radians(0.6), 0.01
-"""Tolerated rotation [rad] and change of size [-]. Both are measured to a tenth of that on a plate
-of 300 px. A shaking plate rotates by less at the starts of cycles."""
+NEAR_STROKE = 0.3
+"""Tolerated deviation as a fraction of the stroke, if that is smaller than `NEAR_M`."""
+
+NEAR_PX = 3.0
+"""Least tolerated deviation [px]: corners measured by hand have errors of 1 to 2 px."""
+
+BOW_PX = 1.0
+"""Tolerated bow in the middle of an edge [px]; it is measured to 0.2 px."""
+
+BOW_M = 5e-4
+"""The same [m], if that is larger; sawn plates are straight to 0.3 mm."""
+
+TURN_RAD = np.radians(0.6)
+"""Tolerated rotation [rad]. It is measured to a tenth of that on a plate of 300 px; a shaking plate
+rotates by less at the starts of cycles."""
+
+STRETCH = 0.01
+"""Tolerated change of size [-], measured to a tenth of that."""
 
 SUPPORT = 0.6
 """Minimum fraction of an edge's profiles that must agree. Parts on the edge hide some."""
@@ -62,8 +75,11 @@ SMOOTH_PX = 1.0
 """Standard deviation of the Gaussian filter before profiles are sampled [px]. It reduces noise of
 20 grey levels to 6."""
 
-MIN_STEP, NOISE_STEPS = 4.0, 5.0
-"""Minimum step of an edge: in grey levels, and in standard deviations of the gradient beside it."""
+MIN_STEP = 4.0
+"""Minimum step of an edge [grey levels]."""
+
+NOISE_STEPS = 5.0
+"""Minimum step of an edge, in standard deviations of the gradient beside it [-]."""
 
 CANDIDATES = 3
 """Number of strongest steps of each sign kept from a profile: the plate's edge, a shadow, a
@@ -85,9 +101,15 @@ SIDE_PX = 5.0, 10.0
 """Range of distances from a step in which the brightness beside it is measured [px]: beyond a line
 of pen or tape, which is 2 to 4 px wide."""
 
-SHIFT_TEXT_M, TURN_TEXT_RAD, STRETCH_TEXT = 5e-4, np.radians(0.2), 0.003
-"""Shift [m], rotation [rad] and change of size [-] below which a message omits them: the errors of
-the measurement with noise and with corners rounded to a pixel."""
+SHIFT_TEXT_M = 5e-4
+"""Shift below which a message omits it [m]: the error of the measurement with noise and with
+corners rounded to a pixel."""
+
+TURN_TEXT_RAD = np.radians(0.2)
+"""The same of the rotation [rad]."""
+
+STRETCH_TEXT = 0.003
+"""The same of the change of size [-]."""
 
 FLIPS = {
     "mirrored left to right": (1, -1),

@@ -63,9 +63,11 @@ LOCAL_PASSES = 3
 LEAST_SHARE = 0.05
 """Fraction of background around a pixel above which the average follows it completely."""
 
-TEXTURE_PERCENT, TEXTURE = 98, 1.25
-"""Percentage of a photograph's background pixels whose deviation is texture, and the factor between
-this deviation and that of parts."""
+TEXTURE_PERCENT = 98
+"""Percentage of a photograph's background pixels whose deviation is texture."""
+
+TEXTURE = 1.25
+"""Factor between this deviation and that of parts."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
 """Candidates of the blur of an image, in addition to that of the bare plate's images [px]."""
@@ -73,13 +75,18 @@ SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
 EDGE_PX = 4
 """Width of the plate's edge that such a blur reaches [px]."""
 
-SOFTER, EXPLAINED = 0.2, 0.1
+SOFTER = 0.2
 """Fraction of the pixels at the plate's edge that differ from the bare plate, from which on blur is
-tried, and maximum fraction that differs with the right blur. With more, the plate has moved."""
+tried."""
 
-SPECK, SPECKS = 100.0, 0.004
-"""Minimum deviation of a speck, a pixel that differs from its neighbours [L]; fraction of specks
-above which an image is cleaned."""
+EXPLAINED = 0.1
+"""Maximum fraction that differs with the right blur. With more, the plate has moved."""
+
+SPECK = 100.0
+"""Minimum deviation of a speck, a pixel that differs from its neighbours [L]."""
+
+SPECKS = 0.004
+"""Fraction of specks above which an image is cleaned."""
 
 LEAST_SCORE = 0.4
 """Minimum score of a background: the fraction of the image that it explains, plus BORDER_WEIGHT

@@ -17,17 +17,27 @@ MAX_PX, MAX_RADIUS = 0.5, 0.144
 [px] and this fraction of the parts' median radius. In synthetic images nuts were taken for washers
 from 2.0 px with parts of 10 px radius, and from 3.4 px with 19 px, but not with 1.8 and 3.1 px."""
 
-POINTS, PERCENT = 24, 25
-"""Number of points on the contour of a patch, and percentile of the blur at these points. Shadow
-and motion blur only a part of a contour."""
+POINTS = 24
+"""Number of points on the contour of a patch."""
 
-FIRST, SHARP = 8, 0.6
-"""Number of patches that are measured first, and the fraction of the maximum blur below which they
-alone show that the image is sharp. In images with too much blur they have at least 0.8 of it."""
+PERCENT = 25
+"""Percentile of the blur at these points: shadow and motion blur only a part of a contour."""
 
-BESIDE_PX, BESIDE_RADIUS, STEPS = 9.0, 0.6, 13
-"""Length of a profile on each side of the contour, the smaller of the two [px, radii]; number of
-samples."""
+FIRST = 8
+"""Number of patches that are measured first."""
+
+SHARP = 0.6
+"""Fraction of the maximum blur below which the first patches alone show that the image is sharp. In
+images with too much blur they have at least 0.8 of it."""
+
+BESIDE_PX = 9.0
+"""Maximum length of a profile on each side of the contour [px]."""
+
+BESIDE_RADIUS = 0.6
+"""The same, relative to the radius; the smaller counts."""
+
+STEPS = 13
+"""Number of samples of a profile."""
 
 SECANT = 3
 """Distance to the two neighbours on the contour that give its direction [points of the contour]."""

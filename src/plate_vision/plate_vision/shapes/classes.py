@@ -61,9 +61,12 @@ LIMIT = 3.0
 """Maximum difference, in the standard deviations above. A patch farther from every type is
 unknown."""
 
-OTHER_SIZE, OTHER_SIZE_PX = 0.45, 1.0
-"""Natural logarithm of the size ratio, and difference of the outlines [px], beyond which a patch is
-not of a type, whatever the type's scatter."""
+OTHER_SIZE = 0.45
+"""Natural logarithm of the size ratio beyond which a patch is not of a type, whatever the type's
+scatter."""
+
+OTHER_SIZE_PX = 1.0
+"""The same of the difference of the outlines [px]."""
 
 UNLIKE = 0.4
 """Distance of forms, see `Outline.form`, above which a type is not tried. Parts of 20 px are up to

@@ -26,9 +26,12 @@ DARKEST = 0.4
 CHROMA_LIMIT = 1.5
 """Maximum deviation of a hole's chroma from the plate's, relative to that of the plate's noise."""
 
-SEEN, UNSEEN = 0.3, 2.0
-"""Penalties, in standard deviations, of a hole that is missing in the outline: if it looks like the
-plate and unlike the part; if it looks like both."""
+SEEN = 0.3
+"""Penalty of a hole that is missing in the outline if it looks like the plate and unlike the part
+[standard deviations]."""
+
+UNSEEN = 2.0
+"""The same if it looks like both."""
 
 SPARSE = 16
 """Step between rows and columns that are evaluated for the typical noise."""

@@ -40,18 +40,27 @@ BIN = 0.02
 SMOOTH = np.array([1, 2, 3, 2, 1]) / 9
 """Weights of the average over neighbouring bins."""
 
-MODES, LEAST_MODE, APART = 4, 0.1, 3
-"""Maximum number of modes; minimum height relative to the largest; minimum distance [bins]."""
+MODES = 4
+"""Maximum number of modes."""
+
+LEAST_MODE = 0.1
+"""Minimum height of a mode, relative to the largest."""
+
+APART = 3
+"""Minimum distance of modes [bins]."""
 
 PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
 """Number of terms of the surfaces in each pass of the fit, and minimum of the deviation limit of
 its pixels [L]; 0: the limit of the plate's noise. The first two passes cover a light from one
 side."""
 
-STEADY, STEADY_LIMIT = 0.6, 0.6
+STEADY = 0.6
 """Fraction of the plate that agrees with the last light, above which no other light is searched: no
-other light can explain more. A pixel agrees below this fraction of the plate's noise limit. If the
-light has changed slightly, the full limit would cut off half of the noise."""
+other light can explain more."""
+
+STEADY_LIMIT = 0.6
+"""A pixel agrees below this fraction of the plate's noise limit. If the light has changed slightly,
+the full limit would cut off half of the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
 """Surfaces of a light equal to that of the background."""

@@ -20,10 +20,12 @@ ROUND = 0.95
 SURE = 60.0
 """Contrast above which the confidence is not reduced [grey levels]."""
 
-SOFT, FRAYED = 0.3, 0.85
+SOFT = 0.3
 """A patch is rejected as no part if the lower quartile of the gradient at its contour, relative to
-the background's limit, is at most the first value [1/px], and it fills at most the second fraction
-of its hull."""
+the background's limit, is at most this [1/px], and it is `FRAYED`."""
+
+FRAYED = 0.85
+"""Maximum fraction of its hull that a frayed patch fills."""
 
 OUTLINE = np.dtype(
     [

@@ -20,19 +20,26 @@ from .outlines import distances, make_outline
 COARSE = 0.03
 """Maximum RMS distance of the polygon from the measured outline, relative to the reach."""
 
-FINE_PX, FINE = 0.5, 0.012
-"""Tolerance of the first polygon: in pixels, and relative to the reach; the larger counts."""
+FINE_PX = 0.5
+"""Tolerance of the first polygon [px]."""
 
-PLAIN_PX, PLAIN = 0.14, 0.006
-"""RMS deviation up to which a polygon with fewer corners is preferred: in pixels, and relative to
-the reach."""
+FINE = 0.012
+"""The same, relative to the reach; the larger counts."""
+
+PLAIN_PX = 0.14
+"""RMS deviation up to which a polygon with fewer corners is preferred [px]."""
+
+PLAIN = 0.006
+"""The same, relative to the reach."""
 
 WORSE = 1.1
 """Maximum deviation of a polygon with fewer corners, relative to that of the first polygon [-]."""
 
-BULGE_PX, CLEAR_PX = 0.35, 2.0
-"""Maximum distance of the outline from the polygon's edges [px], and distance from corners within
-which it is ignored, because blur rounds them [px]."""
+BULGE_PX = 0.35
+"""Maximum distance of the outline from the polygon's edges [px]."""
+
+CLEAR_PX = 2.0
+"""Distance from corners within which the outline is ignored, because blur rounds them [px]."""
 
 STAY = 0.05
 """Weight of a corner's shift relative to the distance of the outline, for regularisation."""

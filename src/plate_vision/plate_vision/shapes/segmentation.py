@@ -44,9 +44,12 @@ more."""
 NOISE_STEP = 16
 """Step between rows and columns that are evaluated for the typical noise."""
 
-REMNANT, LEFT = 0.35, 0.25
-"""A patch is the rest of a shadow if its area is below the first fraction of a typical part's, and
-the removed shadow around it exceeds the second fraction of its own area."""
+REMNANT = 0.35
+"""A patch is the rest of a shadow if its area is below this fraction of a typical part's, and
+`LEFT` holds."""
+
+LEFT = 0.25
+"""Fraction of its own area that the removed shadow around the rest exceeds."""
 
 FILLED = 0.3
 """Fraction of the area enclosed by a ring that things inside must fill to be one part with it."""
@@ -63,9 +66,11 @@ LEAST_RIM_PX = 12
 ROUND = 0.8
 """4 pi area / length^2 above which an enclosed area is a part's hole, not a gap between parts."""
 
-CONVEX_HOLE, LARGE_HOLE_PX2 = 0.75, 40.0
-"""Fraction of its convex hull above which an enclosed area is a hole. A gap has thin corners, which
-are visible above this area [px2]."""
+CONVEX_HOLE = 0.75
+"""Fraction of its convex hull above which an enclosed area is a hole. A gap has thin corners."""
+
+LARGE_HOLE_PX2 = 40.0
+"""Area above which thin corners are visible [px2]."""
 
 
 def find_patches(

@@ -34,9 +34,11 @@ DEPTHS = 0.4
 SHARP_PERCENT = 25
 """Percentage of the patches whose edges count as sharp."""
 
-CLEAR_EDGE, WIDE_PERCENT = 0.5, 80
-"""Minimum deviation of patches with clear edges, relative to the upper quartile of all; percentile
-of the parts' edge widths that is the width of an image's edges."""
+CLEAR_EDGE = 0.5
+"""Minimum deviation of patches with clear edges, relative to the upper quartile of all."""
+
+WIDE_PERCENT = 80
+"""Percentile of the parts' edge widths that is the width of an image's edges."""
 
 LIGHTER: float = _kernels.LIGHTER
 """Maximum deviation of a shadow, relative to that of the part that casts it."""
