@@ -74,9 +74,12 @@ STATUS_BYTES = 100_000
 """A longer task_status is none of the planner's."""
 
 WATCH_PERIOD_S = 0.02
-STALLED_S, SETTLE_S = 0.05, 0.01
-"""A process that has not run for so long is given this time to receive what was sent to it
-meanwhile [s]: the end of a task would else be heard after a cycle that came later."""
+STALLED_S = 0.05
+"""A process that has not run for so long has stalled [s]."""
+
+SETTLE_S = 0.01
+"""Time that a stalled process gets to receive what was sent to it meanwhile [s]: otherwise the end
+of a task would arrive after a cycle that came later."""
 
 REST_S = 3.0
 """Longest wait for motors that brake, go home and lose their current [s]."""

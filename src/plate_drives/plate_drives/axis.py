@@ -21,13 +21,25 @@ from plate_core.serial_protocol import Trouble
 from .master import HEARTBEAT, NMT, OWN_NODE, RPDO, SYNC, TPDO, Master, Refused, words
 from .survey import enabled, in_fault
 
-CYCLE_MS, BEAT_MS, SILENT_MS = 10, 50, 300
-"""Bus cycle, over which the drive interpolates; period of heartbeats; their timeout [ms]."""
+CYCLE_MS = 10
+"""Bus cycle, over which the drive interpolates [ms]."""
 
-READY_S, OFF_S = 5.0, 0.5
-"""Maximum time until the drive is enabled, and until it is disabled [s]."""
-STILL_CYCLES, STILL_M = 30, 5e-4
-"""Number of cycles for which a motor must rest before it is enabled, and the maximum motion [m]."""
+BEAT_MS = 50
+"""Period of heartbeats [ms]."""
+
+SILENT_MS = 300
+"""Timeout of heartbeats [ms]."""
+
+READY_S = 5.0
+"""Maximum time until the drive is enabled [s]."""
+
+OFF_S = 0.5
+"""Maximum time until the drive is disabled [s]."""
+STILL_CYCLES = 30
+"""Number of cycles for which a motor must rest before it is enabled."""
+
+STILL_M = 5e-4
+"""Maximum motion of a motor that rests [m]."""
 MISSED = 3
 """Number of consecutive SYNCs without a reply, or with two replies, that is a fault."""
 ASTRAY_M = 1e-3

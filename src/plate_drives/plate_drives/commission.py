@@ -31,8 +31,14 @@ SHARE = 0.1
 """Maximum fraction of the rig's speed and acceleration that the motions use."""
 STAGES = (0.01, 0.1, 1.0)
 """Fractions of the amplitude, with a question after each: counts_per_m may be far too large."""
-MOVE_S, SWING_S, SWING_HZ = 0.5, 4.0, 2.0
-"""Minimum time of a move [s]; time [s] and maximum frequency [Hz] of the following test."""
+MOVE_S = 0.5
+"""Minimum time of a move [s]."""
+
+SWING_S = 4.0
+"""Time of the following test [s]."""
+
+SWING_HZ = 2.0
+"""Maximum frequency of the following test [Hz]."""
 ANSWER_S = 60.0
 """Maximum wait for a person while a motor has current [s]."""
 ROUGH = 0.1

@@ -23,8 +23,11 @@ from .scene import Scene, rig_scene, type_scene
 from .server import PageServer, Socket
 from .top_view import TopView
 
-FRAME_S, SLOW_S = 0.04, 0.5
-"""Minimum time between two messages of a kind to the browsers, and the same for slow data [s]."""
+FRAME_S = 0.04
+"""Minimum time between two messages of a kind to the browsers [s]."""
+
+SLOW_S = 0.5
+"""The same for slow data [s]."""
 
 
 SWITCH_S = 0.0005

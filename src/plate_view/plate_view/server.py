@@ -39,18 +39,26 @@ LONGEST_QUEUE = 200
 HUNG_S = 10.0
 """Time without progress in sending after which a browser is disconnected [s]."""
 
-MOST_BROWSERS, MOST_VIEWERS = 32, 24
-"""Maximum number of browsers, and of viewers, so that an operator can always connect."""
+MOST_BROWSERS = 32
+"""Maximum number of browsers."""
+
+MOST_VIEWERS = 24
+"""Maximum number of viewers: fewer, so that an operator can always connect."""
 
 MOST_REQUESTS = 100
 """Maximum number of open HTTP connections; further ones are closed at once."""
 
-COMMANDS_PER_S, BURST = 100.0, 200.0
-"""Command allowance of one browser: mean rate, and burst. Dragging sends 60 per second."""
+COMMANDS_PER_S = 100.0
+"""Mean rate of commands that one browser may send [1/s]. Dragging sends 60 per second."""
 
-MOST_OPEN, MOST_OF_ALL = 50, 200
-"""Maximum number of commands without a reply, of one browser and of all. Others are refused, except
-stops."""
+BURST = 200.0
+"""Commands that one browser may send at once."""
+
+MOST_OPEN = 50
+"""Maximum number of commands of one browser without a reply. Others are refused, except stops."""
+
+MOST_OF_ALL = 200
+"""The same of all browsers."""
 
 PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
 """Costs of commands that are frequent while a person drags; others cost `DEAR`."""

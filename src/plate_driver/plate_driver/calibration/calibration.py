@@ -35,8 +35,11 @@ COUNT = 150
 ACCEL = 10.0
 """Root mean square of the commanded acceleration [m/s2]: a resonance of 3 % makes some 20 of it."""
 
-SETTLE, MEASURE = 2, 6
-"""Cycles until the plate has found its rhythm, and that are measured then."""
+SETTLE = 2
+"""Cycles until the plate has found its rhythm."""
+
+MEASURE = 6
+"""Cycles that are measured then."""
 
 SLOWEST = 4
 """Harmonics that show when a cycle began: up to 3.9 Hz."""

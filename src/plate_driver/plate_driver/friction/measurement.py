@@ -24,12 +24,18 @@ from plate_core import Parts, PlateError, Rig, part_class
 
 from .push import Push, make_push, most_accel, slip
 
-FIRST_G, SLOW_G = 0.08, 0.01
-"""Accelerations of the first push, and of slow motions until the first slip is known [g]. The
-friction of parts that also slide in slow motions would be overestimated."""
+FIRST_G = 0.08
+"""Acceleration of the first push [g]."""
 
-SEARCH_FACTOR, ONSET_FACTOR = 1.25, 1.05
-"""Ratio of accelerations from one push to the next, in the search and in the onset."""
+SLOW_G = 0.01
+"""Acceleration of slow motions until the first slip is known [g]. The friction of parts that also
+slide in slow motions would be overestimated."""
+
+SEARCH_FACTOR = 1.25
+"""Ratio of accelerations from one push to the next in the search."""
+
+ONSET_FACTOR = 1.05
+"""The same in the onset."""
 
 SLOW_SHARE = 0.5
 """Acceleration of slow motions, relative to the maximum at which no part slid."""
@@ -41,12 +47,17 @@ still within the range of the closed form, and a static ratio of up to 1.5 is ov
 LEAST_ABOVE = 1.2
 """Minimum acceleration of distance pushes, relative to mu g of each part."""
 
-ONSET_FROM, ONSET_TO = 0.8, 2.0
-"""Accelerations of the first onset push, relative to the minimum mu g, and of the last one,
-relative to the maximum mu g."""
+ONSET_FROM = 0.8
+"""Acceleration of the first onset push, relative to the minimum mu g."""
 
-SLID_M, BEGAN_M = 5e-4, 6e-5
-"""Minimum slip for a first estimate of mu, and to detect the onset [m]."""
+ONSET_TO = 2.0
+"""Acceleration of the last onset push, relative to the maximum mu g."""
+
+SLID_M = 5e-4
+"""Minimum slip for a first estimate of mu [m]."""
+
+BEGAN_M = 6e-5
+"""Minimum slip that shows the onset [m]."""
 
 NOISE_FACTOR = 5.0
 """Minimum slip that counts, in standard errors of the camera."""
@@ -67,8 +78,11 @@ MOST_STEPS = 6
 STEP_ROOM_M = 0.006
 """Clearance that each part needs towards every edge, beyond its safe distance [m]."""
 
-LEAST_GAP_M, TOUCH_M = 0.004, 0.0005
-"""Minimum gap between two parts at the beginning, and later [m]."""
+LEAST_GAP_M = 0.004
+"""Minimum gap between two parts at the beginning [m]."""
+
+TOUCH_M = 0.0005
+"""Minimum gap between two parts later [m]."""
 
 STILL_M = 5e-4
 """Standard deviation of a part's place over some images above which the part moves [m]."""
@@ -79,8 +93,11 @@ STUCK_FACTOR = 3.0
 HERE_M = 0.005
 """Radius around a part's place within which its friction is taken for local friction [m]."""
 
-RANGE, CURVE = 2.4, 80
-"""Ratio of maximum to minimum mu that a push distinguishes, and number of values in between."""
+RANGE = 2.4
+"""Ratio of maximum to minimum mu that a push distinguishes."""
+
+CURVE = 80
+"""Number of values of mu in this range."""
 
 AGREE = 0.05
 SURE = 3.0

@@ -29,8 +29,11 @@ acceleration of the first slip."""
 RAMP = 0.12
 """Duration of the first ramp, relative to that of the acceleration: motors can follow it."""
 
-STROKE_USED, LIMITS_USED = 0.8, 0.9
-"""Maximum fractions of the motors' stroke, and of all limits, that a push uses."""
+STROKE_USED = 0.8
+"""Maximum fraction of the motors' stroke that a push uses."""
+
+LIMITS_USED = 0.9
+"""Maximum fraction of all limits that a push uses."""
 
 LONGEST_WAY_M = 0.016
 """Maximum length of a push [m]: parts then move by some millimetres."""
@@ -38,8 +41,11 @@ LONGEST_WAY_M = 0.016
 QUINTIC_PEAK = 10 / np.sqrt(3)
 """Peak acceleration of the quintic from rest to rest, times T^2 over its length."""
 
-FAST_STEPS, SLOW_STEPS = 800, 60
-"""Steps of the integration in the push, and in each slow motion."""
+FAST_STEPS = 800
+"""Steps of the integration in the push."""
+
+SLOW_STEPS = 60
+"""Steps of the integration in each slow motion."""
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,11 @@ from ..transports import ANSWER_S, Condition
 if TYPE_CHECKING:
     from ..node import DriverNode
 
-STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
-"""Time between checks whether driver_status has changed, and after which it is repeated [s]."""
+STATE_PERIOD_S = 0.05
+"""Time between checks whether driver_status has changed [s]."""
+
+LIFE_PERIOD_S = 0.5
+"""Time after which an unchanged driver_status is repeated [s]."""
 
 FAREWELL_S = 0.5
 """How long to wait until the last messages have arrived [s]."""

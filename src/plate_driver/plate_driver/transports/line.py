@@ -59,10 +59,15 @@ MOST_FRAME_S = 0.02
 UNANSWERED = 0.05
 """Share of commands that may come to nothing: a round trip more each."""
 
-TELEMETRY_S, CHANCE, MOST_PATIENCE_S = 0.01, 1e-9, 3.0
-"""Time between two telemetries [s]; how unlikely it must be that the line has lost all of them, so
-that none is worth an error (what it loses is known roughly); and the longest time without any,
-whatever it loses [s]."""
+TELEMETRY_S = 0.01
+"""Time between two telemetries [s]."""
+
+CHANCE = 1e-9
+"""Probability that the line loses all telemetries of a time, below which their absence is an error.
+Its losses are known roughly."""
+
+MOST_PATIENCE_S = 3.0
+"""Maximum time without any telemetry, whatever the line loses [s]."""
 
 MOST_COPIES = 8
 """Times that a message is sent at once, at most, on a line that loses nearly all."""

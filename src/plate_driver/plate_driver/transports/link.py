@@ -42,9 +42,14 @@ The device itself brakes after a quarter of that. A link that is begun anew cost
 that loses nearly everything must not seem silent: where 5 % of the bytes are lost one message in
 seven comes whole, of some two hundred in this time."""
 
-GREETING_S, GREETING_TRIES, LATER_GREETING_S = 5.0, 30, 0.1
-"""Time after which a Hello that is not answered is given up; how often it is sent at first, each
-`ANSWER_S`, and the time between those after that [s]."""
+GREETING_S = 5.0
+"""Time after which a Hello that is not answered is given up [s]."""
+
+GREETING_TRIES = 30
+"""Number of the first Hellos, one each `ANSWER_S`."""
+
+LATER_GREETING_S = 0.1
+"""Time between Hellos after these [s]."""
 
 GIVE_UP_S = 5.0
 """Time, and twenty round trips, after which a command that is not answered is given up [s]. Knots

@@ -59,9 +59,15 @@ LEAD_S = 0.3
 QUIET_S = 0.5
 """So long, and a round trip, without a word, and the device does not answer [s]."""
 
-STOP_ANSWER_S, HOME_ANSWER_S, READY_S = 0.5, 1.0, 8.0
-"""Longest waits, besides four round trips: for the answers to a stop and to a home, and until the
-motors are ready: 5 s for the search of home, 0.5 s for the way there [s]."""
+STOP_ANSWER_S = 0.5
+"""Maximum wait for the answer to a stop, besides four round trips [s]."""
+
+HOME_ANSWER_S = 1.0
+"""The same for the answer to a home [s]."""
+
+READY_S = 8.0
+"""Maximum wait until the motors are ready, besides four round trips: 5 s for the search of home,
+0.5 s for the way there [s]."""
 
 ROUNDING = 1e-5
 """Fraction by which limits may differ: they come in single precision."""

@@ -25,8 +25,11 @@ POLL_PERIOD_S = 0.002
 STOPPED_SINCE = "another stop has come since; call enable again"
 BUSY = "the transport is busy"
 
-BUSY_S, CLOSE_S = 0.3, 2.0
-"""Longest wait for a transport that is in the middle of something, and for its thread's end [s]."""
+BUSY_S = 0.3
+"""Maximum wait for a transport that is in the middle of something [s]."""
+
+CLOSE_S = 2.0
+"""Maximum wait for the end of a transport's thread [s]."""
 
 ANSWER_S = 0.3
 """Longest wait for what becomes of an order [s]: who has called gets an answer within 0.5 s."""

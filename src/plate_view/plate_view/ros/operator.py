@@ -50,15 +50,21 @@ from .listener import Listener
 FOUND_S = 2.0
 """Maximum time to discover an action server [s]."""
 
-MOVE_TOLERANCE_M, MOVE_TOLERANCE_RAD = 0.001, 0.05
-"""Tolerances at which a dragged part counts as arrived."""
+MOVE_TOLERANCE_M = 0.001
+"""Distance at which a dragged part counts as arrived [m]."""
+
+MOVE_TOLERANCE_RAD = 0.05
+"""The same of its angle [rad]."""
 
 MOST_SQUARES = 255
 """Maximum number of squares along a side of a board in TakeLensPictures. The detector allows
 fewer."""
 
-FOLLOW_ERROR_M, FOLLOW_LIMIT_S = 0.02, 600.0
-"""Maximum distance of a part from its drawn path, and maximum time; beyond them the task ends."""
+FOLLOW_ERROR_M = 0.02
+"""Maximum distance of a part from its drawn path [m]; beyond it the task ends."""
+
+FOLLOW_LIMIT_S = 600.0
+"""Maximum time for a drawn path [s]; then the task ends."""
 
 SECRET = ("operator_token", "viewer_token")
 """Parameters that are not sent to browsers."""

@@ -19,9 +19,11 @@ BEFORE_S = 1.5
 
 LATCHED_TOPICS = ("task_status", "driver_status", "part_targets")
 
-BAG_BYTES, METADATA_BYTES = 10**12, 10**6
-"""Maximum size of a bag's data files, which are read message by message, and of metadata.yaml,
-which is read as a whole [bytes]."""
+BAG_BYTES = 10**12
+"""Maximum size of a bag's data files, which are read message by message [bytes]."""
+
+METADATA_BYTES = 10**6
+"""Maximum size of metadata.yaml, which is read as a whole [bytes]."""
 
 RATES = 0.05, 20.0
 """Allowed range of the rate, in recorded seconds per second."""
