@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Nodes that only pass on what they get: the gate, and a graph in which nothing is computed.
 
 python tools/graph/relays.py gate TRANSPORT
@@ -61,8 +62,8 @@ def remaps(transport: str) -> dict[str, tuple[str, str]]:
 
 
 def command(*words: str) -> list[str]:
-    """Return the command line of the gate, or of a node that forwards."""
-    return [sys.executable, __file__, *words]
+    """Return the command line of the gate, or of a node that forwards: a script to fork."""
+    return [__file__, *words]
 
 
 class Gate(Node):

@@ -130,7 +130,7 @@ def forward(graph: Session, hops: Hops, others: Hops, logs: Path) -> list[str]:
         (logs / topic).write_bytes(hops.newest[topic])
     commands = {f"{NAMESPACE}_{name}": command(name, str(logs)) for name in NODES}
     graph.processes.add(commands)
-    graph.observer.until(lambda: any(all(row) for row in others.times.values()), TASK_S)
+    graph.observer.until(lambda: any(map(all, [*others.times.values()])), TASK_S)
     return list(commands)
 
 
