@@ -165,19 +165,13 @@ def level(page, step):
     return page.locator(f"#camera-checks [data-check={step}]").get_attribute("data-grade")
 
 
-def test_without_a_camera_it_says_so(page, shows):
+def test_no_camera_one_that_looks_elsewhere_and_a_little_shift_are_reported(graph, page, shows):
     shows("picture", "no image", "0_nothing")
     assert page.inner_text("#camera-state") == "Next: picture."
-
-
-def test_a_camera_that_looks_elsewhere(graph, page, shows):
     graph[0].show(picture(View(distance=1.25, roll=12.0, at=(0.1, 0.05))))
     shows("outline", "not seen|not where corners_px", "1_moved")
     assert level(page, "outline") in ("warn", "bad")
     shows("lens", "take pictures of a board")
-
-
-def test_a_little_shift_is_measured(graph, page, shows):
     graph[0].show(picture(View(at=(0.012, 0.0))))
     shows("outline", r"shifted by \(-12\.\d, -?0\.\d\) mm", "2_shifted")
 
