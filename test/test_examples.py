@@ -71,7 +71,7 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain, image_rate):
             assert observer.until(lambda: bool(observer.record.truth), 60)
             begin = short_of_sides()
             assert begin > 0.1
-            assert observer.until(lambda: short_of_sides() < begin - 0.02, 120)
+            assert observer.until(lambda: short_of_sides() < begin - 0.01, 120)
     finally:
         own.terminate()
         assert own.wait(20) == 0

@@ -27,8 +27,8 @@ def _graph(tmp_path_factory):
     """With half as many parts as `feed`: a purge is over sooner."""
     folder = tmp_path_factory.mktemp("feed")
     few = yaml.safe_load(config_path("scenarios/feed.yaml").read_text(encoding="utf-8"))
-    few["parts"][0]["count"] = 5
-    few["task"]["hopper"] |= {"fill": 8, "least": 6}
+    few["parts"][0]["count"] = 4
+    few["task"]["hopper"] |= {"fill": 6, "least": 5}
     (folder / "feed.yaml").write_text(yaml.safe_dump(few), encoding="utf-8")
     options = LightOptions(
         scenario=str(folder / "feed.yaml"), seed=1, autostart=False, robot_port=0, rate=0.5

@@ -16,7 +16,8 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from graph.demo import await_consent
+from demo import arguments
+from graph.demo import await_consent, demo
 
 from plate_core import PlateError, config_path, load_rig
 from plate_core.tasks import load_scenario, start_positions
@@ -133,18 +134,17 @@ def test_a_terminal_that_is_closed_enables_nothing(monkeypatch):
             await_consent(person)
 
 
-def test_nothing_starts_where_nobody_can_enable_the_motors():
+def test_nothing_starts_where_nobody_can_enable_the_motors(monkeypatch, capsys):
     master, slave = pty.openpty()  # in place of a motor controller
-    done = subprocess.run(
-        [sys.executable, "tools/demo.py", "--port", os.ttyname(slave)],
-        cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LONGEST_S,
-        check=False,
-    )  # fmt: skip
+    monkeypatch.setattr(sys, "argv", ["demo.py", "--port", os.ttyname(slave)])
+    with open(os.devnull, encoding="utf-8") as nobody:
+        monkeypatch.setattr(sys, "stdin", nobody)
+        assert demo(arguments()) == 2
     os.close(master)
     os.close(slave)
-    assert done.returncode == 2, done.stderr
-    assert "nobody can enable the motors" in done.stderr
-    assert "Starting" not in done.stdout
+    output, errors = capsys.readouterr()
+    assert "nobody can enable the motors" in errors
+    assert "Starting" not in output
 
 
 @pytest.mark.parametrize(
@@ -156,10 +156,11 @@ def test_nothing_starts_where_nobody_can_enable_the_motors():
         (["--camera", "0", "--image-rate", "30"], "image rate is 30, allowed: 0 with a camera"),
     ],
 )
-def test_what_does_not_go_with_a_camera_is_refused_before_the_start(words, said):
-    command = [sys.executable, "tools/demo.py", *words]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, timeout=LONGEST_S, check=False
-    )
-    assert done.returncode == 2
-    assert said in done.stderr
+def test_what_does_not_go_with_a_camera_is_refused_before_the_start(
+    monkeypatch, capsys, words, said
+):
+    monkeypatch.setattr(sys, "argv", ["demo.py", *words])
+    assert demo(arguments()) == 2
+    output, errors = capsys.readouterr()
+    assert "Starting" not in output
+    assert said in errors
