@@ -21,7 +21,7 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     # Where there is no `ros2`: `plate goal sort_4`, `plate --help`, `feasible --scenario sort_4`
     case ":$PATH:" in
         *":$_plate_root/install/plate_core/lib/plate_core:"*) ;;
-        *) export PATH="$_plate_root/install/plate_client/lib/plate_client:$_plate_root/install/plate_core/lib/plate_core:$_plate_root/install/plate_solver/lib/plate_solver:$PATH" ;;
+        *) export PATH="$_plate_root/install/plate_client/lib/plate_client:$_plate_root/install/plate_core/lib/plate_core:$_plate_root/install/plate_bringup/lib/plate_bringup:$PATH" ;;
     esac
 
     # Numerics: the matrices are small, so threads would only get in each other's way

@@ -1,7 +1,7 @@
 """Small and weak rigs: success, time, error, and what `feasible` said.
 
 What a rig is asked before it is bought: success, time and error of tasks on small and weak rigs,
-beside what `ros2 run plate_solver feasible` says of them.
+beside what `ros2 run plate_bringup feasible` says of them.
 
 The whole loop with image noise and uneven friction. Some 90 runs: ten
 minutes on two cores.
@@ -16,9 +16,9 @@ import numpy as np
 
 from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Setup
+from plate_bringup.rehearsal import judge_task
 from plate_core import Rig, load_rig
 from plate_core.tasks import load_scenario
-from plate_solver import judge_task
 from tasks.runs import UNEVEN, runs_of, summed
 
 RATIOS = (2, 3, 5, 10)

@@ -28,6 +28,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            f"feasible = {NAME}.feasible:main",
             f"one_process = {NAME}.one_process:main",
             f"qualify = {NAME}.qualify:main",
         ]

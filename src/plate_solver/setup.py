@@ -24,7 +24,5 @@ setup(
     maintainer_email="plate@example.org",
     description="Finds the plate motion whose friction gives each part the force wanted.",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [f"feasible = {NAME}.feasible:main", f"solver = {NAME}.node:main"]
-    },
+    entry_points={"console_scripts": [f"solver = {NAME}.node:main"]},
 )

@@ -63,7 +63,7 @@ from plate_planner.tasks import (
 )
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion
-from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Simulation, WorldState
+from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Shot, Simulation, WorldState
 from plate_solver import METHODS, Answer, Controller
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
@@ -71,7 +71,7 @@ from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
 from .views import view_from, with_height
 
 __all__ = [
-    "ALIKE", "Cell", "Direct", "Moment", "Setup",
+    "ALIKE", "Cell", "Direct", "Moment", "Scene", "Setup",
     "Transport", "as_asked", "load_planner", "predicted", "run", "seen_by", "summary",
     "with_settings",
 ]  # fmt: skip
@@ -311,6 +311,68 @@ class Transport(Protocol):
         motions until then."""
 
 
+class Scene(Protocol):
+    """The parts that the loop moves, and how they are seen."""
+
+    @property
+    def state(self) -> WorldState:
+        """The true parts now."""
+
+    def shots(self, begin: float) -> Iterator[Shot]:
+        """Return the images of a camera that runs free, from a time [s] on."""
+
+    def capture(self, age: float | None = None) -> np.ndarray | None:
+        """Return an image (H, W) of now, or of `age` [s] ago; None where there is none."""
+
+    def see(self, image: np.ndarray, stamp: float, expected: Prediction | None) -> Parts:
+        """Return the parts in an image that was taken at a stamp [s]."""
+
+    def run(self, motion: PlateCycle | PlateMotion) -> None:
+        """Let the plate move."""
+
+
+class Watched:
+    """The simulator's parts, as vision sees them in its camera's images."""
+
+    def __init__(self, setup: Setup, scenario: Scenario, rig: Rig) -> None:
+        self.simulation = Simulation(
+            rig, scenario, setup.seed, setup.disturbances, noise=setup.noise,
+            mu_scale=setup.mu_scale,
+        )  # fmt: skip
+        self._vision, self._tracker = make_vision(rig), Tracker()
+        self._bare = BarePlate(wanted=BARE_IMAGES)
+        if self._vision.catalogue is not None:
+            for _ in range(BARE_IMAGES):
+                self._know(self.simulation.capture_bare())
+
+    @property
+    def state(self) -> WorldState:
+        """See `Scene`."""
+        return self.simulation.state
+
+    def shots(self, begin: float) -> Iterator[Shot]:
+        """See `Scene`."""
+        return self.simulation.shots(begin)
+
+    def capture(self, age: float | None = None) -> np.ndarray | None:
+        """See `Scene`."""
+        return self.simulation.capture(age)
+
+    def see(self, image: np.ndarray, stamp: float, expected: Prediction | None) -> Parts:
+        """See `Scene`."""
+        if self._vision.catalogue is not None:
+            self._know(image)
+        self._tracker = observe(self._vision, self._tracker, image, stamp, expected)
+        return self._tracker.parts
+
+    def run(self, motion: PlateCycle | PlateMotion) -> None:
+        """See `Scene`."""
+        self.simulation.run(motion)
+
+    def _know(self, image: np.ndarray) -> None:
+        self._bare, self._vision, _ = know_plate(self._bare, self._vision, image)
+
+
 class Cell(Protocol):
     """What is around the plate, such as a hopper and a robot, and gives a task of `feed` orders."""
 
@@ -409,51 +471,45 @@ def run(
     transport: Transport | None = None,
     drag: Callable[[float], Sequence[PartTarget]] | None = None,
     cell: Cell | None = None,
+    scene: Scene | None = None,
 ) -> Iterator[Moment]:
     """Run the loop until the task has ended; yields every cycle with an image.
 
     `drag` gives, for a task of `move` that has begun, targets to be replaced at a time [s]; `cell`
-    is for one of `feed`.
+    is for one of `feed`; `scene` has the parts, those of the simulator if left out.
     """
     line = transport or Direct()
     scenario = setup.recipe
     rig = seen_by(setup, rig or load_rig(scenario.rig))
-    simulation = Simulation(
-        rig, scenario, setup.seed, setup.disturbances, noise=setup.noise, mu_scale=setup.mu_scale
-    )
-    vision, tracker = make_vision(rig), Tracker()
-    bare = BarePlate(wanted=BARE_IMAGES)
-    if vision.catalogue is not None:
-        for _ in range(BARE_IMAGES):
-            bare, vision, _ = know_plate(bare, vision, simulation.capture_bare())
+    scene = scene or Watched(setup, scenario, rig)
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
     own = load_planner(setup.own_planner, rig) if setup.own_planner else None
     controller = Controller(rig, setup.method, setup.seed, **setup.effort)
     free = setup.disturbances.image_rate > 0
-    shots = simulation.shots(line.now)
+    shots = scene.shots(line.now)
     shot = next(shots) if free else None
-    held, began, start, image, expected = -1, -np.inf, simulation.state, None, None
+    held, began, start, image, expected = -1, -np.inf, scene.state, None, None
+    parts = Parts.make((), np.zeros((0, 2)))
     while True:
-        world, now, at_work = simulation.state, line.now, cpu_time()
+        world, now, at_work = scene.state, line.now, cpu_time()
         if line.began > began:  # another cycle
             held, began, start = held + 1, line.began, world
             state = planner.started(state, line.running, began, not free)
         new, stamp = None, now
         if cell is not None:
-            cell.act(simulation, now)
-            world = simulation.state
+            assert isinstance(scene, Watched)
+            cell.act(scene.simulation, now)
+            world = scene.state
         if shot is None:
-            new = simulation.capture()
+            new = scene.capture()
         elif shot.delivered <= now:
-            new, stamp = simulation.capture(now - shot.middle), shot.stamp
+            new, stamp = scene.capture(now - shot.middle), shot.stamp
             shot = next(shots)
         if new is not None:
             image, at_work = new, cpu_time()
-            if vision.catalogue is not None:
-                bare, vision, _ = know_plate(bare, vision, image)
-            tracker = observe(vision, tracker, image, stamp, expected)
-            state = planner.see(state, tracker.parts, stamp)
+            parts = scene.see(image, stamp, expected)
+            state = planner.see(state, parts, stamp)
         due = new is not None if shot is None else state.due <= now
         if due and image is not None:
             if drag is not None and state.task.active:
@@ -464,7 +520,7 @@ def run(
             expected = predicted(wanted, state)
             # What is held is to be seen at rest, also with a planner of the user's own.
             if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
-                wanted = _checked(own.plan(tracker.parts, began), setup.own_planner)
+                wanted = _checked(own.plan(parts, began), setup.own_planner)
             solving = cpu_time()
             answer = controller.answer(wanted, line.running)
             solve_s = cpu_time() - solving
@@ -472,10 +528,10 @@ def run(
             line.send(table)
             state = planner.hear(state, answer.cycle, now)
             step_s = cpu_time() - at_work
-            error, turned = _true_errors(planner.scenario, rig, state, tracker.parts, start, began)
+            error, turned = _true_errors(planner.scenario, rig, state, parts, start, began)
             used = fitted.usage
             yield Moment(
-                began, start, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
+                began, start, parts, wanted, answer, progress, image, solve_s, step_s,
                 used.overall, used.force / rig.limits.force,
                 float(np.sqrt(np.max(used.thermal_load))), fitted.factor < 1, error, turned,
                 max(held, 0),
@@ -486,7 +542,7 @@ def run(
         answer_at = state.due if image is not None else np.inf
         until = np.inf if shot is None else min(shot.delivered, max(answer_at, now + MOMENT_S))
         for motion in line.play(until):
-            simulation.run(motion)
+            scene.run(motion)
 
 
 def predicted(wanted: Wanted, state: PlannerState) -> Prediction | None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
 from .goal import Goal, Solution, Status
 from .limits import EQUAL_WEIGHT, Limits, limit_use
-from .rehearsal import Rehearsal, Verdict, judge_task, rehearse
 
 if TYPE_CHECKING:
     from .averages import RotationSolver, SinusoidSolver, average_force
@@ -26,18 +25,14 @@ __all__ = [
     "Goal",
     "Limits",
     "Manipulability",
-    "Rehearsal",
     "RotationSolver",
     "SinusoidSolver",
     "Solution",
     "Status",
-    "Verdict",
     "average_force",
-    "judge_task",
     "library_force",
     "limit_use",
     "manipulability",
-    "rehearse",
 ]
 
 if not TYPE_CHECKING:  # else any name would do

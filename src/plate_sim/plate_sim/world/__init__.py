@@ -4,7 +4,7 @@ Public: the names below."""
 from .bodies import STEP, BodyTrajectory, simulate_bodies
 from .disturbances import NONE, RANGES, Disturbances
 from .feeding import LONGEST_OPEN_S, Grip, Move
-from .simulation import WORLD_RANGES, Sight, Simulation
+from .simulation import WORLD_RANGES, Shot, Sight, Simulation
 from .state import WorldState
 from .step import record_cycle, run_cycle
 
@@ -18,6 +18,7 @@ __all__ = [
     "Disturbances",
     "Grip",
     "Move",
+    "Shot",
     "Sight",
     "Simulation",
     "WorldState",

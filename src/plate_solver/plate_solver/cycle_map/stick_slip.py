@@ -11,9 +11,9 @@ Parts are innermost: their square roots overlap.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Protocol
 
-from plate_core import PlateCycle
+import numpy as np
 
 from .. import _kernels
 
@@ -21,8 +21,22 @@ PREDICTION_STEP = 0.1e-3
 """Step for predicting what a finished cycle does [s]: it is done once, so it may be fine."""
 
 
+class Motion(Protocol):
+    """What parts are predicted under: a `PlateCycle`, or a piece of one."""
+
+    @property
+    def period(self) -> float:
+        """Length [s]."""
+
+    def pose(self, t: np.ndarray) -> np.ndarray:
+        """Return the plate's pose (n, 3) at times (n,) [s]."""
+
+    def twist(self, t: np.ndarray) -> np.ndarray:
+        """Return its derivative (n, 3)."""
+
+
 def after(
-    cycle: PlateCycle,
+    cycle: Motion,
     position: np.ndarray,
     velocity: np.ndarray,
     friction_accel: float | np.ndarray,
@@ -32,7 +46,7 @@ def after(
     return end_state(position, velocity, *finely_sampled(cycle), friction_accel)
 
 
-def finely_sampled(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def finely_sampled(cycle: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return pose and twist (n, 3) at the middles of steps of `PREDICTION_STEP`, and these (n,)."""
     steps = max(1, round(cycle.period / PREDICTION_STEP))
     t = (np.arange(steps) + 0.5) * (cycle.period / steps)

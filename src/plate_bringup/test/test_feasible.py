@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from plate_bringup.feasible import main
+from plate_bringup.rehearsal import judge_task, rehearse
 from plate_core import config_path, load_rig
 from plate_core.tasks import load_scenario
-from plate_solver import EFFORT, judge_task, rehearse
-from plate_solver.feasible import main
+from plate_solver import EFFORT
 
 RIG = load_rig()
 
@@ -26,7 +27,7 @@ def with_few(name):
 def _short(monkeypatch):
     """Verdicts are the same with fewer starts of each motion, and with more of a task estimated."""
     monkeypatch.setitem(EFFORT["sinusoids"], "restarts", 10)
-    monkeypatch.setattr("plate_solver.rehearsal.MOST_CYCLES", 20)
+    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 20)
 
 
 def shaken(gamma):
@@ -43,17 +44,17 @@ def test_a_strong_rig_is_likely_to_do_it(scenario):
 
 
 def test_a_path_takes_as_long_as_it_is_long(monkeypatch):
-    """Two rectangles of 0.56 m at 40 mm/s, and one cycle until the first answer."""
-    monkeypatch.setattr("plate_solver.rehearsal.MOST_CYCLES", 150)  # to its end
+    """Two rectangles of 0.56 m at 40 mm/s; references start slowly until the latency is known."""
+    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 150)  # to its end
     path = rehearse(RIG, load_scenario("follow_2"), 0)
     assert not path.lost
-    assert path.time_s == pytest.approx(0.56 / 0.04, abs=0.5)
-    assert path.speed == pytest.approx(0.04, rel=0.02)
+    assert 0 < path.time_s - 0.56 / 0.04 < 1
+    assert path.speed == pytest.approx(0.04, rel=0.05)
 
 
 def test_a_plate_that_hardly_shakes_is_not(monkeypatch):
     """No part goes 40 mm/s where the bound is 10: mu g T/16 (G - 1/G), T being 0.1 s."""
-    monkeypatch.setattr("plate_solver.rehearsal.MOST_CYCLES", 40)
+    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 40)
     verdict = judge_task(shaken(1.2), load_scenario("follow_2"), 1)
     assert not verdict.likely
     assert verdict.speed < RIG.friction.accel * 0.1 / 16 * (1.2 - 1 / 1.2)
@@ -98,7 +99,7 @@ def test_command_says_likely(command):
 
 
 def test_command_takes_the_rig_of_the_scenario():
-    words = [sys.executable, "-m", "plate_solver.feasible", "--scenario", "align_6"]
+    words = [sys.executable, "-m", "plate_bringup.feasible", "--scenario", "align_6"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
     assert "shapes.yaml: Gamma = " in done.stdout
@@ -106,7 +107,7 @@ def test_command_takes_the_rig_of_the_scenario():
 
 
 def test_command_says_no_and_what_would_do(command, tmp_path, monkeypatch):
-    monkeypatch.setattr("plate_solver.rehearsal.MOST_CYCLES", 20)  # in the first it is clear
+    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 20)  # in the first it is clear
     text = config_path("rig.yaml").read_text(encoding="utf-8")
     assert "accel_mps2: 100.0" in text
     path = tmp_path / "weak.yaml"
@@ -140,11 +141,13 @@ def test_command_refuses(command, words):
 
 
 @pytest.mark.parametrize("speed", [0.4, 3.0])
-def test_a_path_that_no_part_can_follow_fails(speed):
+def test_a_path_that_no_part_can_follow_is_followed_more_slowly(speed):
+    """As in the loop, where the planner's references slow down."""
     scenario = load_scenario("follow_2")
     paths = tuple(replace(path, speed=speed) for path in scenario.task.paths)
-    verdict = judge_task(RIG, replace(scenario, task=replace(scenario.task, paths=paths)))
-    assert not verdict.likely
+    done = rehearse(RIG, replace(scenario, task=replace(scenario.task, paths=paths)), 0)
+    assert done.speed < speed / 2
+    assert 2 * 0.56 / speed < done.time_s < np.inf
 
 
 def test_places_as_near_as_a_scenario_may_have_them():

@@ -1,6 +1,6 @@
-"""Tell before a task starts whether a rig can do it: `ros2 run plate_solver feasible`.
+"""Tell before a task starts whether a rig can do it: `ros2 run plate_bringup feasible`.
 
-Needs no ROS: `python -m plate_solver.feasible` does the same.
+Needs no ROS: `python -m plate_bringup.feasible` does the same.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from plate_core.tasks import (
     edge_doubts,
     load_scenario,
 )
+from plate_solver.cycle_map import rest_to_rest_s, speed_bounds
 
-from .cycle_map import rest_to_rest_s, speed_bounds
 from .rehearsal import STILL, Verdict, judge_task
 
 NOT_REHEARSED = {
