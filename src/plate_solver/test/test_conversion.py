@@ -8,7 +8,8 @@ import pytest
 
 from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted
 from plate_sim import simulate
-from plate_solver.controller import leaves_plate, search
+from plate_solver.controller import answer_of, leaves_plate, refusal, search
+from plate_solver.goal import Solution, Status
 from plate_solver.goal.conversion import RequestFacts, form_goal
 from plate_solver.sinusoids.solver import SinusoidCycles
 from plate_solver.start import Memory, predict_start
@@ -246,3 +247,55 @@ def test_a_part_leaves_the_plate_only_where_its_goal_lies(rig, at, to, end, leav
     start = predict_start(rig, wanted, Memory(), None, False, False)
     goal = form_goal(rig, wanted, start, 0.1, 0.0, False)
     assert leaves_plate(rig, IDS[:1], goal, np.array([end, 0.0])) is leaves
+
+
+FRICTION_ACCEL = 2.5
+"""mu g of the parts below [m/s2]: displacements of 0.1 m over 0.2 s are 1 mu m g."""
+
+
+def half_way(rig, **goal):
+    """A goal of 2 mm and -4 mm for one part, and a solution that misses half of it by 0.01 and
+    0.02 mu m g (1 mm and 2 mm)."""
+    wanted = Wanted.make(Parts.make(IDS[:1], PLACE[:1]))
+    start = predict_start(rig, wanted, Memory(), None, False, False)
+    start = replace(start, friction_accel=np.array([FRICTION_ACCEL]))
+    goal = replace(
+        form_goal(rig, wanted, start, 0.2, 0.0, False),
+        displacement=np.array([[2e-3, -4e-3]]),
+        **goal,
+    )
+    cycle, miss = PlateCycle.rest(0.2), np.array([[0.01, 0.02]])
+    return goal, Solution(True, "found", cycle, miss, 3, 1.0, predicted=np.zeros(2))
+
+
+def test_the_error_of_a_fraction_is_relative_to_the_whole_request(rig):
+    """Half of the request is missed beforehand: 1 + 1 mm along x, 2 - 2 mm along y."""
+    goal, found = half_way(rig)
+    whole, half = answer_of(goal, found, 1.0, 0.2), answer_of(goal, found, 0.5, 0.2)
+    assert (whole.fraction, whole.message, whole.solution.success) == (1.0, "found", True)
+    assert whole.error_m == pytest.approx(np.sqrt((1e-6 + 4e-6) / 2))
+    assert half.error_m == pytest.approx(np.sqrt((4e-6 + 0.0) / 2))
+    assert half.solution.residual == pytest.approx(np.array([[0.02, 0.0]]))
+    assert half.asked_m == whole.asked_m == pytest.approx(np.sqrt((4e-6 + 16e-6) / 2))
+    assert (half.solution.success, half.solution.status) == (False, Status.PARTIAL)
+    assert (half.fraction, half.message) == (0.5, "0.5 of the request; found")
+
+
+def test_a_goal_that_lasts_is_never_missed(rig):
+    goal, found = half_way(rig, lasting=True)
+    answer = answer_of(goal, found, 0.5, 0.2)
+    assert (answer.error_m, answer.asked_m, answer.fraction) == (0.0, 0.0, 0.5)
+    assert answer.solution is found
+
+
+def test_in_place_of_a_refused_motion_the_plate_rests_and_all_is_missed(rig):
+    goal, found = half_way(rig)
+    answer = refusal(goal, found, PlateCycle.rest(0.2))
+    assert not answer.cycle.moves
+    assert answer.solution.cycle is answer.cycle
+    assert answer.error_m == answer.asked_m == pytest.approx(np.sqrt(10e-6))
+    assert answer.solution.residual == pytest.approx(np.array([[0.02, -0.04]]))
+    assert (answer.solution.success, answer.solution.status) == (False, Status.FAILED)
+    assert (answer.fraction, answer.solution.fraction) == (0.0, 0.0)
+    lasting, found = half_way(rig, lasting=True)
+    assert refusal(lasting, found, PlateCycle.rest(0.2)).asked_m == 0.0
