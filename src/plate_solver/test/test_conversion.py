@@ -8,7 +8,7 @@ import pytest
 
 from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted
 from plate_sim import simulate
-from plate_solver.controller import answer_of, leaves_plate, refusal, search
+from plate_solver.controller import Controller, answer_of, leaves_plate, refusal, search
 from plate_solver.goal import Solution, Status
 from plate_solver.goal.conversion import RequestFacts, form_goal
 from plate_solver.sinusoids.solver import SinusoidCycles
@@ -110,6 +110,8 @@ def test_facts_of_a_request(rig):
     parts = Parts.make(IDS, PLACE)
     bare = Wanted.make(parts, tolerance=np.array([[0.0, 1e-3], [0.0, 0.0]]))
     assert RequestFacts.of(rig, bare) == RequestFacts(False, None, False, True)
+    one = Wanted.make(parts, tolerance=np.array([[1e-3, 1e-3], [0.0, 0.0]]))
+    assert RequestFacts.of(rig, one).exact
     free = Wanted.make(parts, tolerance=np.array([[0.0, 1e-3], [1e-3, 0.0]]), torque=[0.0, 1e-6])
     assert RequestFacts.of(rig, free) == RequestFacts(False, 1, False, False)
     for way, far in ((0.0059, False), (0.0061, True)):
@@ -182,6 +184,14 @@ def test_the_state_at_the_start_is_that_of_an_independent_simulation(rig):
     np.testing.assert_allclose(start.velocity, run.velocity[-1], atol=5e-3)
     assert start.spin is None
     assert np.array_equal(start.memory.velocity["grey_1"], start.velocity[1])
+
+
+def test_a_known_friction_limit_counts_before_the_rigs(heavy):
+    """12 mN on 10 g are 1.2 m/s2; 0 is unknown."""
+    parts = Parts.make(IDS, PLACE, friction_limit=np.array([12e-3, 0.0]))
+    start = predict_start(heavy, Wanted.make(parts), Memory(), None, False, False)
+    own = heavy.friction.mu * heavy.friction.gravity
+    assert start.friction_accel == pytest.approx([1.2, own])
 
 
 def test_predictions_of_the_request_count_before_our_own(rig):
@@ -299,3 +309,77 @@ def test_in_place_of_a_refused_motion_the_plate_rests_and_all_is_missed(rig):
     assert (answer.fraction, answer.solution.fraction) == (0.0, 0.0)
     lasting, found = half_way(rig, lasting=True)
     assert refusal(lasting, found, PlateCycle.rest(0.2)).asked_m == 0.0
+
+
+def test_a_missed_rotation_counts_by_its_arc(rig):
+    """Two parts go where they should; one lacks 0.1 rad at 20 mm, the other need not rotate."""
+    wanted = Wanted.make(Parts.make(IDS, PLACE), torque=[1e-6, 0.0])
+    start = predict_start(rig, wanted, Memory(), None, True, False)
+    goal = form_goal(rig, wanted, start, 0.2, 0.0, False)
+    turns = replace(
+        goal.turns, low=np.full(2, 0.3), high=np.full(2, 0.4), weight=np.array([0.02, 0])
+    )
+    end = np.array([*PLACE.T.ravel(), 0.2, 9.0])
+    found = Solution(True, "found", PlateCycle.rest(0.2), np.zeros((2, 2)), 3, 1.0, predicted=end)
+    answer = answer_of(replace(goal, turns=turns), found, 1.0, 0.2)
+    assert answer.error_m == pytest.approx(0.002 / np.sqrt(5))
+
+
+class Refused:
+    """A solver whose motions carry the part off the plate until a quarter is requested."""
+
+    cut_short = 0
+
+    def __init__(self):
+        self.calls = []
+
+    def steering_period(self, *given):
+        return 0.2
+
+    def forget(self):
+        self.calls.append("forget")
+
+    def steer(self, goal, tolerance, good_enough, until):
+        self.calls.append((goal.displacement[0, 0], tolerance, good_enough))
+        self.position = goal.position
+        x = 0.01 if len(self.calls) > 4 else 1.0
+        miss = np.zeros((1, 2))
+        end = np.array([x, 0.0])
+        return Solution(True, "found", PlateCycle.rest(0.2), miss, 3, 1.0, predicted=end)
+
+
+def test_less_is_searched_for_afresh_until_no_part_leaves_the_plate(heavy):
+    """All, half, a quarter of 8 mm by 0 (5.66 mm root mean square), exact within 2 % of that; a
+    search stops at 50 um/s over 0.2 s."""
+    solver, controller = Refused(), Controller(heavy)
+    controller._solvers["sinusoids"] = solver
+    force = np.array([[4e-3, 0.0]])  # 4 mN 0.1 s/10 g is a drift of 40 mm/s
+    answer = controller.answer(Wanted.make(Parts.make(IDS[:1], [[0, 0]]), force, period=0.1), None)
+    searches = [call for call in solver.calls if call != "forget"]
+    assert solver.calls[1::2] == ["forget", "forget"]
+    size = 0.02 * 8e-3 / np.sqrt(2)
+    expected = [(8e-3 * share, 1e-5, size * share) for share in (1, 0.5, 0.25)]
+    assert searches == [pytest.approx(each) for each in expected]
+    assert answer.fraction == 0.25
+
+
+@pytest.mark.parametrize(("radii", "leaves"), [(0.6, False), (0.4, True)])
+def test_a_part_leaves_the_plate_half_a_radius_before_its_edge(heavy, radii, leaves):
+    wanted = Wanted.make(Parts.make(IDS[:1], [[0.0, 0.0]]))
+    start = predict_start(heavy, wanted, Memory(), None, False, False)
+    goal = form_goal(heavy, wanted, start, 0.1, 0.0, False)
+    end = np.array([0.0, heavy.plate.half[1] - radii * RADIUS_M])
+    assert leaves_plate(heavy, IDS[:1], goal, end) is leaves
+
+
+def test_velocities_are_kept_from_cycle_to_cycle_by_id(heavy):
+    """A part that begins a cycle at 50 mm/s slides v^2/(2 mu g) on a plate at rest."""
+    solver, controller = Refused(), Controller(heavy)
+    controller._solvers["sinusoids"] = solver
+    parts, force = Parts.make(IDS[:1], [[0.0, 0.0]]), np.array([[1e-3, 0.0]])
+    state = np.array([[0.0, 0.0, 0.05, 0.0]])
+    controller.answer(Wanted.make(parts, force, start=state), None)
+    rest, slide = PlateCycle.rest(0.1), 0.05**2 / (2 * heavy.friction.accel)
+    for ids, way in ((IDS[:1], slide), (IDS[:1], 0.0), (IDS[1:], 0.0)):
+        controller.answer(Wanted.make(Parts.make(ids, [[0.0, 0.0]]), force), rest)
+        assert solver.position[0] == pytest.approx([way, 0.0], abs=1e-5)
