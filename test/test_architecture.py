@@ -176,11 +176,11 @@ def test_what_runs_does_without_the_averages():
 
 
 def test_the_solver_reads_requests_at_its_door_alone():
-    """Behind `goal/conversion.py` there are goals: no other file distinguishes forces and targets.
-    A rehearsal is a planner, which makes requests."""
+    """Behind `goal/conversion.py` there are goals: no other file distinguishes forces and
+    targets."""
     kinds = {f"plate_core.{name}" for name in ("AngleTargets", "Forces", "Targets")}
     readers = {path.name for path in sources("plate_solver") if kinds & imports(path)}
-    assert readers - {"rehearsal.py"} == {"conversion.py"}
+    assert readers == {"conversion.py"}
 
 
 def test_only_known_libraries_and_package_xml_names_them():
