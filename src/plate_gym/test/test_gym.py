@@ -444,7 +444,7 @@ def test_what_is_seen(gym):
     for action in actions:
         seen = late.step(action)[0]
     plate = late.plates.plates[0].simulation
-    before = plate._history.ago(0.05).position
+    before = plate._view.history.ago(0.05).position
     assert seen[:, :2] == pytest.approx(before, abs=2e-4)
     assert np.max(np.abs(before - plate.state.position)) > 5e-4
 

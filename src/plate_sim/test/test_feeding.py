@@ -9,7 +9,8 @@ from plate_core import MOST_PARTS, Parts, PlateCycle, PlateError, load_rig, part
 from plate_core.tasks import free_gap, load_scenario
 from plate_sim import Disturbances, Move, Simulation
 from plate_sim.world import LONGEST_OPEN_S, NONE
-from plate_sim.world.feeding import GRIP_REACH_M, NUDGE_M, NUDGE_RAD, Flow
+from plate_sim.world.hopper import Flow
+from plate_sim.world.robot import GRIP_REACH_M, NUDGE_M, NUDGE_RAD
 
 DISCS, SHAPES = load_rig(), load_rig("shapes")
 REST = PlateCycle.rest(0.1)
@@ -242,7 +243,7 @@ def test_the_robot_hides_what_is_below_it_and_nothing_else(scenario):
     over = simulation.capture().astype(float)
     assert over.shape == before.shape
     changed = np.abs(over - before).reshape(*over.shape[:2], -1).max(axis=2) > 1
-    places = simulation._camera._places - place
+    places = simulation._view._camera._places - place
     arm = (np.abs(places[..., 0]) < 0.029) & (places[..., 1] > 0)
     # Of the arm only what is as grey as it is looks as before.
     assert np.mean(changed[arm]) > 0.99
@@ -257,7 +258,7 @@ def test_the_robot_hides_what_is_below_it_and_nothing_else(scenario):
 def test_noise_lies_on_the_robot_too():
     simulation = world(noise=3.0)
     simulation.move_robot(Move.OVER, 0.1, 0.0)
-    places = simulation._camera._places - [0.1, 0.0]
+    places = simulation._view._camera._places - [0.1, 0.0]
     head = np.hypot(*places.transpose(2, 0, 1)) < 0.015
     assert np.std(simulation.capture()[head].astype(float)) == pytest.approx(3.0, rel=0.1)
 
@@ -379,7 +380,7 @@ def test_what_the_robot_cannot_do_is_refused(move, words):
 
 def dark(image, simulation, place):
     """Whether an image shows a black part at a place."""
-    near = np.hypot(*(simulation._camera._places - place).transpose(2, 0, 1)) < 0.005
+    near = np.hypot(*(simulation._view._camera._places - place).transpose(2, 0, 1)) < 0.005
     return np.mean(image[near]) < 80
 
 
@@ -406,7 +407,7 @@ def test_late_images_show_parts_and_robot_as_they_were():
     for _ in range(3):
         image = simulation.capture().astype(float)
         simulation.run(REST)
-        near = np.hypot(*(simulation._camera._places - place).transpose(2, 0, 1)) < 0.015
+        near = np.hypot(*(simulation._view._camera._places - place).transpose(2, 0, 1)) < 0.015
         still.append(np.mean(image[near]) > 150)  # the plate, not the gripper
     assert still == [True, True, False]
 
@@ -488,7 +489,11 @@ def test_a_long_production_stays_as_small_as_it_was(world_of):
         simulation.run(REST)
         made |= set(simulation.state.ids)
         rows.append(len(simulation.state.ids))
-        sizes = len(simulation._history.passages), len(simulation._robot), len(simulation._taken)
+        sizes = (
+            len(simulation._view.history.passages),
+            len(simulation._robot.stations),
+            len(simulation._robot.taken),
+        )
         assert max(sizes) <= 4
         assert len(simulation.mu) == rows[-1]
     assert taken > 75

@@ -3,8 +3,10 @@ Public: the names below."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies
 from .disturbances import NONE, RANGES, Disturbances
-from .feeding import LONGEST_OPEN_S, Grip, Move
-from .simulation import WORLD_RANGES, Shot, Sight, Simulation
+from .hopper import LONGEST_OPEN_S
+from .robot import Grip, Move
+from .sight import Shot, Sight
+from .simulation import WORLD_RANGES, Simulation
 from .state import WorldState
 from .step import record_cycle, run_cycle
 

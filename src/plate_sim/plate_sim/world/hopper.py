@@ -1,4 +1,4 @@
-"""A hopper that drops parts on the plate, and a robot that takes them.
+"""The hopper that drops parts on the plate.
 
 Parts come to lie in the plane: one that falls on another slides off it, so that heaps are dense and
 their parts touch, but none lies on another.
@@ -6,16 +6,14 @@ their parts touch, but none lies on another.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
-from plate_core import Parts, PlateError, Rig, part_class
+from plate_core import MOST_PARTS, PlateError, Rig, part_class
 from plate_core.rig import PartType, contains, overlap, rim_distance
-from plate_core.tasks import Hopper, Side, free_gap
+from plate_core.tasks import Hopper
 
 from .state import WorldState
 
@@ -30,18 +28,6 @@ TRIES = 20
 
 SLIDE_STEP_M, TOUCH_M = 1e-3, 1e-6
 """Step in which a part slides off another, and how near it then lies to it [m]."""
-
-GRIP_REACH_M = 5e-3
-"""A gripper takes no part whose centre is further off [m]."""
-
-FINGER_M = 3e-3
-"""Thickness of a gripper's finger [m]: it has to go between the part and its neighbours."""
-
-NUDGE_M, NUDGE_RAD = 2e-3, 0.1
-"""How far at most a part is moved and turned by a grip that fails [m], [rad]."""
-
-OVER_EDGE_M = 0.03
-"""A part has left the plate over a side if it is not further inside of it [m]: the plate moves."""
 
 
 @dataclass(frozen=True)
@@ -205,102 +191,54 @@ def _placed(kind: PartType, place: np.ndarray, angle: float) -> np.ndarray:
     return np.asarray(kind.polygon @ np.array([[cos, sin], [-sin, cos]]) + place)
 
 
-def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
-    """Whether parts that left the plate at places (M, 2) [m, plate_home] did so over a side."""
-    sign = np.array([side.x, side.y])
-    return np.asarray(np.any(sign * position > rig.plate.half - OVER_EDGE_M, axis=1))
+class Dispenser:
+    """A hopper that opens for a time, and lets parts fall meanwhile.
 
-
-class Move(IntEnum):
-    """What a robot is to do, as in the service MoveRobot."""
-
-    AWAY = 0
-    OVER = 1
-    GRIP = 2
-
-
-@dataclass(frozen=True)
-class Grip:
-    """What came of a robot's move.
-
-    Attributes
+    Parameters
     ----------
-    success : bool
-        Of a grip: whether it has a part; else True.
-    id : str
-        Of the part it has, or that slipped; empty: it found none.
-    error_m : float
-        True distance of that part's centre from the gripper, or if it found none, of the nearest
-        part; infinite if there is none [m].
-    error_rad : float
-        True angle that the gripper would have to turn to lie as the part does, from -pi to pi, less
-        what the part's symmetry hides; 0 if it found none [rad].
-    message : str
-        What was done, or why not.
+    hopper : Hopper or None
+        The task's; None: it has none.
+    rig : Rig
+    rng : Generator
+        For the parts that fall.
     """
 
-    success: bool
-    id: str = ""
-    error_m: float = 0.0
-    error_rad: float = 0.0
-    message: str = ""
+    def __init__(self, hopper: Hopper | None, rig: Rig, rng: np.random.Generator) -> None:
+        self._hopper, self._rig, self._rng, self._flow = hopper, rig, rng, Flow()
 
+    @property
+    def is_open(self) -> bool:
+        """Whether parts may fall."""
+        return self._flow.left_s > 0
 
-def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
-    """Refuse a place at which a gripper cannot be: a PlateError."""
-    half = rig.plate.half
-    if not (abs(x) <= half[0] and abs(y) <= half[1]):
-        raise PlateError(
-            f"gripper is at ({x:g}, {y:g}) m, allowed: |x| up to {half[0]:g}, |y| up to "
-            f"{half[1]:g} m"
-        )
-    if not np.isfinite(angle):
-        raise PlateError(f"angle is {angle:g}, allowed: finite")
+    def open(self, duration_s: float, state: WorldState) -> int:
+        """Open it for a time from now [s], in place of the rest of an earlier one; returns how many
+        parts fall if there is room.
 
+        Raises
+        ------
+        PlateError
+            If there is no hopper, the time is not allowed, or the plate is full.
+        """
+        if self._hopper is None:
+            raise PlateError("this scenario has no hopper, allowed: one of the kind feed that does")
+        check_duration(duration_s)
+        there = int(np.count_nonzero(state.on_plate))
+        if duration_s > 0 and there >= MOST_PARTS:
+            raise PlateError(f"{there} parts are on the plate, allowed: at most {MOST_PARTS}")
+        self._flow = replace(self._flow, left_s=float(duration_s))
+        return len(self._flow.after(duration_s, self._hopper.rate)[1])
 
-def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, marked: bool) -> Grip:
-    """Close a gripper at (x, y, angle) [m, m, rad, plate_home] on the nearest part, which may slip.
+    def after(self, time_s: float) -> np.ndarray:
+        """Let a time [s] pass; returns when parts fall in it (n,) [s]."""
+        assert self._hopper is not None
+        self._flow, drops = self._flow.after(time_s, self._hopper.rate)
+        return drops
 
-    Round parts that are `marked` have an angle, too.
-    """
-    x, y, turn = gripper
-    apart = np.where(state.on_plate, np.hypot(*(state.position - (x, y)).T), np.inf)
-    nearest = float(np.min(apart, initial=np.inf))
-    if not nearest <= GRIP_REACH_M:
-        near = f", the nearest is {1e3 * nearest:.1f} mm away" if np.isfinite(nearest) else ""
-        return Grip(
-            False, error_m=nearest,
-            message=f"no part within {1e3 * GRIP_REACH_M:g} mm of ({x:.4f}, {y:.4f}) m{near}",
-        )  # fmt: skip
-    row = int(np.argmin(apart))
-    name = state.ids[row]
-    symmetry = rig.part_type(part_class(name)).symmetry or int(marked)
-    error = 0.0
-    if symmetry:
-        period = 2 * np.pi / symmetry
-        error = float((state.angle[row] - turn + period / 2) % period - period / 2)
-    here = np.flatnonzero(state.on_plate)
-    parts = Parts.make(
-        tuple(state.ids[i] for i in here), state.position[here], angle=state.angle[here]
-    )
-    gap = float(free_gap(parts, rig)[here == row][0])
-    beside = f", another is {1e3 * max(gap, 0.0):.1f} mm beside it" if gap < FINGER_M else ""
-    done = "slipped" if slips else "is taken"
-    return Grip(not slips, name, nearest, error, f"{name} {done}{beside}")
-
-
-def nudged(
-    state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
-) -> tuple[np.ndarray, float]:
-    """Return where (2,) [m, plate_home] and at which angle [rad] a part lies from which a gripper
-    slipped: where it was, if it cannot move freely."""
-    row = state.ids.index(part_id)
-    place, angle = state.position[row], float(state.angle[row])
-    radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
-    new = place + radius * np.array([np.cos(way), np.sin(way)])
-    turned = angle + rng.uniform(-NUDGE_RAD, NUDGE_RAD)
-    kind = rig.part_type(part_class(part_id))
-    free = np.all(np.abs(new) <= rig.plate.half - kind.reach_m)
-    if free and not Lying.of(state, rig, part_id).met(kind, new, turned):
-        return new, turned
-    return place, angle
+    def drop(self, state: WorldState) -> Dropped | None:
+        """Let a part fall; None if there is no room for it."""
+        assert self._hopper is not None
+        if np.count_nonzero(state.on_plate) >= MOST_PARTS:
+            return None
+        rng = self._rng.spawn(1)[0]  # so that what is drawn for a part is its own
+        return drop_part(self._hopper, state, self._rig, rng)

@@ -1,0 +1,57 @@
+"""Parts that have left the plate: how many, and over which side."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from plate_core import Rig, part_class
+from plate_core.tasks import Side
+
+from .state import WorldState
+
+OVER_EDGE_M = 0.03
+"""A part has left the plate over a side if it is not further inside of it [m]: the plate moves."""
+
+
+def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
+    """Whether parts that left the plate at places (M, 2) [m, plate_home] did so over a side."""
+    sign = np.array([side.x, side.y])
+    return np.asarray(np.any(sign * position > rig.plate.half - OVER_EDGE_M, axis=1))
+
+
+class Departures:
+    """Counts of parts that have left the plate otherwise than by hand or robot.
+
+    Parameters
+    ----------
+    rig : Rig
+    chute : Side or None
+        Side of the plate with the task's chute.
+
+    Attributes
+    ----------
+    dropped : int
+        Parts that left elsewhere than over the chute, and are forgotten.
+    chuted : Counter of str
+        Parts that left over it, and are forgotten, by class.
+    """
+
+    def __init__(self, rig: Rig, chute: Side | None) -> None:
+        self._rig, self._chute = rig, chute
+        self.dropped, self.chuted = 0, Counter[str]()
+
+    def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
+        """Return how many of the parts that `left` (M,) bool the plate did so elsewhere than over
+        the chute, and by class over it."""
+        if self._chute is None:
+            return int(np.count_nonzero(left)), Counter()
+        over = went_over(self._chute, state.position, self._rig)
+        labels = Counter(part_class(state.ids[k]) for k in np.flatnonzero(left & over))
+        return int(np.count_nonzero(left & ~over)), labels
+
+    def forget(self, state: WorldState, left: np.ndarray) -> None:
+        """Count parts (M,) bool before they are forgotten."""
+        dropped, chuted = self.count(state, left)
+        self.dropped, self.chuted = self.dropped + dropped, self.chuted + chuted

@@ -1,0 +1,101 @@
+"""The hand that puts parts on the plate, and takes them off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from plate_core import MOST_PARTS, PlateError, Rig, did_you_mean, part_class
+from plate_core.tasks import CLASSES
+
+from .state import WorldState
+
+
+class Hand:
+    """A hand.
+
+    Parameters
+    ----------
+    rig : Rig
+    rng : Generator
+        For the friction of new parts.
+    """
+
+    def __init__(self, rig: Rig, rng: np.random.Generator) -> None:
+        self._rig, self._rng = rig, rng
+
+    def put(
+        self,
+        state: WorldState,
+        part_id: str,
+        label: str,
+        position: np.ndarray,
+        angle: float,
+        number: Callable[[str], int],
+    ) -> tuple[WorldState, str, float | None]:
+        """Put a part down at rest; the parameters are those of `Simulation.place`.
+
+        `number` returns the number of the next part of a class.
+
+        Returns
+        -------
+        state : WorldState
+            Other parts may lie there, too.
+        part_id : str
+        unit : float or None
+            Of a new part: how much more friction it has (`FrictionField.unit`).
+
+        Raises
+        ------
+        PlateError
+            If there is no such part or type, no more parts are allowed, or it would not lie on the
+            plate.
+        """
+        label = self._checked(state, part_id, label, position, angle)
+        unit = None
+        if not part_id:
+            part_id, unit = f"{label}_{number(label)}", self._rng.uniform(-1, 1)
+            state = state.joined(part_id, position, 0.0)
+        row = np.array([name == part_id for name in state.ids])
+        state = replace(
+            state,
+            position=np.where(row[:, None], position, state.position),
+            velocity=np.where(row[:, None], 0.0, state.velocity),
+            on_plate=state.on_plate | row,
+            angle=np.where(row, np.remainder(angle, 2 * np.pi), state.angle),
+            spin=np.where(row, 0.0, state.spin),
+        )
+        return state, part_id, unit
+
+    def _checked(
+        self, state: WorldState, part_id: str, label: str, position: np.ndarray, angle: float
+    ) -> str:
+        """Return the class of a part that may be put there."""
+        if part_id:
+            check_id(state, part_id)
+        kinds = tuple(self._rig.types) or CLASSES
+        label = part_class(part_id) if part_id else label
+        if label not in kinds:
+            hint = did_you_mean(label[:50], kinds)
+            raise PlateError(f"type is {label[:50]!r}{hint}, allowed: {', '.join(kinds)}")
+        if not part_id and len(state.ids) >= MOST_PARTS:
+            raise PlateError(f"{len(state.ids)} parts are there, allowed: at most {MOST_PARTS}")
+        room = self._rig.plate.half - self._rig.part_type(label).reach_m
+        if not np.all(np.abs(position) <= room + 1e-9):  # so where one is NaN
+            raise PlateError(
+                f"place is ({position[0]:g}, {position[1]:g}) m, allowed for {label}: |x| up to "
+                f"{room[0]:g}, |y| up to {room[1]:g} m"
+            )
+        if not np.isfinite(angle):
+            raise PlateError(f"angle is {angle:g}, allowed: finite")
+        return label
+
+
+def check_id(state: WorldState, part_id: str) -> None:
+    """Refuse a part that is not there: a PlateError."""
+    if part_id not in state.ids:
+        hint = did_you_mean(part_id[:50], state.ids)
+        known = ", ".join(state.ids) or "none"
+        raise PlateError(f"id is {part_id[:50]!r}{hint}, allowed: {known}")

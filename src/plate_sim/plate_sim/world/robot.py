@@ -1,0 +1,212 @@
+"""The robot that takes parts off the plate, and hides what is below its arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from plate_core import Parts, PlateError, Rig, part_class
+from plate_core.tasks import free_gap
+
+from .hopper import Lying
+from .state import WorldState
+
+GRIP_REACH_M = 5e-3
+"""A gripper takes no part whose centre is further off [m]."""
+
+FINGER_M = 3e-3
+"""Thickness of a gripper's finger [m]: it has to go between the part and its neighbours."""
+
+NUDGE_M, NUDGE_RAD = 2e-3, 0.1
+"""How far at most a part is moved and turned by a grip that fails [m], [rad]."""
+
+
+class Move(IntEnum):
+    """What a robot is to do, as in the service MoveRobot."""
+
+    AWAY = 0
+    OVER = 1
+    GRIP = 2
+
+
+@dataclass(frozen=True)
+class Grip:
+    """What came of a robot's move.
+
+    Attributes
+    ----------
+    success : bool
+        Of a grip: whether it has a part; else True.
+    id : str
+        Of the part it has, or that slipped; empty: it found none.
+    error_m : float
+        True distance of that part's centre from the gripper, or if it found none, of the nearest
+        part; infinite if there is none [m].
+    error_rad : float
+        True angle that the gripper would have to turn to lie as the part does, from -pi to pi, less
+        what the part's symmetry hides; 0 if it found none [rad].
+    message : str
+        What was done, or why not.
+    """
+
+    success: bool
+    id: str = ""
+    error_m: float = 0.0
+    error_rad: float = 0.0
+    message: str = ""
+
+
+def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
+    """Refuse a place at which a gripper cannot be: a PlateError."""
+    half = rig.plate.half
+    if not (abs(x) <= half[0] and abs(y) <= half[1]):
+        raise PlateError(
+            f"gripper is at ({x:g}, {y:g}) m, allowed: |x| up to {half[0]:g}, |y| up to "
+            f"{half[1]:g} m"
+        )
+    if not np.isfinite(angle):
+        raise PlateError(f"angle is {angle:g}, allowed: finite")
+
+
+def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, marked: bool) -> Grip:
+    """Close a gripper at (x, y, angle) [m, m, rad, plate_home] on the nearest part, which may slip.
+
+    Round parts that are `marked` have an angle, too.
+    """
+    x, y, turn = gripper
+    apart = np.where(state.on_plate, np.hypot(*(state.position - (x, y)).T), np.inf)
+    nearest = float(np.min(apart, initial=np.inf))
+    if not nearest <= GRIP_REACH_M:
+        near = f", the nearest is {1e3 * nearest:.1f} mm away" if np.isfinite(nearest) else ""
+        return Grip(
+            False, error_m=nearest,
+            message=f"no part within {1e3 * GRIP_REACH_M:g} mm of ({x:.4f}, {y:.4f}) m{near}",
+        )  # fmt: skip
+    row = int(np.argmin(apart))
+    name = state.ids[row]
+    symmetry = rig.part_type(part_class(name)).symmetry or int(marked)
+    error = 0.0
+    if symmetry:
+        period = 2 * np.pi / symmetry
+        error = float((state.angle[row] - turn + period / 2) % period - period / 2)
+    here = np.flatnonzero(state.on_plate)
+    parts = Parts.make(
+        tuple(state.ids[i] for i in here), state.position[here], angle=state.angle[here]
+    )
+    gap = float(free_gap(parts, rig)[here == row][0])
+    beside = f", another is {1e3 * max(gap, 0.0):.1f} mm beside it" if gap < FINGER_M else ""
+    done = "slipped" if slips else "is taken"
+    return Grip(not slips, name, nearest, error, f"{name} {done}{beside}")
+
+
+def nudged(
+    state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
+) -> tuple[np.ndarray, float]:
+    """Return where (2,) [m, plate_home] and at which angle [rad] a part lies from which a gripper
+    slipped: where it was, if it cannot move freely."""
+    row = state.ids.index(part_id)
+    place, angle = state.position[row], float(state.angle[row])
+    radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
+    new = place + radius * np.array([np.cos(way), np.sin(way)])
+    turned = angle + rng.uniform(-NUDGE_RAD, NUDGE_RAD)
+    kind = rig.part_type(part_class(part_id))
+    free = np.all(np.abs(new) <= rig.plate.half - kind.reach_m)
+    if free and not Lying.of(state, rig, part_id).met(kind, new, turned):
+        return new, turned
+    return place, angle
+
+
+class Robot:
+    """The robot: where it is and was, and the parts that it has taken.
+
+    Parameters
+    ----------
+    rig : Rig
+    marked : bool
+        Whether round parts have an angle.
+    rng : Generator
+        For the grips.
+
+    Attributes
+    ----------
+    taken : frozenset of str
+        Ids of the parts that it has taken, until these are forgotten.
+    stations : list of (float, (2,) or None)
+        Since when [s] it has been where [m, plate_home]; None: away. The oldest may still be shown.
+    """
+
+    def __init__(self, rig: Rig, marked: bool, rng: np.random.Generator) -> None:
+        self._rig, self._marked, self._rng = rig, marked, rng
+        self.taken: frozenset[str] = frozenset()
+        self.stations: list[tuple[float, np.ndarray | None]] = [(0.0, None)]
+
+    def move(
+        self,
+        state: WorldState,
+        to: int,
+        gripper: tuple[float, float, float],
+        failure: float,
+        now: float,
+        shown: float,
+    ) -> tuple[WorldState, Grip]:
+        """Move the robot, and grip if `to` says so.
+
+        Parameters
+        ----------
+        state : WorldState
+        to : int
+            A `Move`.
+        gripper : tuple of float
+            Its x, y [m, plate_home] and angle [rad].
+        failure : float
+            Probability that a part slips.
+        now, shown : float
+            It is there from `now` [s] on; images may still show where it was at `shown` [s].
+
+        Raises
+        ------
+        PlateError
+            If the move is not known, or the gripper would not be over the plate.
+        """
+        x, y, _ = gripper
+        if to not in set(Move):
+            raise PlateError(f"to is {to}, allowed: 0 (away), 1 (over), 2 (grip)")
+        if to == Move.AWAY:
+            self._go(None, now, shown)
+            return state, Grip(True, message="the robot is away")
+        check_gripper(*gripper, self._rig)
+        self._go(np.array([x, y]), now, shown)
+        if to == Move.OVER:
+            return state, Grip(True, message=f"the robot is over ({x:.4f}, {y:.4f}) m")
+        rng = self._rng.spawn(1)[0]  # so that what a grip draws does not depend on others
+        slips = bool(rng.random() < failure)
+        result = grip(state, self._rig, gripper, slips, self._marked)
+        row = np.array([name == result.id for name in state.ids], bool)
+        if result.success:
+            self.taken |= {result.id}
+            state = replace(state, on_plate=state.on_plate & ~row)
+        elif result.id:
+            place, turned = nudged(state, self._rig, result.id, rng)
+            state = replace(
+                state,
+                position=np.where(row[:, None], place, state.position),
+                velocity=np.where(row[:, None], 0.0, state.velocity),
+                angle=np.where(row, turned, state.angle),
+                spin=np.where(row, 0.0, state.spin),
+            )
+        return state, result
+
+    def _go(self, place: np.ndarray | None, now: float, shown: float) -> None:
+        oldest = max(i for i, (since, _) in enumerate(self.stations) if since <= max(shown, 0.0))
+        self.stations = [*self.stations[oldest:], (now, place)]
+
+    def at(self, time: float) -> np.ndarray | None:
+        """Return where the gripper (2,) was at a time [s] [m, plate_home]; None: away."""
+        return [place for since, place in self.stations if since <= max(time, 0.0)][-1]
+
+    def has(self, ids: tuple[str, ...]) -> np.ndarray:
+        """Whether it has taken each of these parts (M,)."""
+        return np.array([name in self.taken for name in ids], bool)
