@@ -27,7 +27,7 @@ from plate_vision.node import DetectorNode  # noqa: E402
 pytestmark = pytest.mark.needs("chromium", "playwright")
 
 TIMEOUT_MS = 60_000
-RATE_HZ = 5.0
+RATE_HZ = 3.0
 PLATE, ROOM = 200.0, 60.0
 PARTS = [(0.1, 0.05), (-0.15, -0.06), (0.2, -0.1), (-0.05, 0.08)]
 SMALL = (0.0, -0.05)

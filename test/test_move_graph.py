@@ -13,13 +13,18 @@ from plate_core.tasks import PartTarget, load_scenario
 from plate_interfaces.msg import Parts, Targets, TaskStatus
 from plate_interfaces.srv import PlacePart, RemovePart
 
+CLEAR_M = 0.03
+"""A place is clear of a part whose centre is further away."""
 
-def clear_of(parts):
-    """The place that is furthest from all parts."""
+
+def clear_place(parts, near=None):
+    """The clear place that is nearest to another; without one that which is furthest from all."""
     grid = np.stack(np.meshgrid(np.linspace(-0.2, 0.2, 21), np.linspace(-0.08, 0.08, 9)), -1)
     places = grid.reshape(-1, 2)
-    away = np.hypot(*(places[:, None] - parts.position).transpose(2, 0, 1))
-    return tuple(places[int(np.argmax(np.min(away, axis=1)))].tolist())
+    away = np.hypot(*(places[:, None] - parts.position).transpose(2, 0, 1)).min(axis=1)
+    if near is not None:
+        away = np.where(away > CLEAR_M, -np.hypot(*(places - near).T), -np.inf)
+    return tuple(places[int(np.argmax(away))].tolist())
 
 
 def nearest(parts, place):
@@ -50,7 +55,9 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         def truth():
             return msg_to_parts(heard["ground_truth"])
 
-        for place in ((0.15, 0.05), (-0.15, 0.0)):  # the second while it is on its way
+        seen = msg_to_parts(heard["parts"])
+        start = seen.position[seen.ids.index("black_1")]
+        for place in ((0.15, 0.05), clear_place(seen, start)):  # the second while it is on its way
             plate.move_targets([PartTarget("black_1", place), PartTarget("black_77", place)])
             assert observer.until(
                 lambda place=place: [(t.id, t.x, t.y) for t in heard["part_targets"].targets]
@@ -61,7 +68,7 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         assert observer.until(lambda: nearest(truth(), place)[1] < 2.3e-3, 20)
         assert nearest(truth(), place)[0].startswith("black_")
 
-        x, y = clear_of(truth())
+        x, y = clear_place(truth())
         request = PlacePart.Request(type="grey", x=x, y=y)
         answer = observer.call(PlacePart, "simulator/place_part", request)
         assert answer.success, answer.message
@@ -69,11 +76,12 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         assert heard["task_status"].state == TaskStatus.RUNNING
         new, away = nearest(msg_to_parts(heard["parts"]), (x, y))
         assert away < 0.01
-        plate.move_targets([PartTarget(new, (0.2, 0.08))])
+        place = clear_place(truth(), (x, y))
+        plate.move_targets([PartTarget(new, place)])
         assert observer.until(lambda: text().startswith("running: 2 of 2 at their"), 100), text()
         assert not task.ended
 
-        true, _ = nearest(truth(), (0.2, 0.08))
+        true, _ = nearest(truth(), place)
         answer = observer.call(RemovePart, "simulator/remove_part", RemovePart.Request(id=true))
         assert answer.success, answer.message
         status = plate.wait(task, 30.0)
