@@ -98,3 +98,43 @@ def test_one_that_is_refused_ends_no_other():
     graph, ended = ran(lambda graph: None, success=False)
     assert str(ended) == "a task runs"
     assert graph.calls == [True]
+
+
+class Measured(Scripted):
+    """A graph whose driver measures at once, and writes."""
+
+    def __init__(self):
+        super().__init__(done, SimpleNamespace(success=True, message="written", started=OURS))
+
+    def _call(self, kind, service, request, urgent=False, once=False):
+        self.calls.append(service)
+        return self.answer
+
+
+def done(graph):
+    msg = Friction(state=Friction.DONE, text="mu is 0.25", mu=0.25)
+    msg.header.stamp = OURS
+    graph.receive("friction", msg)
+
+
+@pytest.mark.parametrize(
+    ("write", "terminal", "typed", "written"),
+    [
+        (True, False, None, True), (False, False, None, False), (False, True, "yes", True),
+        (False, True, " yes ", True), (False, True, "", False), (False, True, "no", False),
+    ],
+)  # fmt: skip
+def test_friction_is_written_only_if_the_user_agrees(monkeypatch, write, terminal, typed, written):
+    questions = []
+
+    def asked(question):
+        questions.append(question)
+        return typed
+
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: terminal))
+    monkeypatch.setattr("builtins.input", asked)
+    graph = Measured()
+    text = graph._friction(write=write)
+    assert text == ("written" if written else "nothing is written; --write does")
+    assert graph.calls == ["measure_friction", *["write_friction"] * written]
+    assert [question[:14] for question in questions] == ["Write mu 0.25 "] * (typed is not None)

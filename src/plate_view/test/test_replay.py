@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy")
+rclpy = pytest.importorskip("rclpy")
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 
 from ament_index_python.packages import get_package_share_directory  # noqa: E402
@@ -14,7 +14,9 @@ from rclpy.serialization import serialize_message  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
+from plate_core.ros import start_nodes  # noqa: E402
 from plate_interfaces.msg import Part, Parts, TaskStatus  # noqa: E402
+from plate_view.node import PageNode  # noqa: E402
 from plate_view.ros import Replay  # noqa: E402
 
 KINDS = {"parts": Parts, "task_status": TaskStatus}
@@ -151,3 +153,19 @@ def test_a_bag_that_is_damaged_in_the_middle_plays_up_to_there(bag, heard, monke
         replay.step()
     assert (heard[-1][1].parts[0].x, replay.problem) == (pytest.approx(0.050), "")
     replay.close()
+
+
+def test_the_page_shows_what_was_recorded(bag):
+    rclpy.init(args=["--ros-args", "-p", f"bag:={bag}"])
+    try:
+        node = PageNode()
+        try:
+            start_nodes(node)
+            node._replay.seek(BEGIN_S + 4.02)
+            assert node._listener.task.text == "begun"
+            assert node._listener._newest["parts"].parts[0].x == pytest.approx(0.040)
+            node.trigger_deactivate()
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()

@@ -150,3 +150,39 @@ def test_an_operator_finds_a_place_however_many_look_on(monkeypatch):
 
     asyncio.run(talk())
     server.close()
+
+
+def test_images_and_fields_go_only_to_browsers_that_watch_them(server):
+    kinds = ("image", "field", "camera", "parts", "last")
+
+    async def received(connection):
+        found = []
+        while not found or found[-1] != "last":
+            text = await asyncio.wait_for(connection.read_message(), TIMEOUT_S)
+            found += [kind for kind in kinds if json.loads(text).get("sent") == kind]
+        return found
+
+    async def until(true):
+        end = time.monotonic() + TIMEOUT_S
+        while not true():
+            assert time.monotonic() < end, "it did not come"
+            await asyncio.sleep(0.01)
+
+    def wanted():
+        return [kind for kind in kinds[:3] if server.wants(kind)]
+
+    async def talk():
+        one, other = await opened(server), await opened(server)
+        await until(lambda: len(server.browsers) == 2)
+        assert wanted() == []
+        for watched in ({"image": True}, {"field": True, "camera": True}, {}):
+            command = {"do": "watch", "number": 1, **dict.fromkeys(kinds[:3], False), **watched}
+            await one.write_message(json.dumps(command))
+            await until(lambda: wanted() == list(watched))  # noqa: B023
+            for kind in kinds:
+                server.publish(kind, {"sent": kind}, keep=False)
+            assert sorted(await received(one)) == sorted([*watched, "parts", "last"])
+            assert sorted(await received(other)) == ["last", "parts"]
+        await hang_up(one, other)
+
+    asyncio.run(talk())
