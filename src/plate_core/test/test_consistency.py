@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from shown_text import says
 
 from plate_core import RigError, config_path, load_rig
@@ -22,6 +24,7 @@ from plate_core.rig import (
 )
 from plate_core.rig.check_rig import main, report, shake
 from plate_core.rig.consistency import check
+from plate_core.rig.drawing import _draw_plate
 
 RIG = load_rig()
 MARKERS = {
@@ -220,6 +223,21 @@ def test_heights_that_contradict_each_other(spoilt):
     (doubt,) = doubts(load_rig(spoilt(("camera", "height_m"), 1.2)))
     assert says(doubt.text, "height_m is 1.2", "focal_px", "from 0.9")
     assert not doubt.impossible
+
+
+def test_names_of_motors_are_beside_their_arrows():
+    figure = Figure(layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    _draw_plate(axes, load_rig())
+    figure.draw_without_rendering()
+    names = [text for text in axes.texts if text.get_text().startswith("motor")]
+    arrows = [text for text in axes.texts if not text.get_text()]
+    assert (len(names), len(arrows)) == (4, 4)
+    for box in (name.get_window_extent() for name in names):
+        for arrow in arrows:
+            ends = np.linspace(arrow.xyann, arrow.xy, 100)
+            assert not np.any(box.count_contains(axes.transData.transform(ends)))
 
 
 def test_command_tells_and_draws(check_rig, tmp_path):
