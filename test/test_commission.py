@@ -489,7 +489,7 @@ ask("c?", int)
         [sys.executable, "-c", code], input="yes\n 3.5\n", capture_output=True, text=True
     )
     assert done.stdout == "a? b? ['yes', '3.5']\nc? "
-    assert "PlateError: nobody answers" in done.stderr
+    assert "PlateError: no answer" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -565,5 +565,5 @@ def test_an_empty_bus(capsys, monkeypatch):
     assert end.value.code == 1
     said = capsys.readouterr().out
     assert said.startswith(
-        "nobody answers on the bus\nWRONG: motor_1: node 1 does not answer, found: none"
+        "no node answers on the bus\nWRONG: motor_1: node 1 does not answer, found: none"
     )

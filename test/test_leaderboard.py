@@ -67,7 +67,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
     few = result("slow", 20, 9.0)
     del few["tasks"]["Sort4-v1"]["rows"][3]
     for text, words in (
-        ("{", r"slow\.json is no JSON"),
+        ("{", r"slow\.json is not JSON"),
         ("{}", r"slow\.json: result has , allow"),
         (json.dumps(few), r"slow\.json: Sort4-v1: seeds are 0:3, 4:20, allowed: from 0 on, 20 or"),
     ):

@@ -58,7 +58,7 @@ def ask(question: str, meanwhile: Callable[[], object]) -> str:
             meanwhile()
         answer = lines.readline()
     if not answer:
-        raise PlateError("nobody answers: the input has ended")
+        raise PlateError("no answer: the input has ended")
     return answer.decode(errors="replace").strip()
 
 
@@ -92,10 +92,10 @@ class Dialogue:
             print(f"\nmotor_{number}, {self._found[drive.node]}")
             question = (
                 f"It gets current, moves {1e3 * self._size:g} mm along {way}, and swings as far. "
-                "Nobody near, emergency stop at hand? Type yes, or Enter to leave it out:"
+                "Nobody near, emergency stop at hand? Type yes, or Enter to skip it:"
             )
             if self.ask(question) != "yes":
-                print(f"motor_{number} is left out")
+                print(f"motor_{number} is skipped")
                 continue
             try:
                 name, changed = self._axis(number, drive)
@@ -221,7 +221,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
     """
     rig = load_rig(path)
     drives, found = drives_of(rig), survey(master)
-    print("\n".join(map(str, found.values())) or "nobody answers on the bus")
+    print("\n".join(map(str, found.values())) or "no node answers on the bus")
     wrong = list(doubts(rig, found, master.rival))
     for doubt in wrong:
         print(f"{'WRONG' if doubt.impossible else 'note'}: {doubt.text}")
@@ -244,7 +244,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
         print("nothing is written")
         return 1
     write(path, new)
-    print(f"written: {path}; a board is to be built and flashed with it anew")
+    print(f"written: {path}; build and flash the board again")
     return int(not well)
 
 

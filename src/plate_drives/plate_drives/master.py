@@ -91,7 +91,7 @@ class Master:
             try:
                 message = self._bus.recv(max(0.0, until - self.now))
             except (can.CanError, OSError) as error:
-                raise PlateError(f"the CAN bus is gone ({error})") from None
+                raise PlateError(f"the CAN bus has failed ({error})") from None
             if message is not None and message.is_error_frame:
                 if message.arbitration_id != LOST_ARBITRATION:
                     raise PlateError(

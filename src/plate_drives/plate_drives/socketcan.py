@@ -96,8 +96,8 @@ def program_of(rig: Rig) -> Path:
         raise PlateError("motors: drive is bridge, allowed with socketcan: cia402, odrive")
     if not rig.limits.following_error_m:
         raise PlateError(
-            "limits: following_error_m is 0, allowed with socketcan: more, since it says how late "
-            "setpoints may be"
+            "limits: following_error_m is 0, allowed with socketcan: above 0, because it limits "
+            "how late setpoints may be"
         )
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
     try:

@@ -260,7 +260,7 @@ class Feeder:
         self._give_up()
         self._prepared = wanted
         self._begin(now)
-        return Reply(Code.DONE, f"{wanted.label or 'a part'} is being got ready")
+        return Reply(Code.DONE, f"{wanted.label or 'a part'} is being prepared")
 
     def part_taken(self, client: Hashable, part: str = "", taken: bool = True) -> Reply:
         """Report that the robot has tried to take a part, and is no longer above it.
@@ -280,7 +280,7 @@ class Feeder:
             return Reply(Code.NOT_RESERVED, "no part is reserved")
         if known.client != client and (known.client is not None or part != known.part.id):
             # The same text for all ids, so that ids cannot be guessed.
-            text = "the part is another client's, allowed: yours; with its id, once that has gone"
+            text = "another client has reserved the part, allowed: its id, if that client has gone"
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
@@ -301,7 +301,7 @@ class Feeder:
         self._failures[name] = _Failures(count, x, y)
         while len(self._failures) > MOST_PARTS:
             del self._failures[next(iter(self._failures))]
-        return Reply(Code.DONE, f"{name} lies there still, picks failed there: {count}{late}")
+        return Reply(Code.DONE, f"{name} is still there, failed picks there: {count}{late}")
 
     def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
         """Bring all parts to the chute, then end the task. None if the command waits."""

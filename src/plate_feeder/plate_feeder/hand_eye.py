@@ -141,7 +141,7 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
         mirrored, *_ = _fit(p.conj(), q)
         hint = "; they fit mirrored: does z of the robot's frame point down?"
         raise HandEyeError(
-            f"points[{worst}] is {1e3 * residuals[worst]:.2f} mm from where the others say, "
+            f"points[{worst}] is {1e3 * residuals[worst]:.2f} mm from the fit to the points, "
             f"allowed: {1e3 * LARGEST_RESIDUAL_M:g} mm"
             + (hint if np.max(mirrored) <= LARGEST_RESIDUAL_M else "")
         )

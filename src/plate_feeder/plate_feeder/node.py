@@ -94,7 +94,7 @@ class Options(NodeOptions):
         "127.0.0.1", "Address on which robots are served over TCP, without a password; 0.0.0.0: "
         "all networks",
     )  # fmt: skip
-    port: int = parameter(7171, "TCP port; 0: any free one, which the log tells", 0, 65535)
+    port: int = parameter(7171, "TCP port; 0: any free one, see the log", 0, 65535)
     hand_eye: str = parameter(
         "", "File of points (YAML) that say where the plate is in the robot's frame; empty: robots "
         "get places in plate_home",

@@ -387,7 +387,7 @@ def read(path: Path) -> Any:
     try:
         return json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as problem:  # also for huge numbers or deep nesting
-        raise PlateError(f"{path} is no JSON: {problem}") from problem
+        raise PlateError(f"{path} is not JSON: {problem}") from problem
 
 
 def validate(result: Any) -> None:
@@ -497,7 +497,9 @@ def main() -> int:
         "--workers", type=int, default=os.cpu_count(), help="processes (as many as cores)"
     )
     parser.add_argument("--check", type=Path, help="file with a result to be run again in part")
-    parser.add_argument("--fresh", type=int, metavar="N", help="with --check: draw N seeds besides")
+    parser.add_argument(
+        "--fresh", type=int, metavar="N", help="with --check: also run N random seeds"
+    )
     args = parser.parse_args()
     own = ("agent", "task", "seeds", "json", *(() if args.fresh else ("world",)))
     given = [f"--{name}" for name in own if getattr(args, name) is not None]
@@ -533,7 +535,7 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("stopped: of the task that ran nothing is kept", file=sys.stderr)
+        print("stopped: the running task is not recorded", file=sys.stderr)
         return 130
     return 0
 

@@ -194,7 +194,7 @@ class PlateVectorEnv(VectorEnv):
         count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
         if count != self.num_envs:
             said = count or repr(actions)
-            raise PlateError(f"actions are {said}, allowed: {self.num_envs}, one a plate")
+            raise PlateError(f"actions are {said}, allowed: {self.num_envs}, one per plate")
         if not isinstance(actions, np.ndarray):
             actions = iterate(self.action_space, actions)
         each = checked_actions(self.single_action_space, actions)

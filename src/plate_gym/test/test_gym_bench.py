@@ -331,7 +331,7 @@ def test_what_was_done_before_a_failure_is_kept(bench, result, monkeypatch, tmp_
         place.unlink(missing_ok=True)
         assert bench.main() == code
         assert list(json.loads(place.read_text())["tasks"]) == ["Sort4-v1"]
-    assert capsys.readouterr().err == "error: lost\nstopped: of the task that ran nothing is kept\n"
+    assert capsys.readouterr().err == "error: lost\nstopped: the running task is not recorded\n"
 
 
 def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
@@ -387,7 +387,7 @@ def hang():
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
     assert (process.returncode, output) == (130, "")
-    assert errors == "madethe same againstopped: of the task that ran nothing is kept\n"
+    assert errors == "madethe same againstopped: the running task is not recorded\n"
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "hangs").read_text()), 0)
 
@@ -459,9 +459,9 @@ def ended(main):
     [
         (["--agent", "C"], 2, "error: agent is 'C', allowed: B, A, "),
         (["--check", "nowhere.json"], 2, "error: [Errno 2] No such file"),
-        (["--check", "text.json"], 2, "error: text.json is no JSON: "),
-        (["--check", "deep.json"], 2, "error: deep.json is no JSON: "),
-        (["--check", "long.json"], 2, "error: long.json is no JSON: "),
+        (["--check", "text.json"], 2, "error: text.json is not JSON: "),
+        (["--check", "deep.json"], 2, "error: deep.json is not JSON: "),
+        (["--check", "long.json"], 2, "error: long.json is not JSON: "),
         (["--check", "empty.json"], 2, "error: result has , allowed: agent, world, "),
         (["--check", "false.json", "--json", "x"], 2, "not with --json"),
         (["--check", "false.json", "--seeds", "3", "--agent", "A"], 2, "not with --agent, --seeds"),

@@ -1,10 +1,10 @@
-"""Kernels in C++: how they are compiled, and the headers that those of several packages share.
+"""Build of the C++ kernels, and the headers shared by the kernels of several packages.
 
-A package keeps its kernels beside the Python files that call them: `NAME.hpp` has those of
-`NAME.py`, and any `.cpp` file in the package has bindings, which nanobind puts into the module
-`PACKAGE._kernels`. No setting of the compiler changes a sum, whatever the processor: no product is
-fused with a sum, none is put in another order, and functions that are compiled for several widths
-of vectors (`PLATE_WIDE`) return the same to the last bit.
+A package keeps its kernels beside the Python files that call them: `NAME.hpp` holds the kernels of
+`NAME.py`. Any `.cpp` file in the package holds bindings, which nanobind puts into the module
+`PACKAGE._kernels`. No compiler option changes a sum, whatever the processor: products are not fused
+with sums, sums are not reordered, and functions compiled for several vector widths (`PLATE_WIDE`)
+return equal results to the last bit.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ OPTIONS = (
     "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd",
     "-fno-stack-protector", "-DNDEBUG", "-DNB_COMPACT_ASSERTIONS",
 )  # fmt: skip
-"""Of the compiler, for all kernels."""
+"""Compiler options of all kernels."""
 
 WARNINGS = ("-Wall", "-Wextra", "-Wno-missing-field-initializers", "-Wno-unknown-pragmas")
 
 DEBIAN = Path("/usr/share/nanobind")
-"""Where the package nanobind-dev of Debian and Ubuntu has it."""
+"""Folder of Debian's and Ubuntu's package nanobind-dev."""
 
 
 def kernels(package: str) -> Extension:
@@ -50,7 +50,7 @@ def kernels(package: str) -> Extension:
 
 
 def _nanobind() -> Path:
-    """Where nanobind's sources are: pip's, or those of Debian and Ubuntu."""
+    """Return the folder of nanobind's sources: from pip, or from Debian and Ubuntu."""
     found = importlib.util.find_spec("nanobind")
     places = list(found.submodule_search_locations or ()) if found else []
     for place in [*map(Path, places), DEBIAN]:
@@ -60,8 +60,8 @@ def _nanobind() -> Path:
 
 
 class CompileKernels(build_ext):
-    """Compiles what has changed of all `.cpp` files beside a module's first one and below it,
-    several at a time. The module is put beside them, too, for who runs the sources."""
+    """Compiles, in parallel, the changed `.cpp` files beside a module's first one and below it. The
+    module is also copied beside them, for use of the source tree."""
 
     def build_extension(self, extension: Extension) -> None:
         """Compile a module's sources, then link them."""
@@ -94,7 +94,7 @@ class CompileKernels(build_ext):
         first = cache.key_of(*words, *python, _compiler(*words), _named(str(source), places))
         folders = [Path(self.build_temp, "kept"), cache.of_user()]
         made.parent.mkdir(parents=True, exist_ok=True)
-        for folder in folders:  # first which files it was made of, then what of these very files
+        for folder in folders:  # first the list of files it depends on, then the digest of these
             read = cache.take(folder, first)
             content = read and cache.take(folder, _key(first, read, places))
             if content:
@@ -117,7 +117,7 @@ _compiler = lru_cache(lambda *words: cache.compiler(list(words)))
 
 
 def _named(path: str, places: dict[str, Path]) -> str:
-    """A path without what differs between clones: the name of a place, and what is below."""
+    """Return a path that is equal in all clones: the name of a place, and the path below it."""
     for name, place in places.items():
         if path.startswith(f"{place}/"):
             return f"{name}//{path[len(f'{place}/') :]}"
@@ -125,15 +125,17 @@ def _named(path: str, places: dict[str, Path]) -> str:
 
 
 def _files_read(rules: Path, places: dict[str, Path]) -> bytes:
-    """The files that a compiler has read, as it writes them in a rule of make; each in a line."""
+    """Return the files that a compiler has read, one per line, from the make rule that it
+    writes."""
     text = os.fsdecode(rules.read_bytes()).replace("\\\n", " ").partition(":")[2]
     words = (word.replace("\\ ", " ") for word in re.findall(r"(?:\\ |\S)+", text))
     return os.fsencode("\n".join(_named(word, places) for word in words))
 
 
 def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.inf) -> str:
-    """Of an object: what `first` is of, and what is in all files that were read. Empty where one is
-    gone, or was put there `since` then: nobody knows what the compiler has read of it."""
+    """Return the key of an object: a digest of `first` and the content of all files that were read.
+    Empty if a file is missing or has changed after `since`: the compiler may have read another
+    content."""
     lines = (line.partition("//") for line in os.fsdecode(read).split("\n"))
     files = [Path(places[at], name) for at, _, name in lines]
     try:

@@ -52,9 +52,9 @@ class Options(NodeOptions):
         "", "The page commands only if its address ends with ?token= and this; empty: every "
         "browser of this machine may",
     )  # fmt: skip
-    viewer_token: str = parameter("", "The same, for browsers that may only look on; empty: none")
-    scenario: str = parameter("", "The scenario that is offered first")
-    bag: str = parameter("", "A recorded run that is shown in place of the graph: folder of a bag")
+    viewer_token: str = parameter("", "Token of browsers that may only watch; empty: none")
+    scenario: str = parameter("", "Scenario that is selected at first")
+    bag: str = parameter("", "Folder of a recorded bag that is shown instead of the graph")
 
 
 class PageNode(SafeLifecycleNode[Options]):
@@ -188,7 +188,7 @@ class PageNode(SafeLifecycleNode[Options]):
         if self._server is None:
             return
         if old:
-            self._server.answer(browser, command.number, False, "it came too late: ask again")
+            self._server.answer(browser, command.number, False, "it waited too long: send it again")
         elif self._replay is not None or command.name == "replay":
             self._do_replay(browser, command)
         else:

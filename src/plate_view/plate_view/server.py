@@ -175,7 +175,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         if not within:
             return f"more than {COMMANDS_PER_S:g} commands a second"
         if self.page.is_late():
-            return "the page stood still meanwhile: ask again"
+            return "the page was stalled: send it again"
         if self.open_commands >= MOST_OPEN or self.page.open_commands >= MOST_OF_ALL:
             return f"{MOST_OPEN} commands, or {MOST_OF_ALL} of all browsers, wait for an answer"
         return ""

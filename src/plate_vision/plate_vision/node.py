@@ -100,21 +100,21 @@ class DetectorParameters(NodeOptions):
     )
 
     photographs: bool = parameter(
-        False, "Each image is a photograph of its own: the log says what it holds"
+        False, "Each image is a separate photograph: the log lists its parts"
     )
     camera_file: str = parameter("", "Lens: camera_info YAML; empty: camera_info or the rig file")
     image_transport: str = parameter(
         "raw", "Images come on image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
     )
     input_timeout_s: float = parameter(
-        INPUT_TIMEOUT_S, "Diagnostics say STALE when no image comes for longer [s]", 0.1, 3600.0
+        INPUT_TIMEOUT_S, "Time without an image after which diagnostics are STALE [s]", 0.1, 3600.0
     )
     bare_plate_file: str = parameter(
         "", "For part types: picture of the bare plate, or a folder; empty: it is modelled"
     )
     teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
     teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")
-    bits: int = parameter(16, "Bits that are used of encodings with 16 bits", 8, 16, live=True)
+    bits: int = parameter(16, "Number of used bits in 16-bit encodings", 8, 16, live=True)
     threshold: float = _option(
         DetectorOptions,
         "threshold",
@@ -126,31 +126,31 @@ class DetectorParameters(NodeOptions):
         "Fraction of the bare plate's brightness below which a part is black, above grey [-]",
     )
     radius_tolerance: float = _option(
-        DetectorOptions, "radius_tolerance", "Greatest deviation from the rig's part radius [radii]"
+        DetectorOptions, "radius_tolerance", "Maximum deviation from the rig's part radius [radii]"
     )
     min_plate_grey: float = _option(
-        DetectorOptions, "min_plate_grey", "Darkest plate that is believed [grey levels]"
+        DetectorOptions, "min_plate_grey", "Minimum brightness of the plate [grey levels]"
     )
     margin_px: float = _option(
-        DetectorOptions, "margin_px", "How far outside the plate a part's centre may be [px]"
+        DetectorOptions, "margin_px", "Maximum distance of a part's centre outside the plate [px]"
     )
     gate_m: float = _option(
         TrackerOptions,
         "gate_m",
-        "Greatest distance between where a part is expected and found, per image [m]",
+        "Maximum distance of a part from its expected position, per image [m]",
     )
     max_missed: int = _option(
         TrackerOptions,
         "max_missed",
-        "Images in a row that a part may be missed before its id is given up",
+        "Consecutive images that a part may be missed before its id is given up",
     )
     confirm: int = _option(
         TrackerOptions,
         "confirm",
-        "Images in a row in which a new part must be seen before it gets an id",
+        "Consecutive images that must show a new part before it gets an id",
     )
     velocity_frames: int = _option(
-        TrackerOptions, "velocity_frames", "Images over which the drift is taken"
+        TrackerOptions, "velocity_frames", "Number of images over which the drift is measured"
     )
 
     def detector(self) -> DetectorOptions:
@@ -481,7 +481,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             found = Finding(Level.OK, f"{count} taken, nothing else is seen")
         findings = [
             ("lens", self._lens_finding()),
-            ("parts", found or Finding(Level.STALE, "none is seen: lay some on the plate")),
+            ("parts", found or Finding(Level.STALE, "none is seen: put some on the plate")),
         ]
         if self._vision.catalogue is not None:
             learned = Finding(Level.OK, "the bare plate is learned")

@@ -72,7 +72,7 @@ REMEDIES = {
     "at the edge": "move them inwards; or it is the edge of a plate that is not at home",
     "beyond the plate": "check camera: corners_px, or clear the surround",
     "group": "move them apart",
-    "blurred": "focus the camera, or expose for a shorter time: types are not told apart",
+    "blurred": "focus the camera, or expose for a shorter time: types cannot be distinguished",
     "unsettled": "wait for some images: light or shadow has changed",
 }
 """Remedy for each reason whose remedy is the same for all rigs."""

@@ -253,7 +253,7 @@ def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> li
             if corner_px < LEAST_CORNER_PX:
                 found.append(
                     f"type {name}: {part.symmetry} corners stand out by {corner_px:.2f} px in the "
-                    f"image, allowed: {LEAST_CORNER_PX} px: its angle cannot be told"
+                    f"image, allowed: {LEAST_CORNER_PX} px: its angle cannot be measured"
                 )
     for one, other in combinations(types.values(), 2):
         gap = gap_between(one, other, scale)

@@ -344,7 +344,7 @@ def test_a_folder_begins_when_somebody_looks_and_ends_with_its_last_picture(
     graph = start(device=folder(tmp_path, draw, rng), rate=50.0, listen=False)
     graph.report("waiting for a subscriber of image_raw", Level.OK)
     graph.listen()
-    graph.report("that was the last image of 3", Level.OK)
+    graph.report("the last image was played, of 3", Level.OK)
     assert graph.notes[1:4] == [f"image {k + 1} is {k}.png" for k in range(3)]
     assert [image.encoding for image in graph.images] == ["bgr8"] * 3
 

@@ -89,7 +89,7 @@ def test_a_known_lens_is_used_and_a_lens_left_out_is_named(focal, distance, lens
     assert no_claim(seen(rig_of(view), view, shapes)).startswith("as predicted, within 0.")
     found = seen(rig_of(view, lens=False), view, shapes).finding
     kind, side = ("barrel", "outwards") if lens[0] < 0 else ("pincushion", "inwards")
-    assert f"a {kind} lens is left out" in found.message
+    assert f"a {kind} lens is missing" in found.message
     assert f"its edges bend {side} by " in found.message
 
 
@@ -99,7 +99,7 @@ def test_a_published_barrel_lens_left_out_is_named(focal, tilt, rng):
     view = View(focal=focal, distance=1.1e-3 * focal, lens=(-0.3, 0, 0), tilt_x=tilt)
     rig = rig_of(view, lens=False)
     found = seen(rig, view, [*BARE, *parts_over_edges(rng)]).finding
-    assert "a barrel lens is left out (calibrate lens" in found.message
+    assert "a barrel lens is missing (calibrate lens" in found.message
     # The size of the error: where a part in the middle of an edge seems to be.
     edge = np.column_stack([np.linspace(-0.3, 0.3, 41), np.full(41, 0.15)])
     truth = float(np.abs(make_vision(rig).calibration.to_home(view.see(edge)) - edge).max())

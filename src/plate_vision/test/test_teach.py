@@ -111,7 +111,7 @@ def test_what_cannot_be_learned_says_why(draw_types):
         learn_type("nut", [], HOME)
     with pytest.raises(TeachError, match=r"type nut: 6 examples, allowed: 1 to 5"):
         learn_type("nut", [nuts] * 6, HOME)
-    with pytest.raises(TeachError, match=r"type nut: bare\.png: nothing lies there, allowed"):
+    with pytest.raises(TeachError, match=r"type nut: bare\.png: no part is there, allowed"):
         learn_type("nut", [Example(bare, name="bare.png")], HOME)
     with pytest.raises(TeachError, match=r"examples differ: .* holes, but .* in .*, allowed"):
         learn_type("nut", [nuts, coins], HOME)
@@ -298,7 +298,7 @@ def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkey
         (["nut", "small.png", "--box", "1,9"], "box is '1,9', allowed: x, y, width and height"),
         (["nut", "small.png", "--scale", "0"], "scale is '0', allowed: 0.01 to 1000 px/mm"),
         (["nut", "nothing.png"], "nothing.png: no such file or folder"),
-        (["nut", "bare.png", "--bare", "bare.png"], "nothing lies there"),
+        (["nut", "bare.png", "--bare", "bare.png"], "no part is there"),
         (["list", "--out", "no.yaml"], "no.yaml"),
     ],
 )

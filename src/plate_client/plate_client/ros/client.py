@@ -136,7 +136,7 @@ class Task:
     def _on_result(self, future: Any) -> None:
         status = future.result().result.status
         if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):  # a default result
-            status.state, status.text = TaskStatus.ABORTED, "the planner has forgotten the goal"
+            status.state, status.text = TaskStatus.ABORTED, "the planner no longer knows the goal"
         self.status = status
 
 
@@ -228,7 +228,9 @@ class PlateClient:
             If no planner is found.
         """
         if not self._until(lambda: self._targets.get_subscription_count() > 0, FOUND_S):
-            raise PlateError("nobody hears targets: does the planner run, in this ROS domain?")
+            raise PlateError(
+                "no node subscribes to targets: does the planner run, in this ROS domain?"
+            )
         self._targets.publish(targets_to_msg(targets, self.node.get_clock().now().to_msg()))
 
     def wait(
@@ -250,8 +252,8 @@ class PlateClient:
             heard = task.heard
             if silent_s > SILENT_S:
                 raise PlateError(
-                    f"the planner has said nothing for {SILENT_S:g} s: it hangs or is gone, and "
-                    "what became of the task is not known"
+                    f"the planner has said nothing for {SILENT_S:g} s: it hangs or has ended, and "
+                    "the result of the task is unknown"
                 )
             if time.monotonic() > end:
                 raise PlateError(f"{task.name} has not ended within {timeout_s:g} s")

@@ -447,7 +447,7 @@ class Operator:
         check_scenario(goal_to_scenario(goal), self._rig)
         own = self._goal
         if own is not None and own.handle is not None and self._listener.task.task == "move":
-            self._forget_next("another task was asked for")
+            self._forget_next("another task was requested")
             self._next = asked, name, goal
             own.handle.cancel_goal_async()
         else:

@@ -454,7 +454,7 @@ def _fit_opencv(
         )  # fmt: skip
     except cv2.error as error:
         raise CalibrationError(
-            f"no lens fits what was seen ({error.err}), allowed: boards seen from different sides"
+            f"no lens fits the corners ({error.err}), allowed: boards seen from different sides"
         ) from None
     bend = np.ravel(bend)[:count]
     errors = []
@@ -509,7 +509,7 @@ def _fit_equidistant(
             starts.append((float(residual @ residual), start))
     if not starts:
         raise CalibrationError(
-            "no equidistant lens fits what was seen, allowed: boards seen from different sides"
+            "no equidistant lens fits the corners, allowed: boards seen from different sides"
         )
     first = min(starts, key=lambda one: one[0])[1]
     found = least_squares(

@@ -299,7 +299,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _end(self) -> None:
         with self._lock:
             self._ended = True
-        self.get_logger().info(f"that was the last image of {self._watch.total}")
+        self.get_logger().info(f"the last image was played, of {self._watch.total}")
 
     def _warn_once(self, text: str) -> None:
         self.get_logger().warning(text)
@@ -325,7 +325,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             if self._waits:
                 return worst(findings, "waiting for a subscriber of image_raw")
             if self._ended:
-                return worst(findings, f"that was the last image of {self._watch.total}")
+                return worst(findings, f"the last image was played, of {self._watch.total}")
         if rivals := self.rivals("image_raw"):
             findings.append(Finding(Level.WARN, rivals))
         return worst(findings, f"images from {self.options.device}")

@@ -264,7 +264,7 @@ class V4l2Source(Camera):
         if self._at_start is not None and not 0 <= arrival - stamp < OLDEST_S:
             raise ImageError(
                 f"{self.path}: an image arrives {arrival - stamp:.3g} s after its stamp, allowed: "
-                f"0 to {OLDEST_S:g} s. Did the computer stand still?"
+                f"0 to {OLDEST_S:g} s. Did the computer stall?"
             )
         form = self._form
         pixels, encoding = unpack_frame(np.asarray(data), form, self.settings.size_px)

@@ -582,7 +582,7 @@ def _lens_text(found: Deviation, bends: bool) -> str:
             f"{bent}: the lens in use does not fit this camera (are the images straightened "
             "already; is focus or zoom another? calibrate lens, then set camera_file)"
         )
-    return f"{bent}: a {kind} lens is left out (calibrate lens, then set camera_file)"
+    return f"{bent}: a {kind} lens is missing (calibrate lens, then set camera_file)"
 
 
 def _moved_text(found: Deviation) -> str:

@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=f"`teach {'|'.join(COMMANDS)}` work on a file of types: see `teach list --help`.",
     )
     add = parser.add_argument
-    add("name", metavar="NAME", help="of the type, as nut")
+    add("name", metavar="NAME", help="name of the type, such as nut")
     add("pictures", metavar="PICTURES", type=Path, nargs="+", help="one to five, or a folder")
     add("--rig", default="", help="rig file, or a name in config/rigs (the default rig)")
     add("--bare", type=Path, help="picture of the bare plate, or a folder of them")
@@ -85,10 +85,10 @@ def _managing_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="teach", description=(__doc__ or "").partition("\n")[0])
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     abouts: tuple[tuple[Callable[..., None], str, dict[str, str]], ...] = (
-        (_list, "say what types there are", {}),
-        (_merge, "make one type of two", {"name": "that stays", "other": "that goes into it"}),
-        (_rename, "give a type another name", {"name": "as it is", "new": "as it shall be"}),
-        (_delete, "forget a type", {"name": "of the type"}),
+        (_list, "list the types", {}),
+        (_merge, "merge two types", {"name": "type to keep", "other": "type to merge into it"}),
+        (_rename, "rename a type", {"name": "present name", "new": "new name"}),
+        (_delete, "delete a type", {"name": "name of the type"}),
     )
     for word, (run, about, names) in zip(COMMANDS, abouts, strict=True):
         command = commands.add_parser(word, help=about)
@@ -159,8 +159,8 @@ def _teach(args: argparse.Namespace) -> None:
         calibration, region = vision.calibration, vision.region
     bare = None if args.bare is None else load_bare(args.bare, size)
     if bare is None:
-        text = "its light is taken from each picture; of a part with a hole it may learn the hole"
-        print(f"no bare plate (--bare): {text}, look at what is drawn", file=sys.stderr)
+        text = "it is modelled from each picture; of a part with a hole the hole may be learned"
+        print(f"no bare plate (--bare): {text}: check the drawn outline", file=sys.stderr)
     if args.box:
         cuts = args.scale is not None and bare is None  # then the position is not relevant
         examples = [
@@ -225,7 +225,7 @@ def _rename(args: argparse.Namespace) -> None:
     types = dict(load_part_types(args.out))
     part = _known(types, args.name, args.out)
     if args.new in types:
-        raise TeachError(f"{args.out}: type {args.new!r} is there, allowed: a new name")
+        raise TeachError(f"{args.out}: type {args.new!r} exists, allowed: a new name")
     picture = part.picture
     if picture == drawn_name(args.name) and args.out.with_name(picture).exists():
         picture = drawn_name(args.new)
@@ -234,7 +234,7 @@ def _rename(args: argparse.Namespace) -> None:
     save_part_types(args.out, renamed)
     if picture != part.picture:
         args.out.with_name(part.picture).rename(args.out.with_name(picture))
-    print(f"{args.name} is {args.new} now")
+    print(f"{args.name} is renamed to {args.new}")
 
 
 def _delete(args: argparse.Namespace) -> None:
@@ -244,7 +244,7 @@ def _delete(args: argparse.Namespace) -> None:
     save_part_types(args.out, types)
     if part.picture == drawn_name(args.name):  # other pictures were not drawn by this program
         args.out.with_name(part.picture).unlink(missing_ok=True)
-    print(f"{args.name} is forgotten")
+    print(f"{args.name} is deleted")
 
 
 if __name__ == "__main__":

@@ -344,7 +344,7 @@ def _measured(
         patches = sorted(patches, key=lambda patch: -patch.area_px2)[:1]
     kept = [patch for patch in patches if patch.whole]
     if not kept:
-        seen = "nothing lies there" if not patches else "no part is wholly seen"
+        seen = "no part is there" if not patches else "no part is completely visible"
         raise TeachError(
             f"type {name}: {example.name}: {seen}, allowed: whole parts, well apart; a picture of "
             "the bare plate (--bare) shows them better"
@@ -394,7 +394,7 @@ def _doubts(
     if furthest > COLOUR_LAB:
         doubts.append(
             f"type {name}: colours are up to {furthest:.0f} Lab from their mean, allowed: "
-            f"{COLOUR_LAB:g}: many will be unknown; teach each colour as a type of its own"
+            f"{COLOUR_LAB:g}: many will be unknown; teach each colour as a separate type"
         )
     return tuple(doubts)
 
