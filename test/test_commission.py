@@ -33,7 +33,7 @@ class SteppedMaster(Master):
     def now(self):
         return 1e-3 * self.bench.network.now
 
-    def heard(self, until):
+    def frames(self, until):
         while True:
             while (message := self._bus.recv(0)) is not None:
                 yield message.arbitration_id, bytes(message.data)
@@ -370,7 +370,7 @@ def test_a_motor_that_does_not_move_is_said(bench, rig_file, capsys):
     bench.only(1)
     assert bench.run(rig_file) == 1
     said = capsys.readouterr().out
-    assert "error: motor_1: told 0.5 mm, by its own counts it moved +0.000 mm: does it" in said
+    assert "error: motor_1: commanded 0.5 mm, by its own counts it moved +0.000 mm: does it" in said
     assert all_off(bench)
 
 
@@ -541,10 +541,10 @@ def test_lost_arbitration_is_no_error_of_the_bus():
             frame, *self.frames = self.frames
             return frame
 
-    heard = Master(Bus()).heard(float("inf"))
-    assert next(heard) == (0x701, b"\x05")
+    frames = Master(Bus()).frames(float("inf"))
+    assert next(frames) == (0x701, b"\x05")
     with pytest.raises(PlateError, match="error on the CAN bus"):
-        next(heard)
+        next(frames)
 
 
 def test_without_python_can_it_says_so(capsys, monkeypatch):

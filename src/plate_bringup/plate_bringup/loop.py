@@ -340,7 +340,7 @@ class Watched:
             mu_scale=setup.mu_scale,
         )  # fmt: skip
         self._vision, self._tracker = make_vision(rig), Tracker()
-        self._bare = BarePlate(wanted=BARE_IMAGES)
+        self._bare = BarePlate(requested=BARE_IMAGES)
         if self._vision.catalogue is not None:
             for _ in range(BARE_IMAGES):
                 self._know(self.simulation.capture_bare())

@@ -41,16 +41,16 @@ def test_a_planner_that_says_nothing_of_a_task_is_not_waited_for(silent):
     plate, task = silent
     task.send()
     said = []
-    with pytest.raises(PlateError, match="the planner has said nothing for 2 s"):
+    with pytest.raises(PlateError, match="no message from the planner for 2 s"):
         plate.wait(task, meanwhile=lambda: said.append(task))
     rounds = len(said)
     assert rounds * client.AGAIN_S == pytest.approx(client.SILENT_S)
 
     def speak():
-        task.heard += len(said) == rounds + 5
+        task.feedbacks += len(said) == rounds + 5
         said.append(task)
 
-    with pytest.raises(PlateError, match="said nothing"):
+    with pytest.raises(PlateError, match="no message from the planner"):
         plate.wait(task, meanwhile=speak)
     assert len(said) > 2 * rounds + 5
 

@@ -21,7 +21,7 @@ from stepped_clock import SteppedExecutor  # noqa: E402
 from plate_client.command import main  # noqa: E402
 from plate_client.ros import services  # noqa: E402
 from plate_client.ros.graph import Graph  # noqa: E402
-from plate_client.ros.services import domains_in_use, nobody  # noqa: E402
+from plate_client.ros.services import domains_in_use, no_graph_text  # noqa: E402
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, declare, follow, parameter  # noqa: E402
 from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
@@ -274,7 +274,7 @@ def test_a_domain_is_recommended_only_where_it_can_be_no_other(monkeypatch, othe
     """The next command may be an enable."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
     monkeypatch.setattr("plate_client.ros.services.domains_in_use", lambda: others)
-    assert nobody().endswith(end)
+    assert no_graph_text().endswith(end)
 
 
 @pytest.mark.parametrize(

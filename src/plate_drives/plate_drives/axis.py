@@ -18,7 +18,7 @@ from plate_core import PlateError
 from plate_core.rig import Limits
 from plate_core.serial_protocol import Trouble
 
-from .master import HEARTBEAT, NMT, OWN_NODE, RPDO, SYNC, TPDO, Master, Refused, words
+from .master import HEARTBEAT, NMT, OWN_NODE, RPDO, SYNC, TPDO, Master, Refused, trouble_text
 from .survey import enabled, in_fault
 
 CYCLE_MS = 10
@@ -86,7 +86,7 @@ def switch_off(master: Master, motor: int, node: int) -> None:
             master.wait(0.02)
         if not enabled(status):
             return
-        why = words(motor, Trouble.KEEPS, 0, status)
+        why = trouble_text(motor, Trouble.KEEPS, 0, status)
     except PlateError as error:
         why = (
             f"{error}: motor_{motor} may have current. Its drive stops it by itself "
@@ -121,7 +121,7 @@ class Axis:
     """
 
     def __init__(self, master: Master, motor: int, node: int, scale: float, limits: Limits) -> None:
-        self._master, self._told = master, master.told[node]
+        self._master, self._received = master, master.received[node]
         self._motor, self._node, self.scale = motor, node, scale
         self._allowed = limits.following_error_m or ASTRAY_M
         self.position = self.start = self._target = 0
@@ -164,10 +164,10 @@ class Axis:
         self._master.send(NMT, bytes([order, self._node]))
 
     def _set_up(self) -> None:
-        master, told, node = self._master, self._told, self._node
-        told.boots = 0
+        master, received, node = self._master, self._received, self._node
+        received.boots = 0
         self._command(RESET_COMMUNICATION)
-        master.wait(READY_S, lambda: told.boots)
+        master.wait(READY_S, lambda: received.boots)
         for index, sub, value, size in STEPS:
             value += node if index in (0x1400, 0x1800) and sub == 1 else 0
             try:
@@ -178,17 +178,17 @@ class Axis:
                 master.write(node, 0x6007, 0, 2, 2)  # otherwise: no current, at once
         mode = master.read(node, 0x6061, signed=True)
         if mode != 8:
-            raise PlateError(words(self._motor, Trouble.WRONG_DRIVE, 0x6061, mode))
+            raise PlateError(trouble_text(self._motor, Trouble.WRONG_DRIVE, 0x6061, mode))
         self._command(START)
-        master.wait(1e-3 * SILENT_MS, lambda: told.state == OPERATIONAL)
-        told.boots, told.emergency, self._due = 0, None, master.now
+        master.wait(1e-3 * SILENT_MS, lambda: received.state == OPERATIONAL)
+        received.boots, received.emergency, self._due = 0, None, master.now
         for _ in range(2):  # the first one may reply to another SYNC
             self._exchange(None)
         self._missed = self._doubled = 0
 
     def _exchange(self, word: int | None) -> None:
         """Send a controlword with the target, and SYNC; receive the frames of the cycle."""
-        master, places, cycle_s = self._master, self._told.places, 1e-3 * CYCLE_MS
+        master, places, cycle_s = self._master, self._received.places, 1e-3 * CYCLE_MS
         places.clear()
         self._beat -= CYCLE_MS
         if self._beat <= 0:
@@ -211,12 +211,12 @@ class Axis:
         """Run a bus cycle at whose end the drive must be at a target [counts]; check for faults."""
         reached, self._target = self._target, target
         self._exchange(word)
-        told, astray = self._told, abs(self.position - reached) / abs(self.scale)
+        received, astray = self._received, abs(self.position - reached) / abs(self.scale)
         troubles = (
-            (told.emergency, Trouble.EMERGENCY, *(told.emergency or (0, 0))[::-1]),
-            (told.boots, Trouble.RESET, 0, 0),
-            (told.state != OPERATIONAL, Trouble.NOT_OPERATIONAL, 0, told.state or 0),
-            (self._master.now - told.beat_at > 1e-3 * SILENT_MS, Trouble.SILENT, 0, 0),
+            (received.emergency, Trouble.EMERGENCY, *(received.emergency or (0, 0))[::-1]),
+            (received.boots, Trouble.RESET, 0, 0),
+            (received.state != OPERATIONAL, Trouble.NOT_OPERATIONAL, 0, received.state or 0),
+            (self._master.now - received.beat_at > 1e-3 * SILENT_MS, Trouble.SILENT, 0, 0),
             (self._missed == MISSED, Trouble.NO_POSITION, 0, 0),
             (self._doubled == MISSED, Trouble.TWICE, 0, 0),
             (in_fault(self._status), Trouble.FAULT, 0, self._status),
@@ -224,9 +224,9 @@ class Axis:
         )  # fmt: skip
         for so, kind, index, code in troubles:
             if so:
-                raise PlateError(words(self._motor, kind, index, code))
-        if self._master.rival:
-            raise PlateError(words(0, Trouble.OTHER_MASTER))
+                raise PlateError(trouble_text(self._motor, kind, index, code))
+        if self._master.other_master:
+            raise PlateError(trouble_text(0, Trouble.OTHER_MASTER))
         self._astray = enabled(self._status) and astray > self._allowed
         if self._astray:
             raise PlateError(
@@ -234,12 +234,12 @@ class Axis:
                 f"allowed: {1e3 * self._allowed:g}"
             )
 
-    def enable(self, room: float, ends: tuple[int, int]) -> None:
+    def enable(self, amplitude: float, ends: tuple[int, int]) -> None:
         """Enable the drive at its position, after the motor has come to rest.
 
         Parameters
         ----------
-        room : float
+        amplitude : float
             Distance by which it will move to either side [m].
         ends : (int, int)
             Ends of its range [counts].
@@ -251,7 +251,7 @@ class Axis:
             stands, rest = (0, self.position) if moved else (stands + 1, rest)
             if self._master.now > end:
                 raise PlateError(f"motor_{self._motor}: does not stand still")
-        counts = room * abs(self.scale)
+        counts = amplitude * abs(self.scale)
         if not ends[0] + counts <= self.position <= ends[1] - counts:
             raise PlateError(
                 f"motor_{self._motor}: stands at {self.position}, allowed: {counts:.0f} counts or "
@@ -260,7 +260,7 @@ class Axis:
         end = self._master.now + READY_S
         while self._status & 0x6F != 0x27:
             if self._master.now > end:
-                raise PlateError(words(self._motor, Trouble.NOT_ENABLED, 0, self._status))
+                raise PlateError(trouble_text(self._motor, Trouble.NOT_ENABLED, 0, self._status))
             known = {0x21: SWITCH_ON, 0x23: OPERATE}
             ready = self._status & 0x4F == 0x40  # switch on disabled
             self._cycle(SHUTDOWN if ready else known.get(self._status & 0x6F, 0), self.position)

@@ -88,11 +88,11 @@ class Dialogue:
         new: dict[str, Drive] = {}
         well = True
         for number, drive in enumerate(drives_of(self._rig), 1):
-            way = "({:g}, {:g})".format(*self._rig.motors[number - 1].direction)
+            direction = "({:g}, {:g})".format(*self._rig.motors[number - 1].direction)
             print(f"\nmotor_{number}, {self._found[drive.node]}")
             question = (
-                f"It gets current, moves {1e3 * self._size:g} mm along {way}, and swings as far. "
-                "Nobody near, emergency stop at hand? Type yes, or Enter to skip it:"
+                f"It gets current, moves {1e3 * self._size:g} mm along {direction}, and swings as "
+                "far. Nobody near, emergency stop at hand? Type yes, or Enter to skip it:"
             )
             if self.ask(question) != "yes":
                 print(f"motor_{number} is skipped")
@@ -126,21 +126,21 @@ class Dialogue:
                 before = part
             if axis.travel < size / 2:
                 raise PlateError(
-                    f"motor_{number}: told {1e3 * size:g} mm, by its own counts it moved "
+                    f"motor_{number}: commanded {1e3 * size:g} mm, by its own counts it moved "
                     f"{1e3 * axis.travel:+.3f} mm: does it follow? Or counts_per_m is too small"
                 )
             answer = self.ask(f"Which motor moved, 1 to 4? Enter for {number}:", axis)
             if answer not in ("", "1", "2", "3", "4"):
                 raise PlateError(f"motor is {answer!r}, allowed: 1 to 4")
             motor = self._rig.motors[int(answer or number) - 1]
-            way = "({:g}, {:g})".format(*motor.direction)
-            told = 1e3 * axis.travel
+            direction = "({:g}, {:g})".format(*motor.direction)
+            travel_mm = 1e3 * axis.travel
             answer = self.ask(
-                f"By its own counts it moved {told:+.3f} mm. How far did you see, in mm, + along "
-                f"{way}, - against it? Enter for the same:", axis,
+                f"By its own counts it moved {travel_mm:+.3f} mm. How far did you see, in mm, + "
+                f"along {direction}, - against it? Enter for the same:", axis,
             )  # fmt: skip
             axis.follow(_move(size, 0.0, seconds), seconds)
-            axis.scale = _scale(scale, told, answer)
+            axis.scale = _scale(scale, travel_mm, answer)
             self._swing(axis, size * min(1, abs(scale / axis.scale)), limits)
         place = self._master.read(drive.node, 0x6064, signed=True) / axis.scale
         home = "absolute" if drive.absolute else "here"
@@ -165,9 +165,9 @@ class Dialogue:
 
     def _serial(self, drive: Drive) -> int:
         """Return a drive's serial number; if several drives report the same, the rig file's."""
-        told = [one.values.get("serial", 0) for one in self._found.values()]
+        serials = [one.values.get("serial", 0) for one in self._found.values()]
         own = self._found[drive.node].values.get("serial", 0)
-        return own if told.count(own) == 1 else drive.serial
+        return own if serials.count(own) == 1 else drive.serial
 
     def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
         """Follow a sine within the limits, and print the following error."""
@@ -199,16 +199,16 @@ def _move(start: float, end: float, seconds: float) -> Callable[[float], float]:
     return lambda t: start + (end - start) * _smooth(t / seconds)
 
 
-def _scale(scale: float, told_mm: float, answer: str) -> float:
-    """Return counts per metre, negative if against the motor's direction. `told_mm` is the travel
-    by `scale`, `answer` the travel that a person saw [mm]."""
+def _scale(scale: float, commanded_mm: float, answer: str) -> float:
+    """Return counts per metre, negative if against the motor's direction. `commanded_mm` is the
+    travel by `scale`, `answer` the travel that a person saw [mm]."""
     try:
-        seen = float(answer or told_mm)
+        seen = float(answer or commanded_mm)
     except ValueError:
         seen = 0.0
-    if not 0.01 <= abs(seen / told_mm) <= 100:
-        raise PlateError(f"travel is {answer!r}, allowed: a number of mm, near {told_mm:.2g}")
-    new = scale * told_mm / seen
+    if not 0.01 <= abs(seen / commanded_mm) <= 100:
+        raise PlateError(f"travel is {answer!r}, allowed: a number of mm, near {commanded_mm:.2g}")
+    new = scale * commanded_mm / seen
     if abs(abs(new / scale) - 1) <= ROUGH:
         return float(np.copysign(scale, new))
     return float(f"{new:.3g}")
@@ -222,7 +222,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
     rig = load_rig(path)
     drives, found = drives_of(rig), survey(master)
     print("\n".join(map(str, found.values())) or "no node answers on the bus")
-    wrong = list(doubts(rig, found, master.rival))
+    wrong = list(doubts(rig, found, master.other_master))
     for doubt in wrong:
         print(f"{'WRONG' if doubt.impossible else 'note'}: {doubt.text}")
     hindered = any(doubt.impossible and doubt.about != "limits" for doubt in wrong)

@@ -36,13 +36,13 @@ class Refused(PlateError):
         super().__init__(f"node {node} refuses object {index:04X}h:{sub:02X} ({abort_words(code)})")
 
 
-def words(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> str:
+def trouble_text(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> str:
     """Return the text of a fault of a motor's drive, as in `driver_status` of a board."""
     return DriveTrouble(motor, kind, index, code % 2**32).words
 
 
 @dataclass
-class Told:
+class Received:
     """Messages received from a node: replies to SDO requests and TPDOs since they were cleared;
     time of the last heartbeat [s] and its state; number of boot-ups; code and error register of the
     first emergency."""
@@ -60,8 +60,8 @@ class Master:
 
     def __init__(self, bus: Any) -> None:
         self._bus = bus
-        self.told = {node: Told() for node in NODES}
-        self.rival = False
+        self.received = {node: Received() for node in NODES}
+        self.other_master = False
         """Whether frames of another master were received."""
 
     @property
@@ -82,7 +82,7 @@ class Master:
                 "termination and bit rate"
             ) from None
 
-    def heard(self, until: float) -> Iterator[tuple[int, bytes]]:
+    def frames(self, until: float) -> Iterator[tuple[int, bytes]]:
         """Yield identifier and data of each frame received until this time [s]. Raise a PlateError
         if the bus fails or reports an error."""
         import can
@@ -111,36 +111,36 @@ class Master:
 
     def wait(self, seconds: float, done: Callable[[], object] = lambda: False) -> None:
         """Receive frames for a time [s], or until a condition holds."""
-        for identifier, data in self.heard(self.now + seconds):
+        for identifier, data in self.frames(self.now + seconds):
             self._take(identifier, data)
             if done():
                 return
 
     def _take(self, identifier: int, data: bytes) -> None:
-        kind, told = identifier & 0x780, self.told.get(identifier & 0x7F)
+        kind, received = identifier & 0x780, self.received.get(identifier & 0x7F)
         if identifier in (NMT, SYNC, HEARTBEAT + OWN_NODE) or kind in (RPDO, REQUEST):
-            self.rival = True
-        elif told is None:
+            self.other_master = True
+        elif received is None:
             return
         elif kind == ANSWER and len(data) == 8:
-            told.answers.append(data)
+            received.answers.append(data)
         elif kind == TPDO and len(data) == 6:
-            told.places.append(data)
+            received.places.append(data)
         elif kind == HEARTBEAT and len(data) == 1:
-            told.beat_at, told.state = self.now, data[0] & 0x7F
-            told.boots += data[0] == 0
+            received.beat_at, received.state = self.now, data[0] & 0x7F
+            received.boots += data[0] == 0
         elif kind == EMERGENCY and len(data) >= 3 and any(data[:2]):
-            told.emergency = told.emergency or (int.from_bytes(data[:2], "little"), data[2])
+            received.emergency = received.emergency or (int.from_bytes(data[:2], "little"), data[2])
 
     def answering(self, index: int) -> list[int]:
         """Request an object from all nodes. Return the nodes that reply, whatever they reply."""
         for node in NODES:
-            self.told[node].answers.clear()
+            self.received[node].answers.clear()
             self._request(node, 0x40, index, 0)
             if node % 16 == 0:  # adapters buffer few frames
                 self.wait(0.01)
         self.wait(ANSWER_S)
-        return [node for node in NODES if self.told[node].answers]
+        return [node for node in NODES if self.received[node].answers]
 
     def read(self, node: int, index: int, sub: int = 0, signed: bool = False) -> int:
         """Return the value of an object of a node.
@@ -150,7 +150,7 @@ class Master:
         PlateError
             `Refused`; or if there is no reply, or one of more than four bytes.
         """
-        answer = self._asked(node, 0x40, index, sub)
+        answer = self._transfer(node, 0x40, index, sub)
         if answer[0] & 0xE2 != 0x42:
             raise PlateError(f"node {node}: object {index:04X}h is longer than four bytes")
         size = 4 - (answer[0] >> 2 & 3 if answer[0] & 1 else 0)
@@ -158,7 +158,7 @@ class Master:
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Set an object of a node to a value of 1, 2 or 4 bytes. Errors as `read`."""
-        self._asked(node, 0x23 | (4 - size) << 2, index, sub, value)
+        self._transfer(node, 0x23 | (4 - size) << 2, index, sub, value)
 
     def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
         """Send a request. Return the bytes that name the object in its reply."""
@@ -166,8 +166,8 @@ class Master:
         self.send(REQUEST + node, bytes([command]) + name + (value % 2**32).to_bytes(4, "little"))
         return name
 
-    def _asked(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
-        answers = self.told[node].answers
+    def _transfer(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
+        answers = self.received[node].answers
         answers.clear()
         name = self._request(node, command, index, sub, value)
         self.wait(ANSWER_S, lambda: answers and answers[-1][1:4] == name)

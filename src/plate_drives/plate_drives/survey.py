@@ -9,7 +9,7 @@ from plate_core import PlateError, Rig
 from plate_core.rig import Doubt, Drive, Limits
 from plate_core.serial_protocol import Trouble, emergency_words
 
-from .master import Master, Refused, words
+from .master import Master, Refused, trouble_text
 
 OBJECTS = {
     "device type": (0x1000, 0), "vendor": (0x1018, 1), "serial": (0x1018, 4), "modes": (0x6502, 0),
@@ -72,7 +72,7 @@ def survey(master: Master) -> dict[int, Found]:
     """
     found = {}
     for node in master.answering(0x1000):
-        twice, values, refusals = len(master.told[node].answers) > 1, {}, {}
+        twice, values, refusals = len(master.received[node].answers) > 1, {}, {}
         for name, (index, sub) in OBJECTS.items():
             try:
                 values[name] = master.read(node, index, sub, name in SIGNED)
@@ -92,10 +92,10 @@ def drives_of(rig: Rig) -> list[Drive]:
     return drives
 
 
-def doubts(rig: Rig, found: Mapping[int, Found], rival: bool) -> Iterator[Doubt]:
+def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator[Doubt]:
     """Yield the differences between bus and rig; `impossible` ones must be corrected first."""
-    if rival:
-        yield Doubt("bus", words(0, Trouble.OTHER_MASTER), True)
+    if other_master:
+        yield Doubt("bus", trouble_text(0, Trouble.OTHER_MASTER), True)
     drives = drives_of(rig)
     for number, drive in enumerate(drives, 1):
         for text in _of_drive(number, drive, found):
@@ -120,7 +120,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
         for name in ("device type", "modes", "serial", "status", "error", "register")
     )
     if one.twice:
-        yield words(number, Trouble.TWICE)
+        yield trouble_text(number, Trouble.TWICE)
     if not one.is_drive:
         yield f"{name}: node {node} has device type {device:X}h, allowed: of profile {PROFILE}"
         return
@@ -132,7 +132,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
         yield f"{name}: {one.refusals[needed]}: it cannot be led"
     if in_fault(status):
         why = f"error code {code:04X}h{emergency_words(code)}, error register {register:02X}h"
-        yield f"{words(number, Trouble.FAULT, code=status)}: {why}"
+        yield f"{trouble_text(number, Trouble.FAULT, code=status)}: {why}"
     elif enabled(status):
         yield f"{name}: the drive has current (statusword {status:04X}h): who leads it?"
 

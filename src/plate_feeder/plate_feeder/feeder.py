@@ -102,12 +102,12 @@ LONGEST_S = 3600.0
 
 class _Task(Enum):
     IDLE = 0
-    ASKED = 1
+    REQUESTED = 1
     RUNNING = 2
 
 
 @dataclass(frozen=True)
-class _Wanted:
+class _Request:
     """Request of a command: a class, or any (""), and optionally another pick than the recipe's."""
 
     label: str = ""
@@ -119,7 +119,7 @@ class _Waiting:
     """A waiting command."""
 
     client: Hashable
-    wanted: _Wanted
+    request: _Request
     until: float
     timeout_s: float
     purge: bool = False
@@ -159,16 +159,16 @@ class Feeder:
         self._rested = 0  # number of statuses since the plate rests by order
         self._content = False  # whether the planner came to rest by itself since the last part
         self._waiting: _Waiting | None = None
-        self._prepared: _Wanted | None = None
+        self._prepared: _Request | None = None
         self._reserved: Reserved | None = None
         self._late: Reserved | None = None  # reservation ended, result not reported yet
         self._held: dict[str, float] = {}  # newest stamp at the end of the reservation, by id
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
         self._taken = self._discharged = self._lost = 0  # the last two: by tasks that have ended
-        self._untold = 0  # reservations that ended without a report whether the part was taken
+        self._unreported = 0  # reservations that ended without a report whether the part was taken
         self._opened: int | None = None  # number of parts that had come before it was opened
-        self._look_at, self._barren = -math.inf, 0
+        self._evaluate_at, self._barren = -math.inf, 0
 
     # Inputs
 
@@ -239,7 +239,7 @@ class Feeder:
             return wanted
         if refusal := self._refusal(client):
             return refusal
-        if wanted == _Wanted() and self._prepared is not None:
+        if wanted == _Request() and self._prepared is not None:
             wanted = self._prepared
         self._prepared = None
         self._give_up()
@@ -288,7 +288,7 @@ class Feeder:
         late = ""
         if self._reserved is None:
             late = ", but was no longer reserved: the plate may have moved"
-            self._untold -= 1
+            self._unreported -= 1
         self._reserved = self._late = None
         name = known.part.id
         if taken:
@@ -316,7 +316,7 @@ class Feeder:
         self._prepared = None
         self._give_up()
         timeout_s = timeout_s or self.task.timeout_s
-        self._waiting = _Waiting(client, _Wanted(), now + timeout_s, timeout_s, purge=True)
+        self._waiting = _Waiting(client, _Request(), now + timeout_s, timeout_s, purge=True)
         self._begin(now)
         return None
 
@@ -345,7 +345,7 @@ class Feeder:
             self._give_up()
         if self._waiting is not None:
             self._answer(self._waiting, now)
-        if self._task is _Task.ASKED and self.silence(now):  # it must not start later
+        if self._task is _Task.REQUESTED and self.silence(now):  # it must not start later
             self._end()
         open_s = self._open(now)
         self._decide()
@@ -358,7 +358,7 @@ class Feeder:
         running = self._task is _Task.RUNNING
         return Quantity(
             seen=status.seen,
-            ready=len(self._offers(_Wanted())) if running else 0,
+            ready=len(self._offers(_Request())) if running else 0,
             taken=self._taken,
             discharged=self._discharged + running * status.discharged,
             lost=self._lost + running * status.lost,
@@ -371,7 +371,7 @@ class Feeder:
             return State.STOPPED
         if self._reserved is not None:
             return State.RESERVED
-        if self._task is _Task.ASKED:
+        if self._task is _Task.REQUESTED:
             return State.STARTING
         if self.silence(now):
             return State.SILENT
@@ -400,7 +400,7 @@ class Feeder:
     def silence(self, now: float) -> str:
         """Return a text about missing messages of the planner; empty if none are missing."""
         silent = now - self._since
-        if self._task is _Task.ASKED and silent > START_S:
+        if self._task is _Task.REQUESTED and silent > START_S:
             return f"the planner has not begun feed_parts within {START_S:g} s"
         if self._task is _Task.RUNNING and silent > SILENT_S:
             question = "does the planner run, or is the computer too slow?"
@@ -409,7 +409,7 @@ class Feeder:
 
     # Commands
 
-    def _read(self, label: str, pick: Pick | None, timeout_s: float = 0.0) -> _Wanted | Reply:
+    def _read(self, label: str, pick: Pick | None, timeout_s: float = 0.0) -> _Request | Reply:
         """Return the request of a command, or a reply with its error."""
         labels = [each.label for each in self.task.picks]
         problem = _time_problem(timeout_s)
@@ -424,7 +424,7 @@ class Feeder:
                 problem = problem or pick_problem(pick, self._rig)
             except PlateError as error:
                 problem = str(error)
-        return Reply(Code.BAD_ARGUMENT, problem) if problem else _Wanted(label, pick)
+        return Reply(Code.BAD_ARGUMENT, problem) if problem else _Request(label, pick)
 
     def _refusal(self, client: Hashable) -> Reply | None:
         """Return the reason to refuse a command that would move the plate; None to accept it."""
@@ -441,9 +441,9 @@ class Feeder:
     def _begin(self, now: float) -> None:
         self._barren = min(self._barren, MOST_OPENINGS - 1)
         if self._task is _Task.IDLE:
-            if now >= self._look_at:  # the parts may have changed since
+            if now >= self._evaluate_at:  # the parts may have changed since
                 self._opened = None
-            self._task, self._since, self._ended = _Task.ASKED, now, False
+            self._task, self._since, self._ended = _Task.REQUESTED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
 
     def _end(self) -> None:
@@ -457,7 +457,7 @@ class Feeder:
         if self._reserved is not None:
             self._hold(self._reserved.part)
             self._late, self._reserved = self._reserved, None
-            self._untold += 1
+            self._unreported += 1
 
     def _hold(self, part: ReadyPart) -> None:
         assert self._status is not None  # the part was offered from a status
@@ -480,19 +480,19 @@ class Feeder:
             self._answer_waiting(Code.SILENT, silence)
         elif waiting.purge:
             self._answer_purge(waiting, now)
-        elif self._rests() and (offers := self._offers(waiting.wanted)):
+        elif self._rests() and (offers := self._offers(waiting.request)):
             part, until = self._best(offers), now + self.task.valid_s
             self._answer_waiting(Code.DONE, f"{part.id} is ready", part, until)
             self._reserved, self._late = Reserved(waiting.client, part, until), None
             self._content = False
-        elif self.hopper_empty and not self._on_plate(waiting.wanted.label):
+        elif self.hopper_empty and not self._on_plate(waiting.request.label):
             self._answer_waiting(
                 Code.HOPPER_EMPTY,
-                f"no {waiting.wanted.label or 'part'} is on the plate, and {MOST_OPENINGS} "
+                f"no {waiting.request.label or 'part'} is on the plate, and {MOST_OPENINGS} "
                 "openings of the hopper brought nothing",
             )
         elif now >= waiting.until:
-            quantity, label = self.quantity(), waiting.wanted.label
+            quantity, label = self.quantity(), waiting.request.label
             self._answer_waiting(
                 Code.NO_PART,
                 f"no {label or 'part'} was ready within {waiting.timeout_s:g} s: "
@@ -529,7 +529,7 @@ class Feeder:
 
     def _picks(self) -> tuple[Pick, ...]:
         """Return the picks to get ready, with more of a class whose ready parts are not offered."""
-        wanted = self._waiting.wanted if self._waiting is not None else self._prepared
+        wanted = self._waiting.request if self._waiting is not None else self._prepared
         other = None if wanted is None else wanted.pick
         picks = [
             other if other is not None and other.label == pick.label else pick
@@ -552,7 +552,7 @@ class Feeder:
     def _ready(self) -> tuple[ReadyPart, ...]:
         return () if self._status is None else self._status.ready
 
-    def _offers(self, wanted: _Wanted) -> list[ReadyPart]:
+    def _offers(self, wanted: _Request) -> list[ReadyPart]:
         """Return the parts in the newest status that a robot may get."""
         picks = {pick.label: pick for pick in self._picks()}
         return [
@@ -621,9 +621,9 @@ class Feeder:
             return FeedMode.PURGE
         if waiting is not None:
             stopping = self._sent.mode is FeedMode.REST and self._rested < SETTLED
-            ready = stopping or self._offers(waiting.wanted)  # wait for a status at rest
+            ready = stopping or self._offers(waiting.request)  # wait for a status at rest
             return FeedMode.REST if ready else FeedMode.FEED
-        offers = [part.label for part in self._offers(self._prepared or _Wanted())]
+        offers = [part.label for part in self._offers(self._prepared or _Request())]
         wanted = {pick.label: pick.ready for pick in self.task.picks}
         if self._prepared is not None and self._prepared.label:
             label, pick = self._prepared.label, self._prepared.pick
@@ -638,25 +638,25 @@ class Feeder:
         """Return how long the hopper must be open from now [s], as `Output.open_s`."""
         hopper, status = self.task.hopper, self._status
         purging = self._waiting is not None and self._waiting.purge
-        is_open = self._opened is not None and now < self._look_at - FALLEN_S
+        is_open = self._opened is not None and now < self._evaluate_at - FALLEN_S
         if is_open and (purging or self._task is _Task.IDLE):
-            self._look_at = now + FALLEN_S
+            self._evaluate_at = now + FALLEN_S
             return 0.0
         if hopper is None or status is None or self._task is not _Task.RUNNING:
             return None
         total, quantity = status.total, self.quantity()
-        came = total + quantity.taken + self._untold + quantity.discharged + quantity.lost
-        if self._opened is not None and now >= self._look_at and self._sees_all():
+        came = total + quantity.taken + self._unreported + quantity.discharged + quantity.lost
+        if self._opened is not None and now >= self._evaluate_at and self._sees_all():
             self._barren = 0 if came > self._opened else self._barren + 1
             self._opened = None
         if self._reserved is not None or purging or self.silence(now):
             return None
-        absent = self._waiting is not None and not self._on_plate(self._waiting.wanted.label)
+        absent = self._waiting is not None and not self._on_plate(self._waiting.request.label)
         enough = hopper.fill if absent else hopper.least
         if self._opened is not None or self.hopper_empty or total >= enough:
             return None
         open_s = min((hopper.fill - total) / hopper.rate, LONGEST_OPEN_S)
-        self._opened, self._look_at = came, now + open_s + FALLEN_S
+        self._opened, self._evaluate_at = came, now + open_s + FALLEN_S
         return open_s
 
 

@@ -157,7 +157,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._task = FeedGoal(self, goal, self._on_end)
         self.keep(FeedGoal.close, self._task)
         self.managed_timer(STEP_S, self._step)
-        self.managed_timer(FEEDBACK_S, self._tell_progress)
+        self.managed_timer(FEEDBACK_S, self._publish_feedback)
 
     def begin(self) -> None:
         """Reset all state, except a stop by a person, and serve robots."""
@@ -166,7 +166,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         if self._stopped:
             self._feeder.stop(self._stopped)
         self._driver: DriverStatus | None = None
-        self._told = TaskStatus.IDLE, TaskStatus.NONE  # state and reason of the last task_status
+        # State and reason of the last task_status:
+        self._last_task = TaskStatus.IDLE, TaskStatus.NONE
         self._parts: dict[str, Part] = {}  # ready parts in the newest status, by id
         self._waiting: dict[int, Replied] = {}  # recipient of the reply, by client
         self._goal: Any = None  # waiting goal of a ROS client
@@ -174,7 +175,9 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._hopper_problem = ""
         self._opening: tuple[Any, float] | None = None  # the hopper's reply, and its deadline
         self._inbox.clear()
-        self._server = RobotServer(options.host, options.port, self._ask, self._gone)
+        self._server = RobotServer(
+            options.host, options.port, self._on_command, self._on_disconnect
+        )
         self.get_logger().info(f"robots are served at {options.host}:{self._server.port}")
         if options.host not in ONE_MACHINE:
             self.get_logger().warning(f"any machine that reaches {options.host} may command")
@@ -194,7 +197,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         """Execute the actions that the rules require now."""
         now = time.monotonic()
         output = self._feeder.step(now)
-        self._task.want(output.run)
+        self._task.request(output.run)
         if self._task.runs:
             self._send(output.order, now)
         if self._opening is not None and now >= self._opening[1]:
@@ -266,12 +269,12 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._step()
 
     def _on_task(self, msg: TaskStatus) -> None:
-        told, self._told = self._told, (msg.state, msg.reason)
+        before, self._last_task = self._last_task, (msg.state, msg.reason)
         # task_status repeats the end of a task, but reports a stop of an idle planner once.
-        again = msg.state != TaskStatus.IDLE and self._told == told
+        again = msg.state != TaskStatus.IDLE and self._last_task == before
         if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not again:
             self._wait_for_person(f"the planner was stopped: {msg.text}")
-        self._task.hear(msg)
+        self._task.on_task_status(msg)
 
     def _on_driver(self, msg: DriverStatus) -> None:
         self._driver = msg
@@ -373,7 +376,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             result.valid_until = to_time(now.nanoseconds + round(1e9 * left))
         return result
 
-    def _tell_progress(self) -> None:
+    def _publish_feedback(self) -> None:
         if self._goal is None:
             return
         if isinstance(self._goal.request, PurgePlate.Goal):
@@ -410,10 +413,10 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     # TCP: called on the server's thread, passed to the graph's thread
 
-    def _ask(self, client: int, command: Command, answer: Answer) -> None:
+    def _on_command(self, client: int, command: Command, answer: Answer) -> None:
         self._soon(lambda: self._do(client, command, answer))
 
-    def _gone(self, client: int) -> None:
+    def _on_disconnect(self, client: int) -> None:
         self._soon(lambda: self._forget(client))
 
     def _soon(self, work: Callable[[], None]) -> None:

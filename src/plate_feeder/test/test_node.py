@@ -470,7 +470,7 @@ def test_a_stop_while_nothing_runs_counts_and_one_that_is_told_again_does_not(gr
     graph.until(lambda: graph.feeder._feeder.stopped)
     assert graph.call(Trigger, "resume_feeding").success
     heard = []
-    graph.feeder._task.hear = heard.append
+    graph.feeder._task.on_task_status = heard.append
     tell(ended)  # as the planner does with each image
     graph.until(lambda: heard)
     assert graph.say(robot, "get_part").startswith("200 ")

@@ -93,7 +93,7 @@ def agent_class(name: str) -> type[Agent]:
     except (Exception, SystemExit) as problem:
         absent = isinstance(problem, ModuleNotFoundError) and problem.name == module
         where = f"; is {module}.py in this folder, {Path.cwd()}?" if absent else ""
-        raise PlateError(f"agent {name} cannot be loaded: {said(problem)}{where}") from problem
+        raise PlateError(f"agent {name} cannot be loaded: {one_line(problem)}{where}") from problem
     kinds = (getattr(found, key, None) for key in ("action", "observation"))
     if (
         not isinstance(found, type)
@@ -106,7 +106,7 @@ def agent_class(name: str) -> type[Agent]:
     return found
 
 
-def said(problem: BaseException) -> str:
+def one_line(problem: BaseException) -> str:
     """Return an exception as one line of text."""
     return " ".join(f"{type(problem).__name__}: {problem}".split())
 
@@ -151,7 +151,7 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
             places.update(plate.simulation.state.position.tobytes())
     except (Exception, SystemExit) as problem:
         where = f"agent {agent}, {task}, seed {seed}, step {len(spent)}"
-        raise PlateError(f"{where}: {said(problem)}") from problem
+        raise PlateError(f"{where}: {one_line(problem)}") from problem
     own, wall = 1e3 * np.array(spent).T
     return {
         "seed": seed,
@@ -262,7 +262,9 @@ def episodes(
             finally:
                 show("")
     except BrokenExecutor as problem:
-        raise PlateError(f"agent {agent}, {task}: its process died: {said(problem)}") from problem
+        raise PlateError(
+            f"agent {agent}, {task}: its process died: {one_line(problem)}"
+        ) from problem
 
 
 def show(text: str) -> None:

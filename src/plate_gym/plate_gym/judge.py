@@ -69,7 +69,7 @@ class Followed:
 
 class Feeding:
     """The environment of a plate that feeds a robot: hopper, robot, and the feeder's rules. It is
-    mutable: `look` advances it.
+    mutable: changed by `advance`.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Feeding:
         self._rules, self._memory = Feeder(task, rig), FeedMemory()
         self.ids = np.full(rows_of(task), "", object)
 
-    def look(self, world: Simulation, time: float, running: PlateCycle) -> None:
+    def advance(self, world: Simulation, time: float, running: PlateCycle) -> None:
         """Advance to a time [s] at which a cycle begins: record the parts' places, and let the
         robot act, as `plate_bringup.loop` does, but with the true positions."""
         self.time = time
@@ -109,7 +109,7 @@ class Feeding:
         self.ids = np.where(stays, self.ids, "")
         self.ids[first[: len(came)]] = came
 
-    def told(self) -> dict[str, Any]:
+    def agent_info(self) -> dict[str, Any]:
         """Return the information for an agent: `ids`, `rests`, `order`, `waiting`."""
         order, waiting = self._rules.task.order, self.made.waiting
         return {"ids": self.ids, "rests": self.rests, "order": order, "waiting": waiting}
@@ -210,16 +210,16 @@ class Judge:
         if isinstance(self._rules, Follower):
             none = np.zeros(len(parts))
             memory = Followed(self._rules.begin(parts, START_S), 0.0, none)
-            return self.look(memory, world, 0.0, running)
+            return self.update(memory, world, 0.0, running)
         if isinstance(self._rules, Feeder):
-            return self.look(Feeding(self._rules.task, self._rig), world, 0.0, running)
+            return self.update(Feeding(self._rules.task, self._rig), world, 0.0, running)
         return None
 
-    def look(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
+    def update(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
         """Record the parts' places at a time [s] at which a cycle begins. References advance as
         slowly as parts that are behind require."""
         if isinstance(memory, Feeding):
-            memory.look(world, time, running)
+            memory.advance(world, time, running)
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
             return memory
         parts = _parts(world.state)
@@ -227,10 +227,11 @@ class Judge:
         error = self._rules.errors(follow, parts, time)
         return Followed(follow, time, memory.square_m2 + error**2)
 
-    def told(self, memory: Memory) -> dict[str, Any]:
-        """Return the information for an agent: `path_s` and `pace` for paths; `Feeding.told`."""
+    def agent_info(self, memory: Memory) -> dict[str, Any]:
+        """Return the information for an agent: `path_s` and `pace` for paths; for feeding
+        `Feeding.agent_info`."""
         if isinstance(memory, Feeding):
-            return memory.told()
+            return memory.agent_info()
         if not isinstance(memory, Followed):
             return {}
         follow = memory.memory
@@ -249,7 +250,7 @@ class Judge:
         return places[[follow.match.index(name) for name in ids]]
 
     def score(self, memories: list[Memory], states: list[WorldState]) -> Score:
-        """Evaluate the parts of N plates. `memories` come from `begin` and `look`."""
+        """Evaluate the parts of N plates. `memories` come from `begin` and `update`."""
         rules, names = self._rules, states[0].ids
         if isinstance(rules, Follower):
             return _followed(rules, memories, states)

@@ -137,7 +137,7 @@ class Plate:
         else:
             self.timeline = self.timeline.send(cycle).next()
         ids, judge = self.ids, self._shared.judge
-        self.memory = judge.look(self.memory, self.simulation, self.time, self.running)
+        self.memory = judge.update(self.memory, self.simulation, self.time, self.running)
         if judge.feeds:
             other = np.array([now != before for now, before in zip(self.ids, ids, strict=True)])
             self.seen = np.where(other[:, None], UNSEEN, self.seen)
@@ -253,7 +253,7 @@ class Plates:
         """Begin new episodes on some plates. Return the content of `Step.info`."""
         for row, seed in zip(rows, seeds, strict=True):
             self.plates[row] = Plate(self, seed)
-        self._look([self.plates[row] for row in rows])
+        self._update_observations([self.plates[row] for row in rows])
         score = self._score(rows)
         for row, to_go in zip(rows, score.to_go, strict=True):
             plate = self.plates[row]
@@ -270,7 +270,7 @@ class Plates:
         Simulation.run_together(worlds, running, self._threads)
         for plate, cycle in zip(plates, answers, strict=True):
             plate.begin(cycle)
-        self._look(plates)
+        self._update_observations(plates)
         score = self._score(rows)
         count = len(plates)
         reward, ended, over = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
@@ -304,7 +304,7 @@ class Plates:
             plate.limit_share = share
         return cycles
 
-    def _look(self, plates: Sequence[Plate]) -> None:
+    def _update_observations(self, plates: Sequence[Plate]) -> None:
         """Make the observations at the start of the running cycles."""
         if self.observation == "image":
             self._each(Plate.capture, plates)
@@ -372,8 +372,8 @@ class Plates:
         }
         if not self.judge.feeds:
             info["to_go_m"] = score.to_go
-        told = [self.judge.told(p.memory) for p in plates]
-        info |= {name: np.array([each[name] for each in told]) for name in told[0]}
+        infos = [self.judge.agent_info(p.memory) for p in plates]
+        info |= {name: np.array([each[name] for each in infos]) for name in infos[0]}
         if self.action == "cycle":
             running = np.empty(len(plates), object)
             running[:] = [p.running for p in plates]

@@ -98,7 +98,7 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
 
 def digest(scenario: str) -> str:
     """Return a digest of the content of a scenario's file and its rig's, without comments."""
-    said = yaml.safe_load((config_path("scenarios") / f"{scenario}.yaml").read_text("utf-8"))
-    rig = f"rigs/{said['rig']}.yaml" if "rig" in said else "rig.yaml"
-    both = said, yaml.safe_load(config_path(rig).read_text("utf-8"))
+    keys = yaml.safe_load((config_path("scenarios") / f"{scenario}.yaml").read_text("utf-8"))
+    rig = f"rigs/{keys['rig']}.yaml" if "rig" in keys else "rig.yaml"
+    both = keys, yaml.safe_load(config_path(rig).read_text("utf-8"))
     return hashlib.sha256(json.dumps(both, sort_keys=True).encode()).hexdigest()[:16]

@@ -76,9 +76,9 @@ def keep(folder: Path, key: str, content: bytes) -> None:
 
 def compiler(words: list[str]) -> bytes:
     """Return a C++ compiler's description: version, target, and search path of headers."""
-    asked = [*words, "-v", "-E", "-x", "c++", os.devnull]
+    command = [*words, "-v", "-E", "-x", "c++", os.devnull]
     try:
-        return subprocess.run(asked, capture_output=True, check=False).stderr
+        return subprocess.run(command, capture_output=True, check=False).stderr
     except FileNotFoundError:  # reported by the compilation itself
         return b""
 

@@ -18,7 +18,7 @@ from plate_interfaces.msg import Targets
 from .access import Access
 from .commands import URGENT, Command
 from .inbox import Inbox
-from .ros import TOPICS, Asked, Listener, Operator, Replay, Stops
+from .ros import TOPICS, Listener, Operator, PendingCommand, Replay, Stops
 from .scene import Scene, rig_scene, type_scene
 from .server import PageServer, Socket
 from .top_view import TopView
@@ -96,7 +96,7 @@ class PageNode(SafeLifecycleNode[Options]):
         """Start to serve the page."""
         if self.options.bag:
             kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
-            self._replay = Replay(self.options.bag, kinds, self._hear)
+            self._replay = Replay(self.options.bag, kinds, self._receive)
         port = self.options.port
         self._server = PageServer(self._access, port, self._hello(), self._take, self._changed)
         self._listener = Listener(self, self._rig, self._view, self._server)
@@ -156,13 +156,13 @@ class PageNode(SafeLifecycleNode[Options]):
             self._server.hello["simulator"] = bool(there)
         if self._listener is not None:
             self._listener.tick_slowly()
-        self._tell_replay()
+        self._publish_replay()
 
     # On the server's thread: pass commands to the graph's thread
 
     def _take(self, browser: Socket, command: Command) -> None:
         if command.name in URGENT and self._replay is None:
-            self._stops.do(Asked(browser.page, browser, command))
+            self._stops.do(PendingCommand(browser.page, browser, command))
             return
         self._inbox.put(browser, command)
         self._wake()
@@ -196,9 +196,9 @@ class PageNode(SafeLifecycleNode[Options]):
 
     # A recorded run
 
-    def _hear(self, topic: str, msg: object) -> None:
+    def _receive(self, topic: str, msg: object) -> None:
         if self._listener is not None:
-            self._listener.hear("/rosout" if topic == "rosout" else topic, msg)
+            self._listener.receive("/rosout" if topic == "rosout" else topic, msg)
 
     def _do_replay(self, browser: Socket, command: Command) -> None:
         """Play, seek or change the rate. All other commands need a running graph."""
@@ -220,9 +220,9 @@ class PageNode(SafeLifecycleNode[Options]):
             except PlateError as error:
                 why = str(error)
         server.answer(browser, command.number, not why, why)
-        self._tell_replay()
+        self._publish_replay()
 
-    def _tell_replay(self) -> None:
+    def _publish_replay(self) -> None:
         replay, server = self._replay, self._server
         if replay is not None and server is not None:
             where = {name: getattr(replay, name) for name in REPLAY}

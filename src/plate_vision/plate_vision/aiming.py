@@ -284,10 +284,10 @@ class Focus:
             text = "too little contrast to measure sharpness: is the lens covered?"
             return Finding(Level.ERROR, text)
         text = f"{self.now:.3f} per px, {self.trend}"
-        share = self.now / self.best
-        if share < BLURRED:
+        ratio = self.now / self.best
+        if ratio < BLURRED:
             why = (
-                f"{share:.0%} of the best of the last minute ({self.best:.3f}): turn the focus back"
+                f"{ratio:.0%} of the best of the last minute ({self.best:.3f}): turn the focus back"
             )
             return Finding(Level.WARN, f"{text}, {why}")
         edges = ""

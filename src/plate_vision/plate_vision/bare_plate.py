@@ -40,7 +40,7 @@ class BarePlate:
         The background as it was learned or modelled.
     light : Light, optional
         Light of the last image, relative to `first`.
-    wanted : int
+    requested : int
         Number of images of the bare plate that are requested; 0: none.
     images : tuple of (H, W) or (H, W, 3) uint8
         Images received for the request.
@@ -49,7 +49,7 @@ class BarePlate:
     learned: bool = False
     first: Background | None = None
     light: Light | None = None
-    wanted: int = 0
+    requested: int = 0
     images: tuple[np.ndarray, ...] = ()
 
 
@@ -60,7 +60,7 @@ def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tu
     things = "" if image is None else lying(image, region)
     if things:
         text += f"; {things} now: if these are parts, take them off, and call again"
-    return replace(plate, wanted=BARE_IMAGES, images=()), text
+    return replace(plate, requested=BARE_IMAGES, images=()), text
 
 
 def know_plate(
@@ -77,10 +77,10 @@ def know_plate(
     ImageError
         If too little of the plate is visible: it is too dark, or the camera was moved.
     """
-    if plate.wanted:
+    if plate.requested:
         alike = [one for one in plate.images if one.shape == image.shape]  # all grey or all colour
         images = (*alike, image)
-        if len(images) < plate.wanted:
+        if len(images) < plate.requested:
             return replace(plate, images=images), vision, None
         vision = replace(vision, background=learn_plate(np.stack(images)))
         text, things = f"bare plate learned from {len(images)} images", lying(image, vision.region)

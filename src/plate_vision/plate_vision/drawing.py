@@ -60,14 +60,14 @@ def draw_detections(
     outline = _fixed(outline_px)
     cv2.polylines(picture, [outline], True, PLATE_COLOUR, 1, cv2.LINE_AA, SHIFT)
     classes = sorted({name.rsplit("_", 1)[0] for name in ids})
-    for name, point, radius, ahead, rim in zip(
+    for name, point, radius, ahead, contour in zip(
         ids, point_px, radius_px, ahead_px, part_px, strict=True
     ):
         colour = COLOURS[classes.index(name.rsplit("_", 1)[0]) % len(COLOURS)]
         middle, end = _fixed(point), _fixed(ahead)
         size = int(_fixed(np.array([radius]))[0])
-        if len(rim):
-            cv2.polylines(picture, [_fixed(rim)], True, colour, 1, cv2.LINE_AA, SHIFT)
+        if len(contour):
+            cv2.polylines(picture, [_fixed(contour)], True, colour, 1, cv2.LINE_AA, SHIFT)
         else:
             cv2.circle(picture, middle.tolist(), size, colour, 1, cv2.LINE_AA, SHIFT)
         if np.linalg.norm(ahead - point) >= 1:

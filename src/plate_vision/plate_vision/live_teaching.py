@@ -12,7 +12,7 @@ from plate_core.rig import PartType
 from .errors import TeachError
 from .recognition import model_plate
 from .shapes.catalogue import make_catalogue
-from .shapes.part_files import add_type, told
+from .shapes.part_files import add_type, lesson_text
 from .shapes.teaching import MOST_PICTURES, Example
 from .vision import Vision
 
@@ -59,5 +59,5 @@ def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartTyp
     types = {template.part.name: template.part for template in known}
     catalogue = make_catalogue({**types, lesson.part.name: lesson.part})
     vision = replace(vision, catalogue=catalogue)
-    text = "; ".join([told(lesson), f"written to {path}", *lesson.doubts])
+    text = "; ".join([lesson_text(lesson), f"written to {path}", *lesson.doubts])
     return lesson.part, vision, text

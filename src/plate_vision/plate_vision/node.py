@@ -285,7 +285,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._vision = replace(self._vision, background=bare)
         self._teaching = Teaching()
         self._image: np.ndarray | None = None
-        self._came = np.empty(0)  # the last image that was used, as it came
+        self._last_image = np.empty(0)  # the last image that was used, as it came
         self._early: float | None = None
         self._outline: OutlineCheck | None = None
         self._faint: Finding | None = None
@@ -336,7 +336,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._location = self._unknown_location()
         self._warn(text)
 
-    def _tell(self, name: str) -> None:
+    def _log_photograph(self, name: str) -> None:
         """Log the parts of a photograph, and the things in it that are not taken for parts."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
@@ -378,9 +378,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._tally.why = str(error)
             self._refused += 1
             if came is not None:
-                self._aiming.look(came, stamp, str(error))
+                self._aiming.add_image(came, stamp, str(error))
             return
-        self._came = came
+        self._last_image = came
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
         if self._tracker is not before:
             self._note_ids()
@@ -403,10 +403,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._markers.publish(self._scene(stamp))
         self._check_outline(came, seconds(stamp))
         if not 0 <= seconds(stamp) - self._faint_at < FAINT_PERIOD_S:
-            self._look_for_faint(image, seconds(stamp))
+            self._check_faint(image, seconds(stamp))
         if alone:
-            self._tell(source)
-        self._aiming.look(came, stamp)
+            self._log_photograph(source)
+        self._aiming.add_image(came, stamp)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
         """Refuse an image whose stamp equals that of a different previous image, and a single image
@@ -421,7 +421,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 f"stamp is {stamp:.3f} s, {last - stamp:.3f} s before that of the image before, "
                 "allowed: one image after the other, of one camera"
             )
-        if stamp == last and not np.array_equal(image, self._came):
+        if stamp == last and not np.array_equal(image, self._last_image):
             raise ImageError(
                 f"stamp is {stamp:.3f} s, that of another image before, allowed: a stamp of its "
                 "own (does the camera's node fill it in?)"
@@ -544,14 +544,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         corners = tuple((float(x), float(y)) for x, y in corners_px)
         self._rig = replace(self._rig, camera=replace(self._rig.camera, corners_px=corners))
         self._plate = BarePlate()
-        self._look_anew(self._lens)
+        self._restart_detection(self._lens)
 
     def _take_lens(self, lens: Lens) -> None:
         """Use a lens that was fitted."""
-        self._look_anew(lens)
+        self._restart_detection(lens)
         self._lens, self._lens_problem = lens, ""
 
-    def _look_anew(self, lens: Lens | None) -> None:
+    def _restart_detection(self, lens: Lens | None) -> None:
         """Locate plate and parts again with the rig and this lens, as after a start."""
         vision = make_vision(self._rig, self._vision.options, lens)
         self._vision = replace(vision, background=self._plate.first)
@@ -583,7 +583,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if found is not None and before.finding is None:
             self._warn(found.message)
 
-    def _look_for_faint(self, image: np.ndarray, stamp: float) -> None:
+    def _check_faint(self, image: np.ndarray, stamp: float) -> None:
         """Count faint patches as large as round parts. The result is the smaller count of two
         consecutive searches; a photograph counts alone."""
         if self._vision.catalogue is not None:

@@ -120,21 +120,21 @@ def find_types_under(
     """
     rise = _rise_of(catalogue, calibration)
 
-    def look(lamps: bool, lamp: Lamp | None = None) -> _Seen:
+    def attempt(lamps: bool, lamp: Lamp | None = None) -> _Seen:
         segments = segment(image, background, region, lamps, lamp, rise)
         conditions = Conditions(segments.lamp, background)
         patches = segments.patches
         return _Seen(segments, *recognise_under(image, patches, catalogue, calibration, conditions))
 
-    seen = look(background.learned)
+    seen = attempt(background.learned)
     if before is not None and (seen.lamp is None or not seen.agrees):
-        lit = look(False, before)
+        lit = attempt(False, before)
         if not lit.agrees or lit.known < FEWEST_NAMED:
-            seen = seen if seen.lamp is None else look(False)
+            seen = seen if seen.lamp is None else attempt(False)
             lit = lit if lit.agrees and lit.known >= seen.known else seen
         seen = lit
     elif not seen.agrees:  # touching parts can look like shadows
-        seen = look(False)
+        seen = attempt(False)
     patches, found = seen.segments.patches, seen.found
     whole = seen.segments.doubtful(is_named(found))
     if whole is not None:

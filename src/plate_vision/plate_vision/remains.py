@@ -19,7 +19,7 @@ from .overlooked import NONE_OVERLOOKED, OVERLOOKED
 from .plate import LitPlate, Region
 from .plate.contrast import Channels, find_odd
 
-LOOK = 2
+COARSE_STEP = 2
 """The first check uses every second row and column of the grid. Its smallest hit, four neighbours,
 is smaller than the smallest thing that counts."""
 
@@ -66,7 +66,7 @@ def find_remains(
     x0, y0 = region.box[:2]
     stride = max(1, int(least_px / COARSE_RADIUS_PX))
     shapes = numbers(parts)
-    coarse, counts = (x0, y0, LOOK * stride), _deep(region, LOOK * stride, least_px)
+    coarse, counts = (x0, y0, COARSE_STEP * stride), _deep(region, COARSE_STEP * stride, least_px)
     if counts.size == 0:
         return None
     lit = channels.image, channels.lights

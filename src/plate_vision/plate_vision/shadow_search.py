@@ -101,12 +101,14 @@ def find_shadow(
         return None
     middle, parts, length_px, direction = found
     slopes = calibration.slopes(middle)
-    ways = np.einsum("nij,nj->ni", slopes, length_px[:, None] * direction)
-    way = np.median(ways, axis=0)
+    offsets_m = np.einsum("nij,nj->ni", slopes, length_px[:, None] * direction)
+    offset_m = np.median(offsets_m, axis=0)
     plain = float(np.mean(np.minimum(fit_discs(contrast, middle, parts)["misfit"], WORST)))
 
     def fitted(shadow: Shadow) -> np.ndarray:
-        offset = np.linalg.solve(slopes, np.broadcast_to(shadow.way[:, None], (len(slopes), 2, 1)))
+        offset = np.linalg.solve(
+            slopes, np.broadcast_to(shadow.offset_m[:, None], (len(slopes), 2, 1))
+        )
         seeds = np.ascontiguousarray(middle - 0.5 * offset[:, :, 0])
         return fit_discs(contrast, seeds, parts, shadow)
 
@@ -141,7 +143,7 @@ def find_shadow(
         def at(change: np.ndarray) -> Shadow:
             return Shadow(
                 calibration,
-                shadow.way + 1e-3 * change[:2],
+                shadow.offset_m + 1e-3 * change[:2],
                 float(np.clip(shadow.darkness + 0.1 * change[2], *DARKEST)),
                 float(np.clip(shadow.edge_px + change[3], *EDGE_RANGE_PX)),
             )
@@ -155,13 +157,13 @@ def find_shadow(
 
     refinements = []
     for sense in (1, -1):
-        shadow = Shadow(calibration, sense * way, 0.5, 1.0)
+        shadow = Shadow(calibration, sense * offset_m, 0.5, 1.0)
         for _ in range(ROUNDS):
             shadow = improved(shadow)
         refinements.append(refined(shadow))
     (whole, best), (other, reverse) = sorted(refinements, key=lambda one: one[0])
     left = misfit(best)
-    one_sense = best.way @ reverse.way > 0 or whole < SURE * other
+    one_sense = best.offset_m @ reverse.offset_m > 0 or whole < SURE * other
     if not one_sense or left > GOOD_FIT or left > BETTER * plain:
         return None
     # If all parts are about as dark as their shadows, the sign of the direction is unknown.
@@ -224,8 +226,8 @@ def _capsules(
         return None
     angles = 0.5 * np.arctan2(unit[:, 1], unit[:, 0])
     direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    usual_way = 0.5 * np.arctan2(mean[1], mean[0])
-    sense = np.sign(direction @ (np.cos(usual_way), np.sin(usual_way)))
+    axis = 0.5 * np.arctan2(mean[1], mean[0])
+    sense = np.sign(direction @ (np.cos(axis), np.sin(axis)))
     return middle[rows], parts[rows], length, direction * sense[:, None]
 
 
@@ -235,7 +237,7 @@ def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.n
     steps, levels = _along(contrast, shadow, discs, parts)
     light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
     end = steps[light[0]] if len(light) else steps[-1]
-    return replace(shadow, way=shadow.way * max(end, 1.0) / _length(shadow, discs, parts))
+    return replace(shadow, offset_m=shadow.offset_m * max(end, 1.0) / _length(shadow, discs, parts))
 
 
 def _along(

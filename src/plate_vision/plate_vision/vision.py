@@ -306,9 +306,9 @@ def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndar
     turn = found["angle_rad"]
     if not np.any(turn):
         return turn
-    way = found["radius_px"][:, None] * np.stack([np.cos(turn), -np.sin(turn)], axis=1)
+    radius_px = found["radius_px"][:, None] * np.stack([np.cos(turn), -np.sin(turn)], axis=1)
     to_home = vision.calibration.to_home
-    dx, dy = (to_home(centre_px + way) - to_home(centre_px - way)).T
+    dx, dy = (to_home(centre_px + radius_px) - to_home(centre_px - radius_px)).T
     return np.where(turn != 0, np.arctan2(dy, dx), 0.0)
 
 

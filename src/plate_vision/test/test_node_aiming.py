@@ -55,7 +55,7 @@ def test_the_view_to_aim_by(graph, draw, rng):
     aimed = Aimed(graph)
     graph.until(lambda: aimed.aims)
     assert aimed.aims[0].width == 0
-    assert aimed.aims[0].checks[0].text == "no image comes: does the camera run?"
+    assert aimed.aims[0].checks[0].text == "no image arrives: does the camera run?"
     for k in range(3):  # an id takes two images
         msg, checks = aimed.show(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0 + k))
     assert (msg.width, msg.height) == (640, 480)
@@ -235,6 +235,6 @@ def test_what_the_lens_services_refuse(graph):
     assert "board: 2 x 7 squares, allowed" in take(**{**good, "columns": 2}).message
     assert "model is 'fish', allowed: plumb_bob" in take(**good, model="fish").message
     assert take(**good).success
-    assert graph.detector._aiming.wanted  # also without a subscriber
+    assert graph.detector._aiming.needed  # also without a subscriber
     assert take(on=False).success
-    assert not graph.detector._aiming.wanted
+    assert not graph.detector._aiming.needed

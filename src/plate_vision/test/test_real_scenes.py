@@ -115,7 +115,7 @@ def test_the_shadow_is_known_from_then_on(rng):
     image = cast(look, position, GREYS, rng, shadow=(0.006, -0.004, 0.5))
     tracker = seen(look.rig(), image)
     assert tracker.shadow is not None
-    assert tracker.shadow.way == pytest.approx([0.006, -0.004], abs=1e-3)
+    assert tracker.shadow.offset_m == pytest.approx([0.006, -0.004], abs=1e-3)
     assert tracker.shadow.darkness == pytest.approx(0.5, abs=0.1)
     plain = cast(look, position, GREYS, rng)
     after = observe(make_vision(look.rig(), DetectorOptions()), tracker, plain, 2.0)
@@ -187,7 +187,7 @@ def test_two_parts_show_a_shadow(soft_px, rng):
     look = Look()
     tracker = seen(look.rig(), cast(look, position, np.full(2, 40.0), rng, **given))
     assert tracker.shadow is not None
-    assert tracker.shadow.way == pytest.approx([0.004, -0.003], abs=8e-4)
+    assert tracker.shadow.offset_m == pytest.approx([0.004, -0.003], abs=8e-4)
     assert errors(tracker, position).max() < 0.25e-3
 
 

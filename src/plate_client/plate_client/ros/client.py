@@ -77,7 +77,7 @@ class Task:
     def __init__(self, name: str, send: Callable[[Callback, Callback], None]) -> None:
         self.name, self._send, self._sent = name, send, 0
         self.progress = TaskProgress()
-        self.heard = 0  # number of feedback messages
+        self.feedbacks = 0  # number of feedback messages
         self.status: TaskStatus | None = None
         self._handle: Any = None
         self._cancel = False
@@ -120,7 +120,7 @@ class Task:
 
     def _on_feedback(self, msg: Any) -> None:
         self.progress = msg.feedback.progress
-        self.heard += 1
+        self.feedbacks += 1
 
     def _on_answer(self, future: Any) -> None:
         if self.accepted:
@@ -246,13 +246,13 @@ class PlateClient:
         PlateError
             If the task does not end in time, or the planner sends no more feedback.
         """
-        end, heard, silent_s = time.monotonic() + timeout_s, task.heard, 0.0
+        end, feedbacks, silent_s = time.monotonic() + timeout_s, task.feedbacks, 0.0
         while not self._until(lambda: task.ended, AGAIN_S):
-            silent_s = silent_s + AGAIN_S if task.heard == heard else 0.0
-            heard = task.heard
+            silent_s = silent_s + AGAIN_S if task.feedbacks == feedbacks else 0.0
+            feedbacks = task.feedbacks
             if silent_s > SILENT_S:
                 raise PlateError(
-                    f"the planner has said nothing for {SILENT_S:g} s: it hangs or has ended, and "
+                    f"no message from the planner for {SILENT_S:g} s: it hangs or has ended, and "
                     "the result of the task is unknown"
                 )
             if time.monotonic() > end:

@@ -23,7 +23,7 @@ from plate_interfaces.msg import DriverStatus, Friction, TaskStatus
 from plate_interfaces.srv import MeasureFriction
 
 from .client import AGAIN_S, SILENT_S, PlateClient, Task, TaskError
-from .services import NOBODY_S, Services, nobody
+from .services import DISCOVERY_S, Services, no_graph_text
 
 PROGRESS_S, WAITING_S = 2.0, 5.0
 """Time between two lines about a task's progress, and about the reason why it waits [s]."""
@@ -217,12 +217,12 @@ class Graph(Services):
             reports.update((report.node, report) for report in msg_to_reports(msg))
 
         self.node.create_subscription(DiagnosticArray, "diagnostics", on_report, DATA)
-        if self._until(lambda: bool(self._seen()), NOBODY_S):
+        if self._until(lambda: bool(self._seen()), DISCOVERY_S):
             self._until(lambda: False, REPORT_S)
             self._until(lambda: not self._silent(reports), LATE_S)
         silent = self._silent(reports)
         if not self._seen() and not self._texts:
-            raise PlateError(nobody())
+            raise PlateError(no_graph_text())
         lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
         nodes = {name: f"{each.level.name}, {each.message}" for name, each in reports.items()}
         nodes |= dict.fromkeys(silent, "no message: it starts, or hangs")
@@ -254,7 +254,7 @@ class Graph(Services):
             If it does not run. The message lists the running nodes.
         """
         self._find_nodes()
-        self._until(lambda: name in self._seen(), NOBODY_S)
+        self._until(lambda: name in self._seen(), DISCOVERY_S)
         here = self._seen()
         if name is None:
             return here

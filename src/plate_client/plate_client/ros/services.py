@@ -19,7 +19,7 @@ from plate_core import PlateError, choose_network, ros_domain
 
 from ..messages import spin_until
 
-NOBODY_S, FOUND_S, ANSWER_S, READY_S = 1.0, 3.0, 15.0, 15.0
+DISCOVERY_S, FOUND_S, ANSWER_S, READY_S = 1.0, 3.0, 15.0, 15.0
 """Maximum waits [s]: to discover any node; to discover a service; for its reply; for motors that
 are being enabled."""
 
@@ -120,16 +120,18 @@ class Services:
         from plate_core.ros import LATCHED
         from plate_interfaces.msg import DriverStatus
 
-        said: list[DriverStatus] = []
+        statuses: list[DriverStatus] = []
         enabling, ready = DriverStatus.ENABLING, DriverStatus.READY
 
         def over() -> bool:
-            states = [msg.state for msg in said]
+            states = [msg.state for msg in statuses]
             return bool(states) and (
                 states[-1] == ready or (enabling in states and states[-1] != enabling)
             )
 
-        heard = self.node.create_subscription(DriverStatus, "driver_status", said.append, LATCHED)
+        subscription = self.node.create_subscription(
+            DriverStatus, "driver_status", statuses.append, LATCHED
+        )
         try:
             answer = self._call(SetBool, "enable", SetBool.Request(data=True), once=True)
             if not answer.success:
@@ -138,10 +140,12 @@ class Services:
                 return str(answer.message)
             self._until(over, READY_S)
         finally:
-            self.node.destroy_subscription(heard)
-        if not said or said[-1].state != ready:
-            raise PlateError(f"not enabled, driver_status: {said[-1].text if said else 'nothing'}")
-        return str(said[-1].text)
+            self.node.destroy_subscription(subscription)
+        if not statuses or statuses[-1].state != ready:
+            raise PlateError(
+                f"not enabled, driver_status: {statuses[-1].text if statuses else 'nothing'}"
+            )
+        return str(statuses[-1].text)
 
     def _call(
         self, kind: Any, service: str, request: Any, urgent: bool = False, once: bool = False
@@ -152,7 +156,7 @@ class Services:
             return urgent or client.service_is_ready() or bool(self._seen())
 
         cut = ": cut the power by hand" if urgent else ""
-        if not (self._until(there, NOBODY_S) and self._until(client.service_is_ready, FOUND_S)):
+        if not (self._until(there, DISCOVERY_S) and self._until(client.service_is_ready, FOUND_S)):
             raise PlateError(self._missing(service) + cut)
         again_s = ANSWER_S if once else AGAIN_S
         answers: list[Any] = []
@@ -166,7 +170,9 @@ class Services:
     def _missing(self, service: str) -> str:
         """Return the reason why the service is missing."""
         here = self._seen()
-        return f"no service {service}: {'nodes here: ' + ', '.join(here) if here else nobody()}"
+        return (
+            f"no service {service}: {'nodes here: ' + ', '.join(here) if here else no_graph_text()}"
+        )
 
     def _find_nodes(self) -> None:
         """Wait until a node of this namespace is discovered.
@@ -176,8 +182,8 @@ class Services:
         PlateError
             If no node is discovered.
         """
-        if not self._until(lambda: bool(self._seen()), NOBODY_S):
-            raise PlateError(nobody())
+        if not self._until(lambda: bool(self._seen()), DISCOVERY_S):
+            raise PlateError(no_graph_text())
 
     def _seen(self) -> list[str]:
         """Return the names of the nodes in this namespace."""
@@ -195,7 +201,7 @@ class Services:
         )
 
 
-def nobody() -> str:
+def no_graph_text() -> str:
     """Return an error text that no graph runs, with the ROS domains in use on this machine."""
     ours = ros_domain(os.environ)
     others = sorted(domains_in_use() - {ours})

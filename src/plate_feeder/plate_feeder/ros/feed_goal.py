@@ -49,7 +49,7 @@ class FeedGoal:
         self._answer_by = 0.0
         self._ending, self._until = 0, 0.0  # number of the canceled goal; deadline of its end
 
-    def want(self, run: bool) -> None:
+    def request(self, run: bool) -> None:
         """Start the task, or cancel it. Must be called repeatedly."""
         if self._sent and not run:
             self._cancel()
@@ -66,7 +66,7 @@ class FeedGoal:
             future = self._client.send_goal_async(self._goal, goal_uuid=self._id)
             future.add_done_callback(lambda done: self._on_answer(number, again, done))
 
-    def hear(self, status: TaskStatus) -> None:
+    def on_task_status(self, status: TaskStatus) -> None:
         """Detect that the planner has restarted and no longer executes the task."""
         running = status.state == TaskStatus.RUNNING and status.task == "feed"
         if self.runs and self._seen and not running:

@@ -1,8 +1,8 @@
 """The page's ROS interface: its subscriptions, and the calls that it makes."""
 
 from .listener import TOPICS, Listener
-from .operator import Asked, Operator
+from .operator import Operator, PendingCommand
 from .replay import Replay
 from .stops import Stops
 
-__all__ = ["TOPICS", "Asked", "Listener", "Operator", "Replay", "Stops"]
+__all__ = ["TOPICS", "Listener", "Operator", "PendingCommand", "Replay", "Stops"]

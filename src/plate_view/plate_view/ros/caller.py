@@ -14,7 +14,7 @@ from plate_core import PlateError
 from plate_core.ros import CALLS
 
 from ..commands import URGENT
-from .asked import Asked
+from .pending import PendingCommand
 
 ANSWER_S = 5.0
 """Maximum wait for the reply of a service [s]."""
@@ -25,7 +25,7 @@ URGENT_S = 1.0
 AGAIN_S = 0.25
 """Time without a reply after which a stop is requested again [s]."""
 
-LOOK_S = 0.02
+POLL_S = 0.02
 """Polling interval of pending calls [s]."""
 
 Then = Callable[[Any], None]
@@ -40,15 +40,15 @@ class Caller:
 
     Attributes
     ----------
-    looks : set of callables
-        Called every `LOOK_S`.
+    pollers : set of callables
+        Called every `POLL_S`.
     """
 
     def __init__(self, node: Node) -> None:
         self._node, self._clients = node, dict[str, Any]()
-        self.looks: set[Callable[[], None]] = set()
+        self.pollers: set[Callable[[], None]] = set()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(LOOK_S, self._look, clock=steady)
+        self._timer = node.create_timer(POLL_S, self._poll, clock=steady)
 
     def close(self) -> None:
         """Destroy all clients."""
@@ -56,9 +56,9 @@ class Caller:
         for client in self._clients.values():
             self._node.destroy_client(client)
 
-    def _look(self) -> None:
-        for look in list(self.looks):
-            look()
+    def _poll(self) -> None:
+        for poll in list(self.pollers):
+            poll()
 
     def client(self, kind: Any, name: str) -> Any:
         """Return the client of a service. Create it early, so that discovery is complete when it is
@@ -67,14 +67,14 @@ class Caller:
             self._clients[name] = self._node.create_client(kind, name, qos_profile=CALLS)
         return self._clients[name]
 
-    def call(self, asked: Asked, kind: Any, name: str, request: Any, then: Then) -> None:
+    def call(self, pending: PendingCommand, kind: Any, name: str, request: Any, then: Then) -> None:
         """Call a service; `then` is called with its response.
 
         An urgent request is repeated until there is a reply, because DDS may lose the reply of a
         node that has just started.
         """
         client = self.client(kind, name)
-        urgent = asked.command.name in URGENT
+        urgent = pending.command.name in URGENT
         end = time.monotonic() + (URGENT_S if urgent else ANSWER_S)
         again_s = AGAIN_S if urgent else math.inf
         sent: list[Any] = []
@@ -83,7 +83,7 @@ class Caller:
         def answered(future: Any) -> None:
             if future not in sent:  # there was a reply before
                 return
-            self.looks.discard(tick)
+            self.pollers.discard(tick)
             for each in sent:
                 client.remove_pending_request(each)
             sent.clear()
@@ -91,7 +91,7 @@ class Caller:
                 try:
                     then(future.result())
                 except PlateError as error:
-                    asked.refuse(str(error))
+                    pending.refuse(str(error))
 
         def tick() -> None:
             nonlocal last
@@ -102,10 +102,10 @@ class Caller:
                 sent.append(client.call_async(request))
                 sent[-1].add_done_callback(answered)
             elif now > end:
-                self.looks.discard(tick)
+                self.pollers.discard(tick)
                 for future in sent:
                     client.remove_pending_request(future)
-                asked.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
+                pending.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
 
-        self.looks.add(tick)
+        self.pollers.add(tick)
         tick()

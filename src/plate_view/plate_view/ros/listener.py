@@ -84,14 +84,14 @@ class Listener:
         Newest task status.
     parts : Parts
         Parts in the newest image.
-    told : callable
+    on_task : callable
         Called after each task status.
     """
 
     def __init__(self, node: Node, rig: Rig, view: TopView, server: PageServer) -> None:
         self._node, self._rig, self._view, self._server = node, rig, view, server
         self.task, self.parts = TaskStatus(), Parts()
-        self.told: Callable[[], None] = lambda: None
+        self.on_task: Callable[[], None] = lambda: None
         self._listening: dict[str, Any] = {}
         self._newest: dict[str, Any] = {}
         self._reports: dict[str, tuple[float, Any]] = {}
@@ -106,7 +106,7 @@ class Listener:
             wanted = some and (not topic.watched or any(map(self._server.wants, topic.watched)))
             if wanted and name not in self._listening:
                 self._listening[name] = self._node.create_subscription(
-                    topic.kind, name, partial(self.hear, name), topic.qos
+                    topic.kind, name, partial(self.receive, name), topic.qos
                 )
             elif not wanted:
                 self._ignore(name)
@@ -121,7 +121,7 @@ class Listener:
             self._node.destroy_subscription(self._listening.pop(topic))
             self._newest.pop(topic, None)
 
-    def hear(self, topic: str, msg: Any) -> None:
+    def receive(self, topic: str, msg: Any) -> None:
         """Receive a message of one of `TOPICS`."""
         if TOPICS[topic].at_once:
             TOPICS[topic].take(self, msg)
@@ -139,7 +139,7 @@ class Listener:
     def _on_task(self, msg: TaskStatus) -> None:
         self.task = msg
         progress = msg.progress
-        self._tell(
+        self._publish(
             {
                 "kind": "task", "task": msg.task, "state": TASK_STATES.get(msg.state, "idle"),
                 "reason": int(msg.reason), "text": msg.text,
@@ -149,10 +149,10 @@ class Listener:
                 },
             }
         )  # fmt: skip
-        self.told()
+        self.on_task()
 
     def _on_driver(self, msg: DriverStatus) -> None:
-        self._tell(
+        self._publish(
             {
                 "kind": "driver", "state": DRIVER_STATES.get(msg.state, "error"),
                 "reason": int(msg.reason), "text": msg.text,
@@ -160,7 +160,7 @@ class Listener:
         )  # fmt: skip
 
     def _on_friction(self, msg: Friction) -> None:
-        self._tell(
+        self._publish(
             {
                 "kind": "friction", "state": FRICTION_STATES.get(msg.state, "failed"),
                 "text": msg.text, "fraction": plain(msg.fraction), "mu": plain(msg.mu),
@@ -181,7 +181,7 @@ class Listener:
                 "time": seconds(msg.stamp), "level": SEVERITIES[msg.level], "from": msg.name,
                 "text": msg.msg,
             }  # fmt: skip
-            self._tell({"kind": "log", "lines": [line]}, keep=False)
+            self._publish({"kind": "log", "lines": [line]}, keep=False)
 
     # Messages that are sent at the rate at which browsers can draw
 
@@ -202,29 +202,29 @@ class Listener:
             spread = np.sqrt(np.where(spread[:, :1] < 0, np.nan, spread))
         seen = [part.source != part.PROPAGATED for part in msg.parts]
         stamp = seconds(msg.header.stamp)
-        self._tell(parts_scene(self._rig, stamp, msg_to_parts(msg), spread, seen))
+        self._publish(parts_scene(self._rig, stamp, msg_to_parts(msg), spread, seen))
 
     def _show_truth(self, msg: Parts) -> None:
         parts = [
             {"id": part.id, "type": part.type, "x": part.x, "y": part.y, "angle": part.angle}
             for part in msg.parts
         ]
-        self._tell({"kind": "truth", "parts": parts})
+        self._publish({"kind": "truth", "parts": parts})
 
     def _show_wanted(self, msg: PartForces) -> None:
-        self._tell(wanted_scene(self._rig, seconds(msg.header.stamp), msg_to_wanted(msg)))
+        self._publish(wanted_scene(self._rig, seconds(msg.header.stamp), msg_to_wanted(msg)))
 
     def _show_targets(self, msg: Targets) -> None:
         targets = [
             {"id": each.id, "x": plain(each.x), "y": plain(each.y), "angle": plain(each.angle)}
             for each in msg.targets
         ]
-        self._tell({"kind": "targets", "targets": targets})
+        self._publish({"kind": "targets", "targets": targets})
 
     def _show_cycle(self, msg: JointTrajectory) -> None:
         cycle, field = msg_to_cycle(msg), self._server.wants("field")
-        self._tell(cycle_scene(self._rig, seconds(msg.header.stamp), cycle, field))
-        self._tell(motors_scene(self._rig, cycle))
+        self._publish(cycle_scene(self._rig, seconds(msg.header.stamp), cycle, field))
+        self._publish(motors_scene(self._rig, cycle))
 
     def _show_image(self, msg: Image) -> None:
         if not any(map(self._server.wants, TOPICS["image_raw"].watched)):
@@ -234,20 +234,20 @@ class Listener:
         now = time.monotonic()
         if self._server.wants("camera") and now - self._camera_at >= CAMERA_S:
             self._camera_at = now
-            self._tell(camera_scene(stamp, image), keep=False)
+            self._publish(camera_scene(stamp, image), keep=False)
         if self._server.wants("image"):
             picture = np.float64(stamp).tobytes() + self._view.jpeg(image)
             self._server.publish("image", picture, keep=False)
 
     def _show_aim(self, msg: Aim) -> None:
-        self._tell(aim_scene(msg), keep=False)
+        self._publish(aim_scene(msg), keep=False)
 
     def tick_slowly(self) -> None:
         """Send node states and times to the browsers."""
         if not self._server.browsers:
             return
         now = time.monotonic()
-        self._tell(
+        self._publish(
             nodes_scene(
                 {
                     name: (now - at, report.level.name, report.message, report.values)
@@ -258,7 +258,7 @@ class Listener:
         latency_ms = 1e3 * np.array(self._latencies or [np.nan])
         elapsed, self._counted = now - self._counted, now
         rate, self._setpoints = self._setpoints / max(elapsed, 1e-3), 0
-        self._tell(
+        self._publish(
             {
                 "kind": "timing",
                 "latency_ms": {
@@ -270,7 +270,7 @@ class Listener:
             }
         )
 
-    def _tell(self, scene: Scene, keep: bool = True) -> None:
+    def _publish(self, scene: Scene, keep: bool = True) -> None:
         self._server.publish(scene["kind"], scene, keep)
 
 

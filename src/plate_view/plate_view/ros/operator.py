@@ -43,9 +43,9 @@ from ..calls import SERVICES, call_text, goal_text
 from ..commands import Command
 from ..scene import task_scene
 from ..server import PageServer, Socket
-from .asked import Asked
 from .caller import ANSWER_S, Caller
 from .listener import Listener
+from .pending import PendingCommand
 
 FOUND_S = 2.0
 """Maximum time to discover an action server [s]."""
@@ -103,18 +103,20 @@ class Operator:
         self._caller = Caller(node)
         self._call = self._caller.call
         self._goal: Goal | None = None  # of the task that the page has started
-        self._next: tuple[Asked, str, Any] | None = None  # goal to send when that task has ended
+        # Goal to send when that task has ended:
+        self._next: tuple[PendingCommand, str, Any] | None = None
         self._waiting: dict[str, dict[str, Any]] | None = None  # targets until the task runs
-        self._asking: dict[str, list[Asked]] = {}  # waiting requests for a node's parameters
+        # Waiting requests for a node's parameters:
+        self._requests: dict[str, list[PendingCommand]] = {}
 
     def begin(self, server: PageServer, listener: Listener) -> None:
         """Start to work for these browsers."""
         self._server, self._listener = server, listener
         self._goal = self._next = self._waiting = None
         self._shown = ""
-        self._asking.clear()
-        self._caller.looks.clear()
-        listener.told = self._on_task
+        self._requests.clear()
+        self._caller.pollers.clear()
+        listener.on_task = self._on_task
 
     def close(self) -> None:
         """Destroy all clients."""
@@ -124,95 +126,101 @@ class Operator:
 
     def do(self, browser: Socket, command: Command) -> None:
         """Execute a command. The browser gets the reply, all browsers see the call."""
-        asked = Asked(self._server, browser, command)
+        pending = PendingCommand(self._server, browser, command)
         try:
-            DONE[command.name](self, asked)
+            DONE[command.name](self, pending)
         except PlateError as error:
-            asked.refuse(str(error))
+            pending.refuse(str(error))
 
     # Services and parameters
 
-    def _trigger(self, asked: Asked) -> None:
-        service = SERVICES[asked.command.name][0].removeprefix("/")
-        self._call(asked, Trigger, service, Trigger.Request(), asked.done)
+    def _trigger(self, pending: PendingCommand) -> None:
+        service = SERVICES[pending.command.name][0].removeprefix("/")
+        self._call(pending, Trigger, service, Trigger.Request(), pending.done)
 
-    def _enable(self, asked: Asked) -> None:
-        request = SetBool.Request(data=asked.values["on"])
-        self._call(asked, SetBool, "enable", request, asked.done)
+    def _enable(self, pending: PendingCommand) -> None:
+        request = SetBool.Request(data=pending.values["on"])
+        self._call(pending, SetBool, "enable", request, pending.done)
 
-    def _reset(self, asked: Asked) -> None:
+    def _reset(self, pending: PendingCommand) -> None:
         """Reset the simulator's parts, then the detector, so that ids restart at 1."""
-        seed, request = asked.values["seed"], Trigger.Request()
+        seed, request = pending.values["seed"], Trigger.Request()
 
         def forget(answer: Any) -> None:
             if not answer.success:
-                asked.done(answer)
+                pending.done(answer)
                 return
-            self._call(asked, Trigger, "detector/reset", request, lambda _: asked.done(answer))
+            self._call(pending, Trigger, "detector/reset", request, lambda _: pending.done(answer))
 
         def reset() -> None:
-            self._call(asked, Trigger, "simulator/reset", request, forget)
+            self._call(pending, Trigger, "simulator/reset", request, forget)
 
         if seed is None:
             reset()
         else:
-            self._set_value(asked, "simulator", "seed", seed, reset)
+            self._set_value(pending, "simulator", "seed", seed, reset)
 
-    def _teach(self, asked: Asked) -> None:
-        name = asked.values["name"]
-        self._set_value(asked, "detector", "teach_name", name, lambda: self._trigger(asked))
+    def _teach(self, pending: PendingCommand) -> None:
+        name = pending.values["name"]
+        self._set_value(pending, "detector", "teach_name", name, lambda: self._trigger(pending))
 
-    def _place(self, asked: Asked) -> None:
-        given = {key: "" if value is None else value for key, value in asked.values.items()}
+    def _place(self, pending: PendingCommand) -> None:
+        given = {key: "" if value is None else value for key, value in pending.values.items()}
         request = PlacePart.Request(**given)
-        self._call(asked, PlacePart, "simulator/place_part", request, asked.done)
+        self._call(pending, PlacePart, "simulator/place_part", request, pending.done)
 
-    def _remove(self, asked: Asked) -> None:
-        request = RemovePart.Request(id=asked.values["id"])
-        self._call(asked, RemovePart, "simulator/remove_part", request, asked.done)
+    def _remove(self, pending: PendingCommand) -> None:
+        request = RemovePart.Request(id=pending.values["id"])
+        self._call(pending, RemovePart, "simulator/remove_part", request, pending.done)
 
-    def _take_lens_pictures(self, asked: Asked) -> None:
+    def _take_lens_pictures(self, pending: PendingCommand) -> None:
         """Take pictures of a board. Refuse numbers outside the range of the message."""
-        given = {key: value for key, value in asked.values.items() if value is not None}
+        given = {key: value for key, value in pending.values.items() if value is not None}
         for side in ("columns", "rows"):
             if given.get(side, 0) > MOST_SQUARES:
                 raise PlateError(f"{side} is {given[side]}, allowed: 3 to 40")
-        service = SERVICES[asked.command.name][0].removeprefix("/")
-        self._call(asked, TakeLensPictures, service, TakeLensPictures.Request(**given), asked.done)
+        service = SERVICES[pending.command.name][0].removeprefix("/")
+        self._call(
+            pending, TakeLensPictures, service, TakeLensPictures.Request(**given), pending.done
+        )
 
-    def _measure_friction(self, asked: Asked) -> None:
-        request = MeasureFriction.Request(start=asked.values["start"])
-        self._call(asked, MeasureFriction, "measure_friction", request, asked.done)
+    def _measure_friction(self, pending: PendingCommand) -> None:
+        request = MeasureFriction.Request(start=pending.values["start"])
+        self._call(pending, MeasureFriction, "measure_friction", request, pending.done)
 
-    def _set(self, asked: Asked) -> None:
-        values = asked.values
+    def _set(self, pending: PendingCommand) -> None:
+        values = pending.values
         node, name, value = values["node"], values["name"], values["value"]
-        self._set_value(asked, node, name, value, lambda: asked.accept(f"{node} {name}: {value}"))
+        self._set_value(
+            pending, node, name, value, lambda: pending.accept(f"{node} {name}: {value}")
+        )
 
     def _set_value(
-        self, asked: Asked, node: str, name: str, value: Any, then: Callable[[], None]
+        self, pending: PendingCommand, node: str, name: str, value: Any, then: Callable[[], None]
     ) -> None:
         """Set a parameter, then call `then`."""
 
-        def told(answer: Any) -> None:
+        def on_reply(answer: Any) -> None:
             (result,) = answer.results
             if result.successful:
                 then()
             else:
                 request, refused = ListParameters.Request(), partial(why, result.reason)
-                self._call(asked, ListParameters, f"{node}/list_parameters", request, refused)
+                self._call(pending, ListParameters, f"{node}/list_parameters", request, refused)
 
         def why(reason: str, answer: Any) -> None:
             known = sorted(answer.result.names)
             if name in known:
-                asked.refuse(f"{node} refuses: {reason}")
+                pending.refuse(f"{node} refuses: {reason}")
             else:
                 hint = did_you_mean(name, known)
-                asked.refuse(f"{node} has no parameter {name!r}{hint}, it has: {', '.join(known)}")
+                pending.refuse(
+                    f"{node} has no parameter {name!r}{hint}, it has: {', '.join(known)}"
+                )
 
         message = Parameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
-        self._call(asked, SetParameters, f"{self._found(node)}/set_parameters", request, told)
+        self._call(pending, SetParameters, f"{self._found(node)}/set_parameters", request, on_reply)
 
     def _found(self, name: str) -> str:
         """Return the name of an existing node. Clients are not made for other names."""
@@ -223,53 +231,57 @@ class Operator:
             raise PlateError(f"node is {name!r}, allowed: {', '.join(there)}")
         return name
 
-    def _parameters(self, asked: Asked) -> None:
+    def _parameters(self, pending: PendingCommand) -> None:
         """Send a node's parameters. Further requests wait until the present one is complete."""
-        node = asked.values["node"]
-        if node in self._asking:
-            self._asking[node].append(asked)
+        node = pending.values["node"]
+        if node in self._requests:
+            self._requests[node].append(pending)
         else:
-            self._ask_parameters(asked, self._found(node))
+            self._request_parameters(pending, self._found(node))
 
-    def _ask_parameters(self, asked: Asked, node: str, others: Sequence[Asked] = ()) -> None:
+    def _request_parameters(
+        self, pending: PendingCommand, node: str, others: Sequence[PendingCommand] = ()
+    ) -> None:
         """Request the names, then the values, then the descriptions of parameters."""
-        self._asking[node] = []
+        self._requests[node] = []
 
         def end(ok: bool, text: str) -> None:
             for each in others:
                 each.answer(ok, text)
-            waiting = self._asking.pop(node, [])
+            waiting = self._requests.pop(node, [])
             if waiting:
-                self._ask_parameters(waiting[0], node, waiting[1:])
+                self._request_parameters(waiting[0], node, waiting[1:])
 
-        asked.answered = end
+        pending.answered = end
         names: list[str] = []
         values: list[Any] = []
 
         def listed(answer: Any) -> None:
             names.extend(sorted(answer.result.names))
             request = GetParameters.Request(names=names)
-            self._call(asked, GetParameters, f"{node}/get_parameters", request, got)
+            self._call(pending, GetParameters, f"{node}/get_parameters", request, got)
 
         def got(answer: Any) -> None:
             values.extend(answer.values)
             request = DescribeParameters.Request(names=names)
-            self._call(asked, DescribeParameters, f"{node}/describe_parameters", request, told)
+            self._call(
+                pending, DescribeParameters, f"{node}/describe_parameters", request, described
+            )
 
-        def told(answer: Any) -> None:
+        def described(answer: Any) -> None:
             rows = zip(names, values, answer.descriptors, strict=True)
             shown = [_parameter(*row) for row in rows if row[0] not in SECRET]
             scene = {"kind": "parameters", "node": node, "parameters": shown}
             self._server.publish(f"parameters {node}", scene)
-            asked.accept("")
+            pending.accept("")
 
         request = ListParameters.Request()
-        self._call(asked, ListParameters, f"{node}/list_parameters", request, listed)
+        self._call(pending, ListParameters, f"{node}/list_parameters", request, listed)
 
     # Tasks
 
-    def _start(self, asked: Asked) -> None:
-        scenario, task = asked.values["scenario"], asked.values["task"]
+    def _start(self, pending: PendingCommand) -> None:
+        scenario, task = pending.values["scenario"], pending.values["task"]
         if (scenario is None) == (task is None):
             raise PlateError("start has both scenario and task, or none, allowed: one of them")
         if scenario is None:
@@ -282,30 +294,30 @@ class Operator:
             raise PlateError(f"scenario is {scenario!r}, allowed: {', '.join(scenario_names())}")
         name, goal = scenario_to_goal(chosen)
         if scenario not in scenario_names():
-            asked.call = goal_text(name, ACTIONS[name].__name__, _given(goal))
-        self._send_after_move(asked, name, goal)
+            pending.call = goal_text(name, ACTIONS[name].__name__, _given(goal))
+        self._send_after_move(pending, name, goal)
 
-    def _send(self, asked: Asked, name: str, goal: Any) -> None:
+    def _send(self, pending: PendingCommand, name: str, goal: Any) -> None:
         """Send a goal. Reply when it runs, or why it does not."""
         client, end = self._actions[name], time.monotonic() + FOUND_S
         before: Goal | None = None
         own = Goal(goal_to_scenario(goal).task)
-        told: list[bool] = []
+        replied: list[bool] = []
         sent: list[Any] = []
 
-        def tell(ok: bool, text: str) -> None:
-            if not told:
-                told.append(ok)
-                asked.answer(ok, text)
+        def reply(ok: bool, text: str) -> None:
+            if not replied:
+                replied.append(ok)
+                pending.answer(ok, text)
 
         def never_began(text: str) -> None:
             own.ended = True
             if self._goal is own:  # the previous task still runs
                 self._goal = None if before is None or before.ended else before
-            tell(False, text)
+            reply(False, text)
 
         def on_feedback(msg: Any) -> None:
-            tell(True, "it runs")
+            reply(True, "it runs")
 
         def on_answer(future: Any) -> None:
             handle = future.result()
@@ -322,7 +334,7 @@ class Operator:
             if status.reason in REFUSED:
                 never_began(status.text)
                 return
-            tell(status.state == TaskStatus.DONE, status.text)
+            reply(status.state == TaskStatus.DONE, status.text)
             own.ended = True
             if self._goal is own:
                 self._goal = self._waiting = None
@@ -338,59 +350,59 @@ class Operator:
                 sent.append(client.send_goal_async(goal, feedback_callback=on_feedback))
                 sent[0].add_done_callback(on_answer)
                 end = time.monotonic() + ANSWER_S
-            elif told or time.monotonic() > end:
-                self._caller.looks.discard(tick)
-                if told:
+            elif replied or time.monotonic() > end:
+                self._caller.pollers.discard(tick)
+                if replied:
                     return
                 why = "does not answer" if sent else "is not there"
                 never_began(f"the action {name} {why}: does the planner run, and is it configured?")
 
-        self._caller.looks.add(tick)
+        self._caller.pollers.add(tick)
         tick()
 
-    def _cancel(self, asked: Asked) -> None:
+    def _cancel(self, pending: PendingCommand) -> None:
         """Cancel all running goals: a zero id and stamp mean every goal (CancelGoal)."""
         left, found = list(ACTIONS), [0]
 
-        def told(answer: Any) -> None:
+        def on_reply(answer: Any) -> None:
             found[0] += len(answer.goals_canceling)
             left.pop()
             if not left:
-                asked.accept("canceled" if found[0] else "no task was running")
+                pending.accept("canceled" if found[0] else "no task was running")
 
         self._waiting = None
         self._forget_next("canceled")
         for name in ACTIONS:
             request, service = CancelGoal.Request(), f"{name}/_action/cancel_goal"
-            self._call(asked, CancelGoal, service, request, told)
+            self._call(pending, CancelGoal, service, request, on_reply)
 
-    def _move(self, asked: Asked) -> None:
+    def _move(self, pending: PendingCommand) -> None:
         """Publish targets, and start the task `move` if no task runs."""
-        targets = {target["id"]: target for target in asked.values["targets"]}
+        targets = {target["id"]: target for target in pending.values["targets"]}
         task = self._listener.task
         running = task.state == TaskStatus.RUNNING
         if running and task.task == "move":
             self._send_targets(targets)
-            asked.accept("")
+            pending.accept("")
         elif running:
             raise PlateError(f"a task runs ({task.task}): cancel it first")
         elif self._waiting is not None:  # the task is about to start
             self._waiting |= targets
-            asked.accept("")
+            pending.accept("")
         else:
-            self._begin_move(asked, targets)
+            self._begin_move(pending, targets)
 
-    def _begin_move(self, asked: Asked, targets: dict[str, dict[str, Any]]) -> None:
+    def _begin_move(self, pending: PendingCommand, targets: dict[str, dict[str, Any]]) -> None:
         goal = MoveParts.Goal(
             parts=self._counts(), until_canceled=True, tolerance_m=MOVE_TOLERANCE_M,
             tolerance_rad=MOVE_TOLERANCE_RAD,
             marked=any(math.isfinite(target["angle"]) for target in targets.values()),
         )  # fmt: skip
         begun = goal_text("move_parts", "MoveParts", _given(goal))
-        asked.call = f"{begun}; {call_text(asked.command)}"
-        asked.answered = lambda ok, text: None if ok else self._forget_waiting()
+        pending.call = f"{begun}; {call_text(pending.command)}"
+        pending.answered = lambda ok, text: None if ok else self._forget_waiting()
         self._waiting = dict(targets)
-        self._send(asked, "move_parts", goal)
+        self._send(pending, "move_parts", goal)
 
     def _forget_next(self, why: str) -> None:
         before, self._next = self._next, None
@@ -421,21 +433,21 @@ class Operator:
         msg.targets = [Target(**target) for target in targets.values()]
         self._publish(msg)
 
-    def _follow(self, asked: Asked) -> None:
+    def _follow(self, pending: PendingCommand) -> None:
         """Start a task in which a part follows a drawn path."""
-        part, closed, speed = (asked.values[key] for key in ("id", "closed", "speed"))
+        part, closed, speed = (pending.values[key] for key in ("id", "closed", "speed"))
         if not any(each.id == part for each in self._listener.parts.parts):
             raise PlateError(f"follow: no part {part!r} is seen")
         path = Path(type=part_class(part), closed=closed, laps=float(closed), speed=speed)
-        path.waypoints = [Point(x=x, y=y) for x, y in asked.values["points"]]
+        path.waypoints = [Point(x=x, y=y) for x, y in pending.values["points"]]
         goal = FollowPaths.Goal(
             parts=[PartCount(type=path.type, count=1)], paths=[path], max_error_m=FOLLOW_ERROR_M,
             time_limit_s=FOLLOW_LIMIT_S,
         )  # fmt: skip
-        asked.call = goal_text("follow_paths", "FollowPaths", _given(goal))
-        self._send_after_move(asked, "follow_paths", goal)
+        pending.call = goal_text("follow_paths", "FollowPaths", _given(goal))
+        self._send_after_move(pending, "follow_paths", goal)
 
-    def _send_after_move(self, asked: Asked, name: str, goal: Any) -> None:
+    def _send_after_move(self, pending: PendingCommand, name: str, goal: Any) -> None:
         """Send a goal. If this page's task `move`, which does not end by itself, runs, cancel it
         first.
 
@@ -448,10 +460,10 @@ class Operator:
         own = self._goal
         if own is not None and own.handle is not None and self._listener.task.task == "move":
             self._forget_next("another task was requested")
-            self._next = asked, name, goal
+            self._next = pending, name, goal
             own.handle.cancel_goal_async()
         else:
-            self._send(asked, name, goal)
+            self._send(pending, name, goal)
 
     def _counts(self) -> list[PartCount]:
         """Return the number of parts of each type in the newest image."""
@@ -467,7 +479,7 @@ KINDS = {
 }  # fmt: skip
 """Names in task_status of the tasks with target places to show."""
 
-DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
+DONE: Mapping[str, Callable[[Operator, PendingCommand], None]] = {
     "learn_plate": Operator._trigger,
     "cancel": Operator._cancel,
     "enable": Operator._enable,

@@ -28,7 +28,7 @@ METADATA_BYTES = 10**6
 RATES = 0.05, 20.0
 """Allowed range of the rate, in recorded seconds per second."""
 
-Hear = Callable[[str, Any], None]
+Receive = Callable[[str, Any], None]
 
 
 class Replay:
@@ -40,7 +40,7 @@ class Replay:
         Folder of a bag from `ros2 bag record` or `make demo ARGS=--record`.
     kinds : mapping of str to type
         Types of the messages of the topics to play.
-    hear : callable
+    receive : callable
         Called with the topic and each message.
 
     Attributes
@@ -59,8 +59,8 @@ class Replay:
         If the bag cannot be read, or contains none of the topics.
     """
 
-    def __init__(self, folder: str | Path, kinds: Mapping[str, type], hear: Hear) -> None:
-        self._kinds, self._hear = kinds, hear
+    def __init__(self, folder: str | Path, kinds: Mapping[str, type], receive: Receive) -> None:
+        self._kinds, self._receive = kinds, receive
         try:
             library = importlib.import_module("rosbags.rosbag2")
         except ImportError:
@@ -133,7 +133,7 @@ class Replay:
         for connection, _, data in self._between(t - BEFORE_S, t):
             newest[self._name(connection)] = connection, data
         for name, (_, data) in newest.items():
-            self._tell(name, data)
+            self._pass_on(name, data)
         self._coming = self._between(t, self.end + 1.0)
         self._next = next(self._coming, None)
         self._played_at = time.monotonic()
@@ -155,11 +155,11 @@ class Replay:
             connection, _, data = self._next
             name = self._name(connection)
             if name in KEPT and name in due:
-                self._tell(name, due[name])
+                self._pass_on(name, due[name])
             due[name] = data
             self._next = next(self._coming, None)
         for name, data in due.items():
-            self._tell(name, data)
+            self._pass_on(name, data)
         if self.now >= self.end:
             self.playing = False
 
@@ -173,12 +173,12 @@ class Replay:
         except Exception as error:  # the library raises any kind for a damaged file
             raise _damaged(error) from None
 
-    def _tell(self, name: str, data: bytes) -> None:
+    def _pass_on(self, name: str, data: bytes) -> None:
         try:
             msg = deserialize_message(bytes(data), self._kinds[name])
         except Exception as error:  # from rmw, without a public name
             raise _damaged(error) from None
-        self._hear(name, msg)
+        self._receive(name, msg)
 
 
 def _damaged(error: Exception) -> PlateError:

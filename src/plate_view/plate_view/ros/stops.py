@@ -11,8 +11,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ..commands import URGENT
-from .asked import Asked
 from .caller import Caller
+from .pending import PendingCommand
 
 END_S = 2.0
 """Maximum wait for the thread to end [s]."""
@@ -28,7 +28,7 @@ class Stops:
     """
 
     def __init__(self, node: Node) -> None:
-        self._waiting: deque[Asked] = deque()
+        self._waiting: deque[PendingCommand] = deque()
         self._node = Node(
             f"{node.get_name()}_stops", context=node.context, namespace=node.get_namespace(),
             use_global_arguments=False, start_parameter_services=False, enable_rosout=False,
@@ -43,9 +43,9 @@ class Stops:
         self._thread = threading.Thread(target=self._spin, name="stops", daemon=True)
         self._thread.start()
 
-    def do(self, asked: Asked) -> None:
+    def do(self, pending: PendingCommand) -> None:
         """Call a service, from any thread. The reply goes to the browser that sent the command."""
-        self._waiting.append(asked)
+        self._waiting.append(pending)
         self._guard.trigger()
 
     def close(self) -> None:
@@ -64,13 +64,13 @@ class Stops:
     def _call(self) -> None:
         """Make one call for all waiting commands of a name, so that many commands do not delay each
         other."""
-        waiting: dict[str, list[Asked]] = {}
+        waiting: dict[str, list[PendingCommand]] = {}
         while self._waiting:
-            asked = self._waiting.popleft()
-            waiting.setdefault(asked.command.name, []).append(asked)
+            pending = self._waiting.popleft()
+            waiting.setdefault(pending.command.name, []).append(pending)
         for name, (first, *others) in waiting.items():
 
-            def answered(ok: bool, text: str, others: list[Asked] = others) -> None:
+            def answered(ok: bool, text: str, others: list[PendingCommand] = others) -> None:
                 for each in others:
                     each.answer(ok, text)
 

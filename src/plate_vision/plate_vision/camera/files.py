@@ -161,7 +161,7 @@ class Pictures:
             self.rate = float(self._film.get(cv2.CAP_PROP_FPS))
             turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
             if turn in (90, 180, 270):  # -1: unknown
-                self._tell(
+                self._warn_once(
                     f"{path.name}: rotation of {turn} degrees is ignored: players rotate the film; "
                     f"{AS_STORED}"
                 )
@@ -201,13 +201,13 @@ class Pictures:
         if header is not None:
             check_pixels(header.width, header.height, f"{file}:")
             if text := turned_text(header):
-                self._tell(f"{file.name}: {text}")
+                self._warn_once(f"{file.name}: {text}")
         pixels = unpack(content, cv2.IMREAD_COLOR, header)
         if pixels is None:
             raise ImageError(f"{file}: cannot be read, allowed: a whole picture ({KINDS})")
         return pixels
 
-    def _tell(self, text: str) -> None:
+    def _warn_once(self, text: str) -> None:
         if not self._warned:
             self._warned = True
             more = " (as for all pictures)" if len(self._files) > 1 else ""

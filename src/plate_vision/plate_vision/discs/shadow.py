@@ -12,12 +12,12 @@ from ..camera.lens import Calibration
 @dataclass(frozen=True, eq=False)
 class Shadow:
     """The shadow of a part: the area of the plate that the part's base covers when swept along
-    `way`.
+    `offset_m`.
 
     Attributes
     ----------
     calibration : Calibration
-    way : (2,)
+    offset_m : (2,)
         Displacement from the part's place to the end of its shadow [m, plate_home].
     darkness : float
         Fraction of the light that is missing in the shadow.
@@ -26,7 +26,7 @@ class Shadow:
     """
 
     calibration: Calibration
-    way: np.ndarray
+    offset_m: np.ndarray
     darkness: float
     edge_px: float
 
@@ -34,7 +34,9 @@ class Shadow:
         """Return the displacements (n, 2) [px, disc's frame] of the shadows of parts (n,)
         SILHOUETTE at places (n, 2) [px]."""
         slopes = self.calibration.slopes(places_px)
-        offset = np.linalg.solve(slopes, np.broadcast_to(self.way[:, None], (len(slopes), 2, 1)))
+        offset = np.linalg.solve(
+            slopes, np.broadcast_to(self.offset_m[:, None], (len(slopes), 2, 1))
+        )
         return np.ascontiguousarray((parts["across"] @ offset)[:, :, 0])
 
     def drawn(self, places_px: np.ndarray, parts: np.ndarray) -> np.ndarray:

@@ -120,22 +120,22 @@ class PipeSource:
     def read(self, stop: Event) -> Frame | None:
         """Wait for the bytes of a frame."""
         data, have = np.empty(self._bytes, np.uint8), 0
-        room = memoryview(data.data)
+        rest = memoryview(data.data)
         while have < self._bytes:
             if stop.is_set():
                 return None
             if not select.select([self._file], [], [], POLL_S)[0]:
                 continue
             try:
-                came = os.readv(self._file, [room[have:]])
+                count = os.readv(self._file, [rest[have:]])
             except BlockingIOError:
                 continue
-            if not came:
+            if not count:
                 raise CameraError(
                     f"{self._settings.device}: the program that writes has ended; images go on "
                     "when one writes again"
                 )
-            have += came
+            have += count
         arrival = self._clock()
         pixels, encoding = unpack_frame(data, self._form, self._settings.size_px)
         return Frame(pixels, encoding, arrival - self._settings.before_stamp_s, arrival)

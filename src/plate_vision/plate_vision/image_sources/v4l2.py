@@ -275,8 +275,8 @@ class V4l2Source(Camera):
     def _learn_stamps(self, age: float) -> None:
         """Determine from the first image whether its stamp is usable, and what it refers to."""
         self._stamps_known = True
-        said = self._device.stamp_source() if self._device else None
-        monotonic, at_start = (True, False) if said is None else said
+        source = self._device.stamp_source() if self._device else None
+        monotonic, at_start = (True, False) if source is None else source
         if monotonic and 0 <= age < OLDEST_S:
             self._at_start = at_start
             return

@@ -97,13 +97,13 @@ def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]
     middle, slope, bow = outline.edges.T
     away = middle[:, None] + slope[:, None] * np.array([-1.0, 1.0])
     ends = ends + away[..., None] * OUTWARD[:, None]
-    way = ends[:, 1] - ends[:, 0]
+    side = ends[:, 1] - ends[:, 0]
     corners = []
     for edge in range(4):  # corner at the start of this edge: the end of the previous edge
         before = edge - 1
-        matrix = np.column_stack([way[before], -way[edge]])
+        matrix = np.column_stack([side[before], -side[edge]])
         along = np.linalg.solve(matrix, ends[edge, 0] - ends[before, 0])
-        corners.append(ends[before, 0] + along[0] * way[before])
+        corners.append(ends[before, 0] + along[0] * side[before])
     return np.array(corners), float(np.sqrt(np.mean(bow**2)))
 
 
@@ -135,10 +135,10 @@ def _ordered(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
     if _area(corners_px) * _area(known) < 0:
         corners_px = corners_px[::-1]
     turns = [np.roll(corners_px, -k, axis=0) for k in range(4)]
-    return min(turns, key=lambda one: float(np.sum((_way(one) - _way(known)) ** 2)))
+    return min(turns, key=lambda one: float(np.sum((_normalised(one) - _normalised(known)) ** 2)))
 
 
-def _way(corners_px: np.ndarray) -> np.ndarray:
+def _normalised(corners_px: np.ndarray) -> np.ndarray:
     away = corners_px - corners_px.mean(axis=0)
     return np.asarray(away / np.sqrt(np.mean(away**2)))
 

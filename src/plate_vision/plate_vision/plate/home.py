@@ -102,8 +102,8 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
     pose = find_pose(image, fiducials, home, location.pose)
     used = location.region_pose
     here = pose if pose is not None else np.zeros(3) if used is None else used
-    if used is None or _way(rig, here, used) > MOVED_M:
-        used = here if _way(rig, here, np.zeros(3)) > MOVED_M else np.zeros(3)
+    if used is None or _displacement(rig, here, used) > MOVED_M:
+        used = here if _displacement(rig, here, np.zeros(3)) > MOVED_M else np.zeros(3)
     location = replace(location, home=home, pose=pose, region_pose=used)
     return location, hide_markers(image, fiducials, home, here)
 
@@ -198,9 +198,9 @@ def hide_markers(
     height, width = image.shape[:2]
     for corners in fiducials.corners:
         middle = corners.mean(axis=0)
-        rim = middle + (1 + 2 * QUIET) * (corners - middle)
-        rim_px = home.to_image(to_home(pose, rim))
-        place = np.clip(np.rint(rim_px), 0, [width - 1, height - 1]).astype(np.int32)
+        border = middle + (1 + 2 * QUIET) * (corners - middle)
+        border_px = home.to_image(to_home(pose, border))
+        place = np.clip(np.rint(border_px), 0, [width - 1, height - 1]).astype(np.int32)
         # The median ignores a part on one of the border's corners.
         shade = np.median(image[place[:, 1], place[:, 0]], axis=0)
         cv2.fillConvexPoly(copy, place, np.atleast_1d(shade).tolist())
@@ -220,7 +220,7 @@ def _pose(
     return None if error > worst else pose
 
 
-def _way(rig: Rig, pose: np.ndarray, other: np.ndarray) -> float:
+def _displacement(rig: Rig, pose: np.ndarray, other: np.ndarray) -> float:
     """Return the maximum displacement of the plate's corners between two poses, per axis [m]."""
     corners = rig.plate.corners
     return float(np.abs(to_home(pose, corners) - to_home(other, corners)).max())

@@ -126,7 +126,7 @@ class AimingView:
         node.managed_service(TakeLensPictures, "~/take_lens_pictures", self._on_take)
         node.managed_service(Trigger, "~/fit_lens", self._on_fit)
         node.managed_service(Trigger, "~/save_lens", self._on_save)
-        node.managed_timer(SILENT_S, self._tell_silence)
+        node.managed_timer(SILENT_S, self._report_silence)
         done = node.create_guard_condition(self._take_results)
         node.keep(node.destroy_guard_condition, done)
         self._wake = done.trigger
@@ -143,7 +143,7 @@ class AimingView:
         self._home, self._wants_home = "", False
         self._home_is_old = False  # it was found before the lens
         self._corners: tuple[tuple[float, float], ...] = ()  # found, and not written
-        self._looked = self._came = -math.inf
+        self._measured_at = self._image_at = -math.inf
 
     def rest(self) -> None:
         """End the worker."""
@@ -152,19 +152,19 @@ class AimingView:
             pool.shutdown(wait=True, cancel_futures=True)
 
     @property
-    def wanted(self) -> bool:
+    def needed(self) -> bool:
         """Whether pictures are measured."""
         taking = self._lens is not None and self._lens.state == LensPictures.TAKING
         return taking or self._wants_home or self._publisher.get_subscription_count() > 0
 
-    def look(self, image: np.ndarray, stamp: Time, refused: str = "") -> None:
+    def add_image(self, image: np.ndarray, stamp: Time, refused: str = "") -> None:
         """Pass an image (H, W) or (H, W, 3) uint8 to the worker, if the view is wanted and the
         worker is free. `refused` is the reason why the detector could not use the image."""
-        now = self._came = time.monotonic()
+        now = self._image_at = time.monotonic()
         busy = self._job is not None and not self._job.done()
-        if self._pool is None or busy or now - self._looked < PERIOD_S or not self.wanted:
+        if self._pool is None or busy or now - self._measured_at < PERIOD_S or not self.needed:
             return
-        self._looked = now
+        self._measured_at = now
         situation = self._situation()
         self._job = self._pool.submit(self._measure, image, stamp, refused, situation)
 
@@ -176,11 +176,13 @@ class AimingView:
             msg = self._message(image, stamp, refused, situation)
         except Exception as error:  # log a fault of the view: the future would hide it
             text = f"aim: {type(error).__name__}: {error}"
-            self._tell(lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0))
+            self._run_on_graph(
+                lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0)
+            )
             return
-        self._tell(lambda: self._publisher.publish(msg))
+        self._run_on_graph(lambda: self._publisher.publish(msg))
 
-    def _tell(self, result: Callable[[], None]) -> None:
+    def _run_on_graph(self, result: Callable[[], None]) -> None:
         """Run a function on the graph's thread."""
         self._results.append(result)
         self._wake()
@@ -227,7 +229,7 @@ class AimingView:
         self._corners = tuple((round(x, 2), round(y, 2)) for x, y in corners_px.tolist())
         self._home_is_old = False
         self._home = f"found, {by}; corners_px: {corners_text(self._corners)}"
-        self._tell(lambda: self._take_corners(corners_px))
+        self._run_on_graph(lambda: self._take_corners(corners_px))
 
     def _fit(self, lens: LensJob) -> None:
         assert lens.pictures is not None
@@ -328,16 +330,16 @@ class AimingView:
             if self._node.active:
                 result()
 
-    def _tell_silence(self) -> None:
+    def _report_silence(self) -> None:
         """Publish an error if no image arrives."""
         if not self._publisher.get_subscription_count():
             return
-        silence = time.monotonic() - self._came
+        silence = time.monotonic() - self._image_at
         if silence < SILENT_S:
             return
         msg = Aim(sharpness=math.nan, sharpness_best=math.nan, sharpness_change=math.nan)
         msg.header.stamp = self._node.get_clock().now().to_msg()
-        text = "no image comes: does the camera run?"
+        text = "no image arrives: does the camera run?"
         if math.isfinite(silence):
             text = f"no image for {silence:.0f} s: does the camera run?"
         msg.checks = [AimCheck(name="picture", level=AimCheck.ERROR, text=text)]
@@ -347,7 +349,7 @@ class AimingView:
 
     def _on_find_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._home, self._corners, self._wants_home = "the next image is searched", (), True
-        self._looked = -math.inf
+        self._measured_at = -math.inf
         response.success, response.message = True, self._home
         return response
 

@@ -52,29 +52,29 @@ def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
     grey, radius_px = grey_levels(image), np.array([patch.radius_px for patch in usable])
     limit_px = MAX_PX + MAX_RADIUS * float(np.median(radius_px))
     step = -(-len(usable) // FIRST)
-    if rim_blur_px(grey, usable[::step], radius_px[::step]) < SHARP * limit_px:
+    if edge_blur_px(grey, usable[::step], radius_px[::step]) < SHARP * limit_px:
         return False
-    return rim_blur_px(grey, usable, radius_px) > limit_px
+    return edge_blur_px(grey, usable, radius_px) > limit_px
 
 
-def rim_blur_px(grey: np.ndarray, patches: Sequence[Patch], radius_px: np.ndarray) -> float:
+def edge_blur_px(grey: np.ndarray, patches: Sequence[Patch], radius_px: np.ndarray) -> float:
     """Return the blur of the contours of patches of radii (n,) [px] in an image (H, W) uint8, a
     standard deviation [px]: contrast / (sqrt(2 pi) slope), the median over the patches."""
-    rims, ways = [], []
+    points, secants = [], []
     for patch in patches:
         contours, _ = cv2.findContours(
             patch.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
         )
         contour = max(contours, key=len)[:, 0].astype(np.float32)
         row = np.arange(POINTS) * len(contour) // POINTS
-        rims.append(contour[row] + np.array(patch.corner, np.float32))
-        ways.append(contour[(row + SECANT) % len(contour)] - contour[row - SECANT])
-    rim, along = np.stack(rims), np.stack(ways)
+        points.append(contour[row] + np.array(patch.corner, np.float32))
+        secants.append(contour[(row + SECANT) % len(contour)] - contour[row - SECANT])
+    point, along = np.stack(points), np.stack(secants)
     across = np.stack([along[..., 1], -along[..., 0]], axis=-1)
     across /= np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-6)[..., None]
     reach = np.minimum(BESIDE_PX, BESIDE_RADIUS * radius_px).astype(np.float32)
     step = reach[:, None, None, None] * np.linspace(-1, 1, STEPS, dtype=np.float32)[:, None]
-    place = rim[:, :, None] + step * across[:, :, None]
+    place = point[:, :, None] + step * across[:, :, None]
     x, y = cv2.split(place.reshape(-1, STEPS, 2))
     level = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     level = level.reshape(len(patches), POINTS, STEPS).astype(np.float32)

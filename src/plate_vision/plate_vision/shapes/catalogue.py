@@ -85,7 +85,9 @@ class Template:
         for hole in self.part.holes:
             ring = np.array(hole)
             middle = np.mean(ring, axis=0)
-            found += [middle + HOLE_INSIDE * way * (ring - middle) for way in (0.0, 0.5, 1.0)]
+            found += [
+                middle + HOLE_INSIDE * fraction * (ring - middle) for fraction in (0.0, 0.5, 1.0)
+            ]
         return np.concatenate(found)
 
     @property
@@ -137,7 +139,7 @@ class Catalogue:
     Attributes
     ----------
     templates : tuple of Template
-    area, filled_area, rim, reach, scatter : (T,)
+    area, filled_area, perimeter, reach, scatter : (T,)
         Area without the holes, and with them [m2]; length of the outer contour [m]; maximum
         distance from the centre [m]; RMS difference of outlines of parts of the type [m].
     colour : (T, 3)
@@ -151,7 +153,7 @@ class Catalogue:
     templates: tuple[Template, ...]
     area: np.ndarray
     filled_area: np.ndarray
-    rim: np.ndarray
+    perimeter: np.ndarray
     reach: np.ndarray
     scatter: np.ndarray
     colour: np.ndarray

@@ -26,7 +26,7 @@ from ..camera.lens import Calibration
 from .background import Background
 from .catalogue import Catalogue, Template, lay_on
 from .heights import footprint, magnified, seen_shift
-from .holes import Look
+from .holes import HoleCheck
 from .outlines import POINTS, THREE, Outline, make_outline, patch_rings
 from .patch import Patch
 from .shadows import SHORTEST_PX, Lamp
@@ -233,16 +233,16 @@ def _compared(
     area = np.array([outline.area for outline in on_plate[usual]])
     found["x"], found["y"] = centre.T
     found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
-    look = None
+    hole_check = None
     if background is not None and background.learned:
-        look = Look(image, background, calibration)
+        hole_check = HoleCheck(image, background, calibration)
     if catalogue.templates:
         reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
         fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
         size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
         filled = np.array([[one.filled.area for one in own] for own in on_plate])[which].T
-        own_area = catalogue.filled_area + swell / scale[:, None] * catalogue.rim
-        swell_px = scale[:, None] * np.abs(filled - own_area) / catalogue.rim
+        own_area = catalogue.filled_area + swell / scale[:, None] * catalogue.perimeter
+        swell_px = scale[:, None] * np.abs(filled - own_area) / catalogue.perimeter
         ratio = np.log(np.maximum(filled, 1e-12) / own_area) / 2
         other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
         form = np.array([[one.form for one in own] for own in on_plate])[which].swapaxes(0, 1)
@@ -255,7 +255,7 @@ def _compared(
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
         # A hole filled by blur or shadow has the colour of its surround.
         holed = np.array([bool(one.part.holes) for one in catalogue.templates])
-        weight = np.where(holed & (look is not None), FILLED_COLOUR, 1.0)
+        weight = np.where(holed & (hole_check is not None), FILLED_COLOUR, 1.0)
         least = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
         least[other] = np.inf
         for i in range(len(outlines)):
@@ -263,7 +263,7 @@ def _compared(
             own_outlines = [seen[level] for level in which]
             _judge_one(
                 found[i], own_outlines, catalogue, scale[i], least[i], fit[i], size[i], tint[i],
-                look, swell,
+                hole_check, swell,
             )  # fmt: skip
     error_px = np.hypot(
         OUTLINE_ERROR * np.maximum(found["fit_px"] - USUAL_FIT_PX, 0),
@@ -388,7 +388,7 @@ def _judge_one(
     fit_square: np.ndarray,
     size_square: np.ndarray,
     tint: np.ndarray,
-    look: Look | None,
+    hole_check: HoleCheck | None,
     swell: float,
 ) -> None:
     """Fill in a sighting () SIGHTING. Given for each type (T,): the outline for its height; its
@@ -401,7 +401,7 @@ def _judge_one(
         if least[j] > most:
             break
         outline = outlines[j]
-        for template, seen, holes in _ways_to_lay(catalogue.templates[j], outline, look):
+        for template, seen, holes in _ways_to_lay(catalogue.templates[j], outline, hole_check):
             hopeless = ASTRAY * np.sqrt(most * fit_square[j]) / scale
             fit = lay_on(template, seen, scale, hopeless)
             score = (scale * fit[4]) ** 2 / fit_square[j] + (
@@ -409,10 +409,10 @@ def _judge_one(
             ) ** 2 / size_square[j]
             weight = 1.0
             if holes is None:
-                share = max(outline.hole_share, catalogue.templates[j].outline.hole_share)
+                share = max(outline.hole_fraction, catalogue.templates[j].outline.hole_fraction)
                 holes = share / HOLES
-                if look is not None and score < min(LIMIT**2, best):
-                    penalty = look.penalty(catalogue.templates[j], fit)
+                if hole_check is not None and score < min(LIMIT**2, best):
+                    penalty = hole_check.penalty(catalogue.templates[j], fit)
                     if penalty is not None:
                         holes, weight = min(penalty, holes), FILLED_COLOUR
             score += (weight * tint[j] / COLOUR_LAB) ** 2 + holes**2
@@ -445,14 +445,14 @@ def _judge_one(
 
 
 def _ways_to_lay(
-    template: Template, outline: Outline, look: Look | None
+    template: Template, outline: Outline, hole_check: HoleCheck | None
 ) -> list[tuple[Template, Outline, float | None]]:
     """Return the combinations of a type and an outline to fit: template, outline, and the penalty
     of holes in standard deviations, None if it depends on the image in them."""
     own, seen = bool(template.part.holes), len(outline.ends) > 1
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
-    if own and seen and look is not None:
+    if own and seen and hole_check is not None:
         return [plain, filled]  # a hole half in shadow is only partly in the outline
     return [plain] if own == seen else [filled]
 

@@ -163,9 +163,9 @@ def traits(inside: np.ndarray) -> Traits:
     area = moments["m00"]
     if area < 1:
         return 0.0, 0.0, 0.0
-    rims = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
-    rim = max(rims, key=len)
-    hull = cv2.convexHull(rim)
+    contours = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+    contour = max(contours, key=len)
+    hull = cv2.convexHull(contour)
     # A contour runs through the centres of pixels, half a pixel inside the edge.
     whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
@@ -409,11 +409,11 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
     if piece.area * (1 - ALIKE[0]) > 2 * max(kind[0] for kind in kinds):
         return None
     pixels = piece.inside.astype(np.uint8)
-    rims = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
-    rim = max(rims, key=len)
-    hull = cv2.convexHull(rim, returnPoints=False)
+    contours = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+    contour = max(contours, key=len)
+    hull = cv2.convexHull(contour, returnPoints=False)
     try:
-        dents = cv2.convexityDefects(rim, hull)
+        dents = cv2.convexityDefects(contour, hull)
     except cv2.error:
         return None
     if dents is None:
@@ -422,7 +422,7 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
     dents = dents[dents[:, 3] > LEAST_DENT_PX * 256]
     dents = dents[np.argsort(-dents[:, 3])][:MOST_DENTS]
     best: tuple[float, list[Piece]] | None = None
-    points = rim[:, 0]
+    points = contour[:, 0]
     for number, dent in enumerate(dents):
         start = points[dent[2]]
         ends = [points[other[2]] for other in dents[number + 1 :]]

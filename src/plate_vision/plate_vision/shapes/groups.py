@@ -366,7 +366,7 @@ def take_apart(
     `doubtful`, it may be a single part, and is a group only if parts cover it completely. `tries`
     is the work left for this and other groups."""
     tries = tries or Work(TRIES)
-    border = _to_rims(view)
+    border = _edge_distances(view)
     least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
     if np.count_nonzero(view.mask) > MOST_PARTS * most:
         return []
@@ -413,7 +413,7 @@ def _covers(view: View, parts: Sequence[Found]) -> bool:
     return bool(both >= COVERED * np.count_nonzero(union | view.mask))
 
 
-def _to_rims(view: View) -> np.ndarray:
+def _edge_distances(view: View) -> np.ndarray:
     """Return the signed distance (h, w) [px] from the group's contour, positive inside, and there
     also from edges of colour."""
     smooth = cv2.GaussianBlur(view.pixels, (0, 0), 0.8)
@@ -448,10 +448,12 @@ def _candidates(
 ) -> list[Found]:
     """Return parts that fit into the free area (h, w), the best first. `border` (h, w) is the
     signed distance from the group's contour [px]."""
-    room = np.count_nonzero(free > 0) / view.scale**2
+    free_area = np.count_nonzero(free > 0) / view.scale**2
     ranked = []
-    for template, area, rim in zip(catalogue.templates, catalogue.area, catalogue.rim, strict=True):
-        if area > 1.2 * room:
+    for template, area, perimeter in zip(
+        catalogue.templates, catalogue.area, catalogue.perimeter, strict=True
+    ):
+        if area > 1.2 * free_area:
             continue
         for pose in _placed(view, template, free, border):
             fit = view.fitted(template, pose)
@@ -461,7 +463,7 @@ def _candidates(
             tint = _tint(view, template, fit)
             if tint > LIMIT * COLOUR_LAB:
                 continue
-            value = seen**2 * rim * np.exp(-0.5 * (tint / COLOUR_LAB) ** 2)
+            value = seen**2 * perimeter * np.exp(-0.5 * (tint / COLOUR_LAB) ** 2)
             ranked.append((value, Found(template, fit, seen, tint)))
     ranked.sort(key=lambda pair: -pair[0])
     return [found for _, found in ranked]

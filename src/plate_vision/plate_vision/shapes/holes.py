@@ -38,7 +38,7 @@ SPARSE = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class HoleCheck:
     """An image and the bare plate in the light of this image."""
 
     image: np.ndarray

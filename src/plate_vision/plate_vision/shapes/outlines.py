@@ -79,7 +79,7 @@ class Outline:
         return np.asarray(size[1:] / size[0])
 
     @property
-    def hole_share(self) -> float:
+    def hole_fraction(self) -> float:
         """Area of the holes, relative to the area without holes [-]."""
         return 1 - self.area / self.filled.area
 

@@ -119,7 +119,7 @@ def load_bare(
     return learn_plate(np.stack(pictures))
 
 
-def told(lesson: Lesson) -> str:
+def lesson_text(lesson: Lesson) -> str:
     """Return a one-line summary of what was learned."""
     part = lesson.part
     corners = "a disc" if part.radius_m else f"{len(part.outline)} corners"

@@ -108,44 +108,44 @@ class Patch:
     @cached_property
     def outline(self) -> np.ndarray:
         """Points (k, 2) around the patch [px], one per pixel of the contour, to sub-pixels."""
-        return self._rims[0]
+        return self._contours[0]
 
     @cached_property
     def holes(self) -> list[np.ndarray]:
         """Points (k, 2) around each hole [px]."""
-        return self._rims[1]
+        return self._contours[1]
 
     @cached_property
-    def _rims(self) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _contours(self) -> tuple[np.ndarray, list[np.ndarray]]:
         framed = np.pad(self.mask.astype(np.uint8), 2)
         cover = cv2.GaussianBlur(np.pad(self.cover, 2), (0, 0), SMOOTH_PX)
-        rims, family = cv2.findContours(framed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        if not rims:
+        contours, family = cv2.findContours(framed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+        if not contours:
             return np.empty((0, 2)), []
-        outer = [i for i in range(len(rims)) if family[0][i][3] < 0]
-        largest = max(outer, key=lambda i: cv2.contourArea(rims[i]))
+        outer = [i for i in range(len(contours)) if family[0][i][3] < 0]
+        largest = max(outer, key=lambda i: cv2.contourArea(contours[i]))
         holes = [
-            rims[i]
-            for i in range(len(rims))
-            if family[0][i][3] >= 0 and cv2.contourArea(rims[i]) >= LEAST_HOLE_PX2
+            contours[i]
+            for i in range(len(contours))
+            if family[0][i][3] >= 0 and cv2.contourArea(contours[i]) >= LEAST_HOLE_PX2
         ]
         fall = cv2.Sobel(cover, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(cover, cv2.CV_32F, 0, 1) / 8
         origin = np.array(self.corner) - 2
         return (
-            _to_the_edge(rims[largest], cover, fall) + origin,
+            _to_the_edge(contours[largest], cover, fall) + origin,
             [_to_the_edge(hole, cover, fall) + origin for hole in holes],
         )
 
 
 def _to_the_edge(
-    rim: np.ndarray, cover: np.ndarray, slope: tuple[np.ndarray, np.ndarray]
+    contour: np.ndarray, cover: np.ndarray, slope: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Return the points (k, 2) nearest to those of a contour (k, 1, 2) at which the cover (h, w) is
     0.5, by one Newton step. `slope` is the gradient of the cover along x and y [1/px]."""
-    x, y = rim[:, 0].T
+    x, y = contour[:, 0].T
     steep = np.stack([slope[0][y, x], slope[1][y, x]], axis=1)
     square = np.sum(steep**2, axis=1, keepdims=True)
     shift = (HALF - cover[y, x])[:, None] * steep / np.maximum(square, 1e-6)
     length = np.hypot(*shift.T)[:, None]
     shift *= np.minimum(1, MOST_SHIFT_PX / np.maximum(length, 1e-9))
-    return np.asarray(rim[:, 0] + shift)
+    return np.asarray(contour[:, 0] + shift)

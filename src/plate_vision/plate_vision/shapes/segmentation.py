@@ -226,11 +226,11 @@ def _patches(
     region: Region | None,
 ) -> list[Patch]:
     """Return the patches of a cover (H, W); `mask` (H, W) holds the pixels of parts."""
-    rims, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    contours, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     windows = [
-        _window(number, rims, family[0], cover, away)
-        for number, rim in enumerate(rims)
-        if family[0][number][3] < 0 and len(rim) >= LEAST_RIM_PX
+        _window(number, contours, family[0], cover, away)
+        for number, contour in enumerate(contours)
+        if family[0][number][3] < 0 and len(contour) >= LEAST_RIM_PX
     ]
     windows = _without_inner(_largest(windows))
     pixels = cover.size if region is None else int(np.count_nonzero(region.usable))
@@ -333,36 +333,40 @@ class Window(NamedTuple):
 
 
 def _window(
-    number: int, rims: Sequence[np.ndarray], family: np.ndarray, cover: np.ndarray, away: np.ndarray
+    number: int,
+    contours: Sequence[np.ndarray],
+    family: np.ndarray,
+    cover: np.ndarray,
+    away: np.ndarray,
 ) -> Window:
     """Return the window of one outer contour; each enclosed area is a hole, a gap or a
     highlight."""
-    x, y, w, h = cv2.boundingRect(rims[number])
+    x, y, w, h = cv2.boundingRect(contours[number])
     x0, y0 = max(x - 1, 0), max(y - 1, 0)
     here = np.s_[y0 : y + h + 1, x0 : x + w + 1]
     own, deviation_here = cover[here], away[here]
     offset = (-x0, -y0)
     inside = np.zeros(own.shape, np.uint8)
-    cv2.drawContours(inside, rims[number : number + 1], 0, 1, cv2.FILLED, offset=offset)
+    cv2.drawContours(inside, contours[number : number + 1], 0, 1, cv2.FILLED, offset=offset)
     holes, gaps, enclosed = (np.zeros_like(inside) for _ in range(3))
     child = family[number][2]
     full = np.mean(deviation_here[inside > 0]) if child >= 0 else 0
     alone: bool | None = None
     while child >= 0:
-        rim = rims[child]
-        left, top, wide, high = cv2.boundingRect(rim)
+        contour = contours[child]
+        left, top, wide, high = cv2.boundingRect(contour)
         if (wide - 2) * (high - 2) < LEAST_HOLE_PX2:  # fast rejection: noise has thousands
             child = family[child][0]
             continue
         part = np.s_[top - y0 : top - y0 + high, left - x0 : left - x0 + wide]
         one = np.zeros((high, wide), np.uint8)
-        cv2.drawContours(one, [rim], 0, 1, cv2.FILLED, offset=(-left, -top))
-        cv2.drawContours(one, [rim], 0, 0, 1, offset=(-left, -top))
+        cv2.drawContours(one, [contour], 0, 1, cv2.FILLED, offset=(-left, -top))
+        cv2.drawContours(one, [contour], 0, 0, 1, offset=(-left, -top))
         enclosed[part] |= one
         level = deviation_here[part][(one > 0) & (own[part] < HALF)]
         if len(level) >= LEAST_HOLE_PX2 and np.median(level) < HOLE * full:
-            area, hull = cv2.contourArea(rim), cv2.contourArea(cv2.convexHull(rim))
-            around = 4 * np.pi * area / max(cv2.arcLength(rim, True), 1) ** 2
+            area, hull = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour))
+            around = 4 * np.pi * area / max(cv2.arcLength(contour, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
             # Gaps between touching parts come with dents; a high part's hole looks narrow
             # obliquely.
@@ -395,7 +399,7 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
     # A complete patch has a free pixel on each side of its window.
-    whole = not any(np.any(rim) for rim in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
+    whole = not any(np.any(line) for line in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
     corner = window.corner[0] + x0, window.corner[1] + y0
     patch = Patch(mask, corner, cover, whole, piece.group)
     if region is not None and not np.all(region.usable[patch.place][near]):

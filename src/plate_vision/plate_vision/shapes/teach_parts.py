@@ -22,7 +22,7 @@ from ..camera import read_pictures, rig_of_picture
 from ..errors import TeachError, check_size
 from ..recognition import calibrate_by_scale
 from ..vision import make_vision
-from .part_files import OUT, add_type, colour_text, load_bare, save_part_types, told
+from .part_files import OUT, add_type, colour_text, lesson_text, load_bare, save_part_types
 from .teaching import Example, apart, drawn_name, merged
 
 COMMANDS = ("list", "merge", "rename", "delete")
@@ -173,7 +173,7 @@ def _teach(args: argparse.Namespace) -> None:
         print(f"warning: not used: {problem}", file=sys.stderr)
     for doubt in lesson.doubts:
         print(f"warning: {doubt}", file=sys.stderr)
-    print(told(lesson))
+    print(lesson_text(lesson))
     print(f"{args.out}: types; {args.out.with_name(lesson.part.picture)}: the part taught")
 
 

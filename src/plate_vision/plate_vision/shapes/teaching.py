@@ -363,12 +363,12 @@ def _blur_px(image: np.ndarray, patch: Patch) -> float:
     """Return the blur of a patch's contour, standard deviation [px]: contrast / (sqrt(2 pi) slope),
     the median over the contour."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    rim = patch.outline
-    along = np.roll(rim, -3, axis=0) - np.roll(rim, 3, axis=0)
+    outline = patch.outline
+    along = np.roll(outline, -3, axis=0) - np.roll(outline, 3, axis=0)
     across = np.column_stack([along[:, 1], -along[:, 0]])
     across /= np.maximum(np.hypot(*across.T), 1e-9)[:, None]
     steps = np.linspace(-1, 1, 13) * min(BESIDE_PX, BESIDE_RADIUS * patch.radius_px)
-    where = (rim[:, None] + steps[:, None] * across[:, None]).astype(np.float32)
+    where = (outline[:, None] + steps[:, None] * across[:, None]).astype(np.float32)
     x, y = cv2.split(where)
     levels = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
     contrast = np.abs(levels[:, -1] - levels[:, 0])
@@ -519,8 +519,8 @@ def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
     """Return a mean outline (about its centre) moved to the average of outlines fitted to it."""
     shift = np.zeros_like(mean.points)
     for outline in outlines:
-        way = distances(outline.edges, mean.points)
-        shift -= way[:, :1] * way[:, 1:]
+        distance = distances(outline.edges, mean.points)
+        shift -= distance[:, :1] * distance[:, 1:]
     moved = mean.points + shift / len(outlines)
     middle = make_outline(np.split(moved, mean.ends[:-1]))
     return _shifted(middle, middle.centre)

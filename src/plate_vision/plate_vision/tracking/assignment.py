@@ -134,17 +134,17 @@ def _angle_gain(
     uniform."""
     unsure = np.array([track.quality[1] for track in tracks])
     scatter = np.array([one.quality[1] if one.symmetry else math.nan for one in seen])
-    tells = (unsure < VAGUE_RAD)[:, None] & (scatter < VAGUE_RAD)
-    if not np.any(tells):
+    known = (unsure < VAGUE_RAD)[:, None] & (scatter < VAGUE_RAD)
+    if not np.any(known):
         return 0.0
-    angle = np.array([track.turned(stamp) for track in tracks])
+    angle = np.array([track.angle_at(stamp) for track in tracks])
     images = np.array([1 + track.missed for track in tracks])
     deviation = np.sqrt(((TURN_RAD * images) ** 2 + unsure**2)[:, None] + scatter**2)
     period = math.tau / np.array([max(one.symmetry, 1) for one in seen])
     gap = np.array([one.angle for one in seen]) - angle[:, None]
     gap -= period * np.round(gap / period)
     normal = period / (math.sqrt(math.tau) * deviation) * np.exp(-0.5 * (gap / deviation) ** 2)
-    return np.where(tells, np.log((1 - ANY_TURN) * normal + ANY_TURN), 0.0)
+    return np.where(known, np.log((1 - ANY_TURN) * normal + ANY_TURN), 0.0)
 
 
 def _drift_gain(
@@ -208,7 +208,7 @@ def _log_density(
     """Return the log density [1/m2] at squared distances (T, M) [m2] from the mean of a planar
     mixture: normal with deviation `usual`, and a fraction `rate` with deviation `wide`."""
     parts = [
-        np.log(share) - 0.5 * square / deviation**2 - np.log(math.tau * deviation**2)
-        for share, deviation in ((1 - rate, usual), (rate, wide))
+        np.log(weight) - 0.5 * square / deviation**2 - np.log(math.tau * deviation**2)
+        for weight, deviation in ((1 - rate, usual), (rate, wide))
     ]
     return np.logaddexp(*parts)

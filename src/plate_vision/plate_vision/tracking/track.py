@@ -66,7 +66,7 @@ class Track:
         Number of images since the last detection.
     hits : int
         Number of images with a detection.
-    turns : tuple of (stamp [s], angle [rad])
+    angles : tuple of (stamp [s], angle [rad])
         The same for the angle, unwrapped: it does not jump by 2 pi or by the angle of its
         symmetry.
     quality : tuple of 3 float
@@ -80,7 +80,7 @@ class Track:
     history: tuple[tuple[float, float, float], ...]
     missed: int = 0
     hits: int = 0
-    turns: tuple[tuple[float, float], ...] = ()
+    angles: tuple[tuple[float, float], ...] = ()
     quality: tuple[float, ...] = UNKNOWN
     votes: tuple[str, ...] = ()
 
@@ -105,14 +105,14 @@ class Track:
     @property
     def angle(self) -> float:
         """Angle of the last detection [rad]."""
-        return self.turns[-1][1] if self.turns else 0.0
+        return self.angles[-1][1] if self.angles else 0.0
 
     @property
     def spin(self) -> float:
         """Angular velocity [rad/s]; zero before the second detection."""
-        if len(self.turns) < 2:
+        if len(self.angles) < 2:
             return 0.0
-        (t0, angle0), (t1, angle1) = self.turns[0], self.turns[-1]
+        (t0, angle0), (t1, angle1) = self.angles[0], self.angles[-1]
         return (angle1 - angle0) / (t1 - t0)
 
     def predicted(self, stamp: float, reach: float) -> tuple[float, float]:
@@ -122,18 +122,18 @@ class Track:
         extrapolation is at most one displacement of the history per missed image, plus two.
         """
         (_, x0, y0), (_, x, y) = self.history[0], self.history[-1]
-        ways = self._ways(stamp, self.history[0][0], self.history[-1][0])
-        ways = min(ways, reach / max(math.hypot(x - x0, y - y0), 1e-12))
-        return x + (x - x0) * ways, y + (y - y0) * ways
+        factor = self._extrapolation(stamp, self.history[0][0], self.history[-1][0])
+        factor = min(factor, reach / max(math.hypot(x - x0, y - y0), 1e-12))
+        return x + (x - x0) * factor, y + (y - y0) * factor
 
-    def turned(self, stamp: float) -> float:
+    def angle_at(self, stamp: float) -> float:
         """Extrapolated angle [rad] at `stamp` [s]."""
-        if not self.turns:
+        if not self.angles:
             return 0.0
-        (first, angle0), (last, angle) = self.turns[0], self.turns[-1]
-        return angle + (angle - angle0) * self._ways(stamp, first, last)
+        (first, angle0), (last, angle) = self.angles[0], self.angles[-1]
+        return angle + (angle - angle0) * self._extrapolation(stamp, first, last)
 
-    def _ways(self, stamp: float, first: float, last: float) -> float:
+    def _extrapolation(self, stamp: float, first: float, last: float) -> float:
         """Return the time since `last` [s] in units of the time from `first` to `last`, limited to
         one per missed image, plus two."""
         return 0.0 if last == first else min((stamp - last) / (last - first), self.missed + 2)
@@ -151,15 +151,15 @@ class Track:
             self.number if label == self.label else 0,
             (*self.history, (stamp, *seen.position))[-keep:],
             hits=self.hits + 1,
-            turns=(*self.turns, (stamp, self.angle + turn))[-keep:],
+            angles=(*self.angles, (stamp, self.angle + turn))[-keep:],
             quality=seen.quality,
             votes=votes,
         )
 
     def likely(self, label: str) -> float:
         """Return the probability of a detection with this class [-]."""
-        share = self.votes.count(label) / len(self.votes)
-        return (1 - MISREAD_RATE) * share + MISREAD_RATE * (1 - share)
+        fraction = self.votes.count(label) / len(self.votes)
+        return (1 - MISREAD_RATE) * fraction + MISREAD_RATE * (1 - fraction)
 
 
 def _majority(label: str, votes: Sequence[str]) -> str:

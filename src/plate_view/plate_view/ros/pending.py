@@ -14,7 +14,7 @@ QUIET = ("parameters",)
 """Commands that change nothing and are not logged."""
 
 
-class Asked:
+class PendingCommand:
     """A command that is being executed, and the browser that gets the reply.
 
     Attributes
