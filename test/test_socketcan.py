@@ -245,7 +245,7 @@ def test_what_cannot_be_led_is_refused():
     for wrong, port, text in (
         (free, "", "port is '', allowed with socketcan: a CAN interface, such as can0"),
         (rig, "can0", "trigger_phase is given, allowed with socketcan: a free camera"),
-        (unwatched, "can0", "following_error_m is 0, allowed with socketcan: more"),
+        (unwatched, "can0", "following_error_m is 0, allowed with socketcan: above 0"),
         (RIG, "can0", "drive is bridge, allowed with socketcan: cia402, odrive"),
     ):
         with pytest.raises(PlateError, match=text):

@@ -218,7 +218,7 @@ def test_a_part_whose_pick_has_failed_comes_again_but_not_for_ever():
     for count in range(MOST_FAILURES):
         assert cell.get() is None
         assert cell.answer().part.id == "black_1"
-        assert f"picks failed there: {count + 1}" in cell.do("part_taken", "black_1", False).text
+        assert f"failed picks there: {count + 1}" in cell.do("part_taken", "black_1", False).text
     cell.get()
     assert cell.answer().code is Code.NO_PART
     asked = {pick.label: pick.ready for pick in cell.output.order.picks}

@@ -64,7 +64,7 @@ def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, ta
         for number, name in enumerate(("learn_plate", "emergency_stop", "cancel")):
             await connection.write_message(json.dumps({"do": name, "number": number}))
         assert not (await answer(connection, 0))["ok"]
-        assert "stood still" in (await answer(connection, 2))["text"]
+        assert "stalled" in (await answer(connection, 2))["text"]
         assert taken == ["emergency_stop"]
         while not (  # and then all goes on
             await connection.write_message(json.dumps({"do": "cancel", "number": 3}))

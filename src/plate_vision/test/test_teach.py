@@ -130,7 +130,7 @@ def test_what_makes_a_type_hard_to_know_is_said(draw_types):
     red = {"nut": replace(TYPES["nut"], colour_lab=(50.0, 60.0, 40.0))}
     examples = [Example(sharp), Example(picture(draw_types, "nut", 13, types=red))]
     (doubt,) = learn_type("nut", examples, HOME).doubts
-    assert "teach each colour as a type of its own" in doubt
+    assert "teach each colour as a separate type" in doubt
 
 
 def test_what_is_rounder_than_its_examples_are_alike_is_a_disc(draw_types):
