@@ -184,7 +184,7 @@ def test_a_measurement_writes_its_table_and_prints_it(tmp_path):
 
 
 def test_no_motion_that_is_found_beats_the_bounds():
-    from plate_solver.cycle_map import speed_bounds
+    from plate_bringup.bounds import speed_bounds
     from tasks.bound import fastest
 
     rig = load_rig()

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from harness import Cache, Result, Table, by_case
+from plate_bringup.bounds import speed_bounds
 from plate_bringup.loop import Setup, run, with_settings
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
 from plate_core.tasks import start_positions
 from plate_solver import Goal, Limits, SinusoidSolver
-from plate_solver.cycle_map import end_state, speed_bounds
+from plate_solver.cycle_map import end_state
 from plate_solver.sinusoids import BIN, Motions, Problem, SinusoidFamily, descend, sinusoid_basis
 from tasks.runs import UNEVEN, sorting
 

@@ -24,8 +24,8 @@ from plate_core.tasks import (
     edge_doubts,
     load_scenario,
 )
-from plate_solver.cycle_map import rest_to_rest_s, speed_bounds
 
+from .bounds import rest_to_rest_s, speed_bounds
 from .rehearsal import STILL, Verdict, judge_task
 
 NOT_REHEARSED = {

@@ -1,10 +1,9 @@
 """The cycle map: where a plate motion takes parts, which stick and slip, with its derivatives.
 
-Parts are points or turn; one by one, or in blocks for searches. And how fast a part can be at most.
+Parts are points or turn; one by one, or in blocks for searches.
 """
 
 from .blocks import LANES, TRACE, adjoint, blocks_of, trace
-from .bounds import SpeedBounds, rest_to_rest_s, shift_accel, speed_bounds
 from .stick_slip import PREDICTION_STEP, after, end_state, end_state_gradient, finely_sampled
 from .turning import (
     TURNING_TRACE,
@@ -21,7 +20,6 @@ __all__ = [
     "PREDICTION_STEP",
     "TRACE",
     "TURNING_TRACE",
-    "SpeedBounds",
     "adjoint",
     "adjoint_turning",
     "after",
@@ -31,10 +29,7 @@ __all__ = [
     "end_turning",
     "end_turning_gradient",
     "finely_sampled",
-    "rest_to_rest_s",
     "room_spread",
-    "shift_accel",
-    "speed_bounds",
     "trace",
     "trace_turning",
     "turning_blocks_of",

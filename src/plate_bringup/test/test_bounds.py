@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from plate_bringup.bounds import rest_to_rest_s, speed_bounds
 from plate_core import load_rig
-from plate_solver.cycle_map import rest_to_rest_s, speed_bounds
 
 RIG = load_rig()
 A = RIG.friction.accel

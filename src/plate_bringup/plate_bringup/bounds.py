@@ -37,6 +37,8 @@ import numpy as np
 from plate_core import Rig
 from plate_core.rig import motor_levers
 
+__all__ = ["SpeedBounds", "rest_to_rest_s", "shift_accel", "speed_bounds"]
+
 
 class SpeedBounds(NamedTuple):
     """Greatest mean speeds of one part [m/s], each by one limit of the rig alone.
