@@ -1,12 +1,16 @@
 """Assign tests to workers, so that real nodes get the processor when they need it.
 
-Tests in test/ start real nodes and mostly wait for them. Tests of the packages, in src/, mostly
-compute. The first half of the workers runs test/, then the remaining files of src/. The other half
-runs src/ at a lower priority: it uses the time in which the first half waits.
+Most files of test/ start nodes or programs and mostly wait for them. All others compute: those of
+the packages, in src/, and those of test/ that name neither. The first half of the workers runs the
+files that wait, then what is left. The other half runs the files that compute, at a lower priority:
+it uses the time in which the first half waits.
 """
 
 import os
+import re
 from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from xdist.scheduler import LoadFileScheduling
@@ -15,7 +19,16 @@ from xdist.workermanage import WorkerController
 BEHIND = 10
 """By this `nice` value, the others have a tenth of the weight of the workers in front."""
 
+ROOT = Path(__file__).resolve().parents[1]
 FRONT = "test/"
+STARTS = re.compile(r"\b(subprocess|rclpy|graph|url|program|device|firmware)\b")
+"""In a file of test/ that starts something: modules, and fixtures of conftest.py."""
+
+
+@cache
+def computes(name: str) -> bool:
+    """Whether the tests of a file start neither nodes nor programs."""
+    return not name.startswith(FRONT) or not STARTS.search((ROOT / name).read_text("utf-8"))
 
 
 def in_front(worker: Mapping[str, Any]) -> bool:
@@ -36,7 +49,7 @@ class Lanes(LoadFileScheduling):
     def _next(self, node: WorkerController) -> str | None:
         """The file that a worker is to take, if any."""
         front = in_front(node.workerinput)
-        own = (name for name in self.workqueue if name.startswith(FRONT) == front)
+        own = (name for name in self.workqueue if computes(name) != front)
         return next(own, next(iter(self.workqueue), None) if front else None)
 
     def _assign_work_unit(self, node: WorkerController) -> None:

@@ -8,7 +8,21 @@ pytest.importorskip("xdist")
 
 import lanes
 
-TESTS = [f"{file}::test_{n}" for n in range(3) for file in ("src/a.py", "test/b.py", "src/c.py")]
+FILES = ("src/a.py", "test/b.py", "src/c.py", "test/d.py")
+TESTS = [f"{file}::test_{n}" for n in range(3) for file in FILES]
+
+
+@pytest.fixture(autouse=True)
+def _files(tmp_path, monkeypatch):
+    """All files of test/ start nodes, but for d.py."""
+    monkeypatch.setattr(lanes, "ROOT", tmp_path)
+    lanes.computes.cache_clear()
+    (tmp_path / "test").mkdir()
+    for name in ("b", *map(str, range(9))):
+        (tmp_path / f"test/{name}.py").write_text("from graph.session import session\n")
+    (tmp_path / "test/d.py").write_text("from plate_bringup.loop import run\n")
+    yield
+    lanes.computes.cache_clear()
 
 
 class Worker:
@@ -55,12 +69,21 @@ def run(found, workers, tests, of=None):
 def test_half_of_the_workers_begin_with_real_nodes_and_take_what_is_left():
     found, (front, behind) = started(TESTS, 2)
     files, _ = run(found, [front, behind], TESTS, of=front)
-    assert files == ["test/b.py"] * 3 + ["src/c.py"] * 3
+    assert files == ["test/b.py"] * 3 + ["src/c.py"] * 3 + ["test/d.py"] * 3
     _, files = run(found, [front, behind], TESTS, of=behind)
     assert files == ["src/a.py"] * 3
     assert found.tests_finished
     assert behind.shutting_down
     assert front.shutting_down
+
+
+def test_workers_behind_run_what_computes_in_either_folder():
+    found, (front, behind) = started(TESTS, 2)
+    _, files = run(found, [front, behind], TESTS, of=behind)
+    assert files == ["src/a.py"] * 3 + ["src/c.py"] * 3 + ["test/d.py"] * 3
+    files, _ = run(found, [front, behind], TESTS, of=front)
+    assert files == ["test/b.py"] * 3
+    assert found.tests_finished
 
 
 def test_no_test_of_real_nodes_gives_way():
