@@ -4,14 +4,16 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from plate_bringup.feasible import main
 from plate_bringup.rehearsal import judge_task, rehearse
-from plate_core import config_path, load_rig
+from plate_core import PlateCycle, config_path, load_rig
 from plate_core.tasks import load_scenario
+from plate_planner import Phase
 from plate_solver import EFFORT
 
 RIG = load_rig()
@@ -59,6 +61,45 @@ def test_a_plate_that_hardly_shakes_is_not(monkeypatch):
     assert not verdict.likely
     assert verdict.speed < RIG.friction.accel * 0.1 / 16 * (1.2 - 1 / 1.2)
     assert verdict.share.binds == "acceleration"
+
+
+TO_GO_M = [0.0, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3]
+"""One value each second; the first is from before the task."""
+
+
+@pytest.mark.parametrize(
+    ("to_go_m", "phase", "left_s", "speed"),
+    [
+        (TO_GO_M, Phase.RUNNING, 3.0, 0.4 / 4 / 4),  # 0.1 m/s in the second half
+        (TO_GO_M, Phase.DONE, None, 0.4 / 4 / 4),
+        (TO_GO_M, Phase.LOST, np.inf, 0.4 / 4 / 4),
+        (TO_GO_M, Phase.STUCK, np.inf, 0.4 / 4 / 4),
+        ([0.0, 0.8, 0.7, 0.7, 0.6, 0.6, 0.6], Phase.RUNNING, np.inf, 0.2 / 4 / 5),
+        ([0.0, 0.8, 0.4, 0.4, 0.3, 0.2, 0.1], Phase.RUNNING, 1.0, 0.4 / 4 / 1),
+    ],
+)
+def test_the_rest_of_a_rehearsal_is_estimated_from_its_second_half(
+    monkeypatch, to_go_m, phase, left_s, speed
+):
+    def run(*_, **__):
+        for second, left in enumerate(to_go_m):
+            last = second == len(to_go_m) - 1
+            progress = SimpleNamespace(
+                to_go_m=left, time_s=float(second), phase=phase if last else Phase.RUNNING,
+                parts_total=5, parts_sorted=1,
+            )  # fmt: skip
+            yield SimpleNamespace(
+                progress=progress, answer=SimpleNamespace(cycle=PlateCycle.rest(0.1))
+            )
+
+    monkeypatch.setattr("plate_bringup.rehearsal.run", run)
+    scenario = load_scenario("sort_4")
+    result = rehearse(RIG, scenario, 0)
+    expected = 6.0 if left_s is None else 6.0 + scenario.task.hold_s + left_s
+    assert result.time_s == pytest.approx(expected)
+    assert result.speed == pytest.approx(speed)
+    assert result.lost == (phase is Phase.LOST)
+    assert result.share == (0, 0, 0, 0, 0)
 
 
 def test_the_less_it_shakes_the_longer_it_takes():
