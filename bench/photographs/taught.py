@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from photographs.finders import FOUND, as_found
-from plate_core import PlateError
+from plate_core import NAMELESS, PlateError
 from plate_vision import calibrate_by_scale, find_parts
 from plate_vision.shapes import Example, model_background, teach
 
@@ -21,9 +21,6 @@ MOST_EXAMPLES = 5
 
 SCALE = 1000.0
 """A pixel is thought to be a millimetre [px/m]: nothing is known of the pictures' scale."""
-
-UNNAMED = ("unknown", "group")
-"""Labels that say that no class is known: not counted as parts."""
 
 
 def teach_examples(
@@ -72,7 +69,7 @@ def teach_examples(
         if not types:
             return np.zeros(0, FOUND)
         seen = find_parts(picture, types, scale=SCALE)
-        seen = seen[~np.isin(seen["label"], UNNAMED)]
+        seen = seen[~np.isin(seen["label"], NAMELESS)]
         return as_found(seen, [class_of[label] for label in seen["label"]])
 
     return finder, shown, refused

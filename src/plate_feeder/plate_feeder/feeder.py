@@ -51,7 +51,15 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from plate_core import MOST_PARTS, PlateError, Rig, part_class
-from plate_core.tasks import FeedMode, FeedOrder, FeedTask, Pick, as_picked, pick_problem
+from plate_core.tasks import (
+    LONGEST_OPEN_S,
+    FeedMode,
+    FeedOrder,
+    FeedTask,
+    Pick,
+    as_picked,
+    pick_problem,
+)
 
 from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
@@ -76,9 +84,6 @@ moved since the previous image, and therefore not be ready."""
 
 FALLEN_S = 1.0
 """Delay after the hopper closes until all dropped parts are visible [s]."""
-
-LONGEST_OPEN_S = 60.0
-"""Maximum duration of one opening of the hopper [s]; the simulator's hopper refuses more."""
 
 MOST_OPENINGS = 3
 """Number of consecutive openings without a new part after which the hopper counts as empty."""

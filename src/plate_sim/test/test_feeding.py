@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from plate_core import MOST_PARTS, Parts, PlateCycle, PlateError, load_rig, part_class
-from plate_core.tasks import free_gap, load_scenario
+from plate_core.tasks import LONGEST_OPEN_S, free_gap, load_scenario
 from plate_sim import Disturbances, Move, Simulation
-from plate_sim.world import LONGEST_OPEN_S, NONE
+from plate_sim.world import NONE
 from plate_sim.world.hopper import Flow
 from plate_sim.world.robot import GRIP_REACH_M, NUDGE_M, NUDGE_RAD
 

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from plate_core import PlateError, choose_network
-from plate_core.ros import ACTIONS, DATA, new_goal_id, scenario_to_goal, targets_to_msg
+from plate_core.ros import ACTIONS, DATA, REFUSED, new_goal_id, scenario_to_goal, targets_to_msg
 from plate_core.tasks import PartTarget, Scenario
 from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 
@@ -328,7 +328,3 @@ class PlateClient:
         return spin_until(
             lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), true, timeout_s
         )
-
-
-REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
-"""Reasons for which a task does not begin."""

@@ -33,6 +33,7 @@ from .executor import NodeExecutor
 from .frames import FRAME, add_prefix, camera_to_msg, plate_to_msg
 from .goals import (
     ACTIONS,
+    REFUSED,
     goal_to_scenario,
     msg_to_order,
     msg_to_pick,
@@ -58,6 +59,7 @@ __all__ = [
     "IMAGE",
     "LATCHED",
     "NEWEST",
+    "REFUSED",
     "RESULT_S",
     "TRANSFORMS",
     "WARN_S",

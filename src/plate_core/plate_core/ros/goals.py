@@ -21,7 +21,7 @@ from plate_interfaces.action import (
     SortParts,
 )
 from plate_interfaces.msg import FeedOrder as FeedOrderMsg
-from plate_interfaces.msg import FeedPick, PartCount, Path, Place, Region
+from plate_interfaces.msg import FeedPick, PartCount, Path, Place, Region, TaskStatus
 
 from ..errors import PlateError, ScenarioError
 from ..tasks import (
@@ -42,6 +42,9 @@ from ..tasks import (
 )
 from ..yaml_fields import Fields
 from .convert import target_to_msg
+
+REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
+"""Reasons for which a task does not begin."""
 
 ACTIONS: Mapping[str, Any] = {
     "sort_parts": SortParts,

@@ -2,6 +2,7 @@
 
 from .framing import Reader, frame, unframe
 from .messages import (
+    BITS_PER_BYTE,
     HEADER,
     KNOTS_PER_MESSAGE,
     LAYOUTS,
@@ -39,6 +40,7 @@ from .messages import (
 )
 
 __all__ = [
+    "BITS_PER_BYTE",
     "HEADER",
     "KNOTS_PER_MESSAGE",
     "LAYOUTS",

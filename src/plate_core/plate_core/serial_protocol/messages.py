@@ -14,6 +14,9 @@ from ..errors import FrameError
 
 VERSION = 5
 MOTORS = 4
+BITS_PER_BYTE = 10
+"""Bits of a byte on a UART, with start and stop bit."""
+
 TICK_S = 1e-8
 """Unit of a knot's time [s]: a table may last 42 s, and is hit within 5 ns."""
 

@@ -6,7 +6,15 @@
 
 from .curves import circle_points
 from .edges import behind_wall, edge_doubts
-from .feed import as_picked, free_gap, pick_problem, pick_window, ready_parts, to_turn
+from .feed import (
+    LONGEST_OPEN_S,
+    as_picked,
+    free_gap,
+    pick_problem,
+    pick_window,
+    ready_parts,
+    to_turn,
+)
 from .keys import CLASSES, SECTIONS, side_name
 from .scenario import (
     check_scenario,
@@ -42,6 +50,7 @@ from .tasks import (
 
 __all__ = [
     "CLASSES",
+    "LONGEST_OPEN_S",
     "SECTIONS",
     "AssembleTask",
     "Bin",

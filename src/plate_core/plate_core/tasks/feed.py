@@ -20,6 +20,10 @@ from .tasks import FeedTask, Hopper, PartGroup, Pick
 ROUNDING_RAD = 1e-6
 """Angles that were degrees are rounded by less [rad]."""
 
+LONGEST_OPEN_S = 60.0
+"""Maximum duration of one opening of a hopper [s]: the feeder asks for no longer one, and the
+simulator's hopper refuses it."""
+
 WHOLE = 1e-6
 """How near to 1 fractions have to sum up."""
 

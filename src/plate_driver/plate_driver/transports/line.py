@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from math import ceil, log, log1p
 
 from plate_core.serial_protocol import (
+    BITS_PER_BYTE,
     HEADER,
     KNOTS_PER_MESSAGE,
     LAYOUTS,
@@ -20,9 +21,6 @@ from plate_core.serial_protocol import (
     Status,
     Telemetry,
 )
-
-BITS_PER_BYTE = 10
-"""On a UART: with start and stop bit."""
 
 FRAME_BYTES = 6
 """Of a frame beside its packet: CRC, one byte of COBS, the end."""

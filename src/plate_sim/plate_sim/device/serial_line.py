@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .faults import LineFaults
+from plate_core.serial_protocol import BITS_PER_BYTE
 
-BITS_PER_BYTE = 10
-"""On a UART: with start and stop bit."""
+from .faults import LineFaults
 
 SPLIT_S = 0.004
 """Longest pause between the two parts of a transmission that is split [s]."""

@@ -3,7 +3,6 @@ Public: the names below."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies
 from .disturbances import NONE, RANGES, Disturbances
-from .hopper import LONGEST_OPEN_S
 from .robot import Grip, Move
 from .sight import Shot, Sight
 from .simulation import WORLD_RANGES, Simulation
@@ -11,7 +10,6 @@ from .state import WorldState
 from .step import record_cycle, run_cycle
 
 __all__ = [
-    "LONGEST_OPEN_S",
     "NONE",
     "RANGES",
     "STEP",

@@ -13,12 +13,9 @@ import numpy as np
 
 from plate_core import MOST_PARTS, PlateError, Rig, part_class
 from plate_core.rig import PartType, contains, overlap, rim_distance
-from plate_core.tasks import Hopper
+from plate_core.tasks import LONGEST_OPEN_S, Hopper
 
 from .state import WorldState
-
-LONGEST_OPEN_S = 60.0
-"""A hopper is not opened for longer at once [s]."""
 
 WHOLE = 1e-6
 """So much less than a whole part is one [parts]: times are sums of rounded ones."""

@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from plate_core import PlateError, Rig, ScenarioError, did_you_mean, part_class
-from plate_core.ros import ACTIONS, goal_to_scenario, scenario_to_goal
+from plate_core.ros import ACTIONS, REFUSED, goal_to_scenario, scenario_to_goal
 from plate_core.tasks import (
     AssembleTask,
     FeedTask,
@@ -68,9 +68,6 @@ FOLLOW_LIMIT_S = 600.0
 
 SECRET = ("operator_token", "viewer_token")
 """Parameters that are not sent to browsers."""
-
-REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
-"""Reasons for which a task does not begin."""
 
 
 @dataclass(eq=False)
