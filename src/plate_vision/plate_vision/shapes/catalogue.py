@@ -129,7 +129,16 @@ def make_template(part: PartType) -> Template:
 
 def _corner_rings(part: PartType) -> list[np.ndarray]:
     """Return the corners (n, 2) [m] of a type's outline and of its holes."""
-    return [part.polygon, *(np.array(hole) for hole in part.holes)]
+    rings = [part.polygon]
+    if part.radius_m:
+        step = 2 * np.pi / len(rings[0])
+        turn = step * np.arange(len(rings[0]))
+        rings[0] = (
+            part.radius_m
+            * np.sqrt(step / np.sin(step))
+            * np.column_stack([np.cos(turn), np.sin(turn)])
+        )
+    return rings + [np.array(hole) for hole in part.holes]
 
 
 @dataclass(frozen=True, eq=False)
