@@ -1,6 +1,8 @@
 """Answers that begin late, on a computer or a line that is too slow: in the closed loop without
 ROS, with a camera that runs free, and with one that is triggered."""
 
+import copy
+
 import pytest
 import yaml
 from short_task import FEW_STARTS, MIDDLE, short_task, with_few
@@ -85,7 +87,11 @@ def test_a_path_is_followed_though_delays_vary(tmp_path, settings):
 
 def test_places_are_reached(tmp_path):
     scenario = tmp_path / "middle.yaml"
-    scenario.write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
+    near = copy.deepcopy(MIDDLE)  # half of the way
+    for group, x in zip(near["parts"], (-0.05, 0.05), strict=True):
+        group["positions_m"][0][0] = x
+        near["task"]["places_m"][group["class"]][0][0] = -x
+    scenario.write_text(yaml.safe_dump(near), encoding="utf-8")
     progress = late_run(str(scenario), 0).progress
     assert progress.phase == "done", progress.text
     assert progress.rms_error_m == pytest.approx(0, abs=2.5e-3)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from short_task import FEW_STARTS
 
 from plate_bringup import loop
 from plate_core import load_rig
@@ -39,7 +40,7 @@ def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkey
     monkeypatch.setattr(loop, "Simulation", simulation)
     monkeypatch.setattr("plate_vision.vision.update", update)
     least = np.inf
-    for moment in loop.run(loop.Setup(wanted, seed=4), rig):
+    for moment in loop.run(loop.Setup(wanted, seed=4, effort=FEW_STARTS), rig):
         rows = [moment.world.ids.index(name) for name in world["unknown"]]
         away = rig.plate.half - np.abs(moment.world.position[rows])
         least = min(least, float(away.min()))
