@@ -388,25 +388,27 @@ def test_a_plate_that_does_not_follow_is_let_go(watchful, tmp_path):
 
 
 @emulated
-@pytest.mark.parametrize("now", [0, 1])
-def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path, now):
-    with TriedBoard(firmware, tmp_path) as board:
-        host = Host(board)
-        host.begin()
-        host.rest(50)
-        assert not board.enabled()
-        host.enable()
-        assert board.enabled()
-        host.upload(1, wave(48), 3)
-        host.until(lambda: host.now().state is State.PLAYING)
-        assert host.ask(Stop(now)) is Status.DONE
-        if now:
+def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path):
+    for now in (0, 1):
+        folder = tmp_path / str(now)
+        folder.mkdir()
+        with TriedBoard(firmware, folder) as board:
+            host = Host(board)
+            host.begin()
+            host.rest(50)
             assert not board.enabled()
-        host.until(lambda: host.now().state is State.OFF)
-        assert host.telemetry[-1].faults is Fault.STOPPED
-        assert not board.enabled()
-        fed = sum(value == 0xAAAA for _, _, value in board.written())
-        assert abs(fed - board.record().ticks) <= 2  # the watchdog, in each tick
+            host.enable()
+            assert board.enabled()
+            host.upload(1, wave(48), 3)
+            host.until(lambda host=host: host.now().state is State.PLAYING)
+            assert host.ask(Stop(now)) is Status.DONE
+            if now:
+                assert not board.enabled()
+            host.until(lambda host=host: host.now().state is State.OFF)
+            assert host.telemetry[-1].faults is Fault.STOPPED
+            assert not board.enabled()
+            fed = sum(value == 0xAAAA for _, _, value in board.written())
+            assert abs(fed - board.record().ticks) <= 2  # the watchdog, in each tick
 
 
 @emulated

@@ -162,13 +162,13 @@ def test_the_report_draws_every_chart_without_a_network(drawn):
 
 
 @browses
-@pytest.mark.parametrize("width", [500, 1300])
-def test_every_kind_of_panel_is_drawn_and_answers(every_kind, width):
-    result, console = look_at(every_kind, width)
-    assert_drawn(result, console, {"Title </script>": 3})
-    assert result["switched"] == [6, 5]  # one of six kinds is switched off
-    before, after = result["zoomed"]
-    assert after == pytest.approx([before[0], sum(before) / 2])
+def test_every_kind_of_panel_is_drawn_and_answers(every_kind):
+    for width in (500, 1300):
+        result, console = look_at(every_kind, width)
+        assert_drawn(result, console, {"Title </script>": 3})
+        assert result["switched"] == [6, 5]  # one of six kinds is switched off
+        before, after = result["zoomed"]
+        assert after == pytest.approx([before[0], sum(before) / 2])
 
 
 @browses
