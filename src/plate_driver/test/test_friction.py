@@ -176,6 +176,27 @@ def test_parts_that_are_lost_from_sight_end_it():
         measurement.after(Rest.of(one))
 
 
+def test_parts_that_touch_after_a_push_end_it():
+    def rest(step):
+        """Two parts side by side along each axis; of each pair the one ahead has moved back."""
+        gap = 2 * RIG.part_type("black").reach_m + 0.0045
+        place = {
+            "black_1": (0, 0), "black_2": (gap, 0), "black_3": (-gap, 0), "black_4": (0, gap),
+            "black_5": (0, -gap),
+        }  # fmt: skip
+        at = np.array([*place.values()], float)
+        along = np.eye(2)[push.axis] * push.sign if step else np.zeros(2)
+        at[at @ along > 0] -= step * along
+        return Rest.of([Parts.make(tuple(place), at)] * 2)
+
+    push = None
+    measurement = FrictionMeasurement.start(RIG, rest(0.0))
+    push = measurement.push
+    assert measurement.after(rest(0.001)).todo != measurement.todo
+    with pytest.raises(PlateError, match=r"black_1 and black_\d are 0\.[0-5] mm apart, allowed"):
+        measurement.after(rest(0.0043))
+
+
 def test_the_greatest_acceleration_is_within_the_limits():
     for rig in (RIG, load_rig("desk"), load_rig("voice_coils")):
         most = most_accel(rig, 0.3)
