@@ -524,7 +524,7 @@ def test_an_adapter_that_is_pulled_out_is_said(capsys, monkeypatch):
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
-    assert "error: the CAN bus takes no frame (no such device)" in capsys.readouterr().err
+    assert "error: the CAN bus does not accept a frame (no such device)" in capsys.readouterr().err
 
 
 def test_lost_arbitration_is_no_error_of_the_bus():

@@ -226,7 +226,7 @@ def test_a_process_leads_a_bus_alone_and_ends_with_the_drives_off(bench):
     bench.transport.send(shaking(0.004), 20)
     bench.run(120)
     bench.transport.close()
-    with pytest.raises(PlateError, match=f"{bench.name} is still led by another process"):
+    with pytest.raises(PlateError, match=f"{bench.name} is still in use by another driver process"):
         bench.port()
     bench.run(1500, polls=False)
     assert bench.off()
@@ -401,5 +401,5 @@ def test_how_late_it_is_can_be_asked(program, monkeypatch, capsys):
         main()
     assert end.value.code in (0, 1)
     said = capsys.readouterr().out
-    assert said.startswith("setpoints late, greatest in each 10 ms: median ")
+    assert said.startswith("delay of setpoints, maximum of each 10 ms: median ")
     assert "; allowed: 3.00 ms\n" in said

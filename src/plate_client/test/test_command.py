@@ -205,7 +205,7 @@ def test_parameters(graph):
         (("talker", "gian", "1"), r"talker has no parameter 'gian' \(did you mean gain\?\)"),
         (
             ("talk", "gain", "1"),
-            r"no node 'talk' runs \(did you mean talker\?\), nodes that do: talker",
+            r"no node 'talk' runs \(did you mean talker\?\); running nodes: talker",
         ),
         (("gain", "1"), r"set needs NODE NAME VALUE, nodes here: talker"),
     ],

@@ -161,7 +161,7 @@ class Dialogue:
         """Refuse to enable a motor while another drive is enabled."""
         for number, drive in enumerate(drives_of(self._rig), 1):
             if enabled(self._master.read(drive.node, 0x6041)):
-                raise PlateError(f"motor_{number}: the drive has current, allowed: none has any")
+                raise PlateError(f"motor_{number}: the drive has current, allowed: no drive has")
 
     def _serial(self, drive: Drive) -> int:
         """Return a drive's serial number; if several drives report the same, the rig file's."""

@@ -78,8 +78,8 @@ def main() -> None:
         print(f"error: {why}", file=sys.stderr)
         sys.exit(2)
     print(
-        f"setpoints late, greatest in each 10 ms: median {np.median(late):.2f} ms, 99 in 100 below "
-        f"{np.percentile(late, 99):.2f} ms, at most {late.max():.2f} ms; allowed: "
+        f"delay of setpoints, maximum of each 10 ms: median {np.median(late):.2f} ms, "
+        f"99 % below {np.percentile(late, 99):.2f} ms, at most {late.max():.2f} ms; allowed: "
         f"{transport.allowed_ms:.2f} ms"
     )
     sys.exit(int(late.max() > transport.allowed_ms))

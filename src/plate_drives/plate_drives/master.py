@@ -78,8 +78,8 @@ class Master:
             self._bus.send(frame, timeout=0.1)
         except (can.CanError, OSError) as error:
             raise PlateError(
-                f"the CAN bus takes no frame ({error}): look at the drives' supply, wires, "
-                "termination and bit rate"
+                f"the CAN bus does not accept a frame ({error}): look at the drives' supply, "
+                "wires, termination and bit rate"
             ) from None
 
     def frames(self, until: float) -> Iterator[tuple[int, bytes]]:

@@ -151,7 +151,7 @@ class HostPort:
             try:
                 lock.bind(f"\0plate_drives {channel}")  # held until the process has ended
             except OSError:
-                raise PlateError(f"{channel} is still led by another process of ours") from None
+                raise PlateError(f"{channel} is still in use by another driver process") from None
             passed = (can.fileno(), *(() if ticks is None else (ticks,)))
             try:
                 self._process = subprocess.Popen(

@@ -519,7 +519,7 @@ class Feeder:
             self._end()
 
     def _rests(self) -> bool:
-        """Whether the newest status is of a plate that rests until the order changes."""
+        """Whether the plate rested in the newest status, and rests until the order changes."""
         status = self._status
         return (
             self._task is _Task.RUNNING

@@ -174,7 +174,8 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def seed_of_agent(seed: int) -> int:
-    """Return the seed of an agent's random numbers. The world's seed would reveal the parts."""
+    """Return the seed of an agent's random numbers. It differs from the world's seed, from
+    which an agent could compute where the parts are."""
     return drawn(np.random.default_rng((seed, AGENT)))
 
 

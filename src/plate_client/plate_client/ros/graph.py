@@ -29,8 +29,8 @@ PROGRESS_S, WAITING_S = 2.0, 5.0
 """Time between two lines about a task's progress, and about the reason why it waits [s]."""
 
 REPORT_S, LATE_S = 2.0, 2.0
-"""Time for which diagnostics, which nodes publish once a second, are collected, and additional time
-if some nodes have not published yet [s]."""
+"""Time for which diagnostics are collected [s] (nodes publish them once a second), and additional
+time if some nodes have not published yet [s]."""
 
 AT_FIRST_S = 0.5
 """Minimum wait that is reported [s]."""
@@ -260,7 +260,7 @@ class Graph(Services):
             return here
         if name not in here:
             hint, listed = did_you_mean(name, here), ", ".join(here)
-            raise PlateError(f"no node {name!r} runs{hint}, nodes that do: {listed}")
+            raise PlateError(f"no node {name!r} runs{hint}; running nodes: {listed}")
         return [name]
 
     def _node(self, args: argparse.Namespace, *words: str) -> str:

@@ -27,8 +27,8 @@ URGENT = ("emergency_stop", "cut_power", "disable")
 """Commands that are tried longer, even if no node is discovered."""
 
 ONCE, AGAIN_S = ("home", "calibrate", "call"), 0.5
-"""Commands that must not be repeated, as enable; time without a reply after which other commands
-are repeated [s]. DDS may lose the first reply of a service that was just discovered."""
+"""Commands that must not be repeated (nor must `enable`); time without a reply after which other
+commands are repeated [s]. DDS may lose the first reply of a service that was just discovered."""
 
 SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
 """Valid names of services."""

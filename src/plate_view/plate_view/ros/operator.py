@@ -280,7 +280,7 @@ class Operator:
     def _start(self, pending: PendingCommand) -> None:
         scenario, task = pending.values["scenario"], pending.values["task"]
         if (scenario is None) == (task is None):
-            raise PlateError("start has both scenario and task, or none, allowed: one of them")
+            raise PlateError("start has both scenario and task, or neither, allowed: exactly one")
         if scenario is None:
             chosen = read_scenario(Fields(task, "task", ScenarioError), "task")
         elif scenario in scenario_names():

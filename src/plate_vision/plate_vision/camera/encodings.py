@@ -161,7 +161,7 @@ def decode_file(
     tail = content[-TAIL:]
     if not (b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail):
         raise ImageError(
-            f"image: {len(content)} bytes break off before the file's end, allowed: whole files"
+            f"image: {len(content)} bytes end before the picture's end, allowed: whole files"
         )
     pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH, header)
     if pixels is None:

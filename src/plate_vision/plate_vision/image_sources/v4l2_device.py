@@ -117,7 +117,7 @@ class V4l2Device:
             of_all, of_this = struct.unpack_from("II", found, 84)
             if not (of_this if of_all & HAS_DEVICE_CAPS else of_all) & CAN_CAPTURE:
                 raise CameraError(
-                    f"{path}: {self.name} takes no images by this device, allowed: a camera "
+                    f"{path}: {self.name} does not capture images here, allowed: a camera "
                     "(camera --list shows them)"
                 )
         except OSError as error:

@@ -203,8 +203,8 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
         raise ImageError(
             f"light: {100 * share:.0f} % of the plate look like the bare plate in any light, "
             f"allowed: {100 * LEAST_SHOWN:.0f} % or more, in {100 * low:.0f} to {100 * high:.0f} % "
-            "of the light in which the bare plate was learned (is the light on, the camera where "
-            "it was? Else call ~/learn_plate with nothing on the plate)"
+            "of the light in which the bare plate was learned (is the light on? Was the "
+            "camera moved? Else call ~/learn_plate with nothing on the plate)"
         )
     return Light(likely[0][1], likely[0][2])
 

@@ -38,7 +38,8 @@ SWING_M = 2e-3
 """Additional standard deviation half way to the prediction, because parts oscillate in a cycle."""
 
 MOST_WAYS = 2.0
-"""Maximum extrapolation of a predicted displacement beyond its instant, as a multiple of it."""
+"""Maximum fraction of a predicted displacement that is applied. Above 1 it is an extrapolation
+beyond the instant of the prediction."""
 
 GATES, DRIFT, TURNED_RATE = 3.0, 0.3, 0.2
 """Ratio of the gate to the standard deviation of parts without a prediction; factor of this
@@ -178,13 +179,13 @@ def _known_gains(
     known = [tracks[i] for i in rows]
     last = np.array([track.history[-1][0] for track in known])
     images = np.array([1.0 + track.missed for track in known])[:, None]
-    way = np.minimum((stamp - last) / (expected.stamp - last), MOST_WAYS)[:, None]
+    fraction = np.minimum((stamp - last) / (expected.stamp - last), MOST_WAYS)[:, None]
     begin = np.array([track.position for track in known])
     end = expected.position[[row[track.id] for track in known]]
-    square = _square(begin + way * (end - begin), seen)
+    square = _square(begin + fraction * (end - begin), seen)
     beyond = np.maximum(stamp - expected.stamp, 0) / (stamp - last)[:, None]
     wide = gate / GATES * images * beyond
-    more = (4 * SWING_M * np.maximum(way * (1 - way), 0)) ** 2 + (DRIFT * wide) ** 2
+    more = (4 * SWING_M * np.maximum(fraction * (1 - fraction), 0)) ** 2 + (DRIFT * wide) ** 2
     pushed, rate = np.hypot(PUSHED_M * images, wide), PUSHED_RATE + TURNED_RATE * beyond
     gains = []
     for deviation in (PREDICTED_M, POOR_M):
