@@ -354,3 +354,9 @@ def test_a_cycle_that_waits_for_its_report_is_sent_until_then():
     assert [one.cycle.knot_pose[1, 0] for one in log.started(swinging(1), 1.1).sent] == [2e-4]
     assert log.started(swinging(2), 1.1).sent == ()
     assert log.started(swinging(3), 1.1).sent == log.sent
+
+
+def test_a_report_keeps_what_ended_a_short_while_ago():
+    log = CycleLog().started(SHORT, 1.0)  # to 1.1 s
+    assert names(log.started(SHORT, 1.1 + MEMORY_S - 0.05)) == [(1.0, "short"), (2.55, "short")]
+    assert names(log.started(SHORT, 1.1 + MEMORY_S + 0.05)) == [(2.65, "short")]
