@@ -352,7 +352,7 @@ def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
     vision, tracker, plate, stamp = make_vision(one.rig), Tracker(), BarePlate(), 1.0
     outline = OutlineCheck.of(one.rig, vision.calibration)
     if one.types:
-        plate = replace(plate, wanted=len(one.bare))
+        plate = replace(plate, requested=len(one.bare))
     for image in one.bare:
         plate, vision, _ = know_plate(plate, vision, image)
     for image in one.images:
