@@ -88,7 +88,7 @@ def goal_to_scenario(goal: Any) -> Scenario:
         its value and what is allowed.
     """
     name = next(name for name, action in ACTIONS.items() if isinstance(goal, action.Goal))
-    kind = name.partition("_")[0]
+    kind = name.rpartition("_")[0]
     endless = goal.time_limit_s == 0 and (
         kind == "feed" or (kind == "move" and goal.until_canceled)
     )
