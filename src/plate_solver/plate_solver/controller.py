@@ -1,12 +1,13 @@
-"""From the planner's request to the next plate cycle, in four steps.
+"""Computes the next plate cycle from the planner's request, in four steps.
 
-1. `predict_start`: the state of parts and plate when the cycle begins.
-2. `form_goal`: the request, forces or targets, becomes intervals of displacements over the cycle.
-3. `search`: a motion is searched that meets the goal.
-4. `leaves_plate`: a motion that carries a part off the plate is refused; then `search` tries less.
+1. `predict_start` predicts the state of the parts and the plate when the cycle begins.
+2. `form_goal` converts the request (forces or targets) to intervals of displacements.
+3. `search` finds a plate motion that meets the goal.
+4. `leaves_plate` rejects a motion that carries a part off the plate. `search` then tries a smaller
+   fraction of the goal.
 
-Each takes its state as arguments and returns the new one. Only the solvers keep something between
-calls: their last motion, from which the next search begins, and their random numbers.
+Each step takes its state as arguments and returns the new state. Only the solvers keep state
+between calls: their last motion, from which the next search starts, and a random generator.
 """
 
 from __future__ import annotations
@@ -28,40 +29,41 @@ from .sinusoids.solver import SinusoidCycles
 from .start import Memory, part_types, predict_start
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
-"""Names of the methods: the paper's letters and ours."""
+"""Names of the methods: the letters of the paper and the names in this project."""
 
 IDLE_PERIOD = 0.1
 """Length of a cycle at rest [s]."""
 
 DRIFT_TOLERANCE = 5e-5
-"""Maximum error, per second of the cycle, at which a search for forces stops [m/s]."""
+"""Error per second of the cycle below which a search for forces stops [m/s]."""
 
 WAY_TOLERANCE = 2e-4
-"""Maximum error, per second of the cycle, at which a search for targets stops [m/s]: later cycles
-correct it."""
+"""Error per second of the cycle below which a search for targets stops [m/s]. Later cycles correct
+this error."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
-"""Fractions of a goal that are searched for in turn until no part leaves the plate."""
+"""Fractions of a goal, tried in this order until no part leaves the plate."""
 
 GOOD_MISS = 0.15
-"""Fraction of the requested displacement that may be missed (root mean square) before a solver
-searches from other starts than its last motion."""
+"""Maximum acceptable error (root mean square), as a fraction of the requested displacement. If the
+error is larger, the solver searches from further starts."""
 
 EXACT_MISS = 0.02
-"""The same where the request gives a part no tolerance: then it is meant exactly."""
+"""The same fraction for requests in which a part has zero tolerance."""
 
 COAST_S = 0.03
-"""Time for which parts are extrapolated by their final velocities when a cycle's end is evaluated
-[s]: a part that swings towards its target is ahead of its place. Not if all parts are near their
-targets: they would go on swinging there."""
+"""Time by which the parts are extrapolated with their final velocities at the end of a cycle [s].
+It credits a part that moves towards its target. It is 0 if all parts are near their targets,
+because they would otherwise keep oscillating there."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
     "rotations": {"iterations": 20, "restarts": 1},
     "sinusoids": {"iterations": 16, "restarts": 40},
 }
-"""Most iterations from one start and most further starts: what suits a loop. More take longer, and
-buy little: see docs/results.md. Motions with a free end have half of the starts (`steer.PLAYS`)."""
+"""Maximum number of iterations from one start, and maximum number of further starts, for closed
+loop control. Larger values take longer and improve little: see docs/results.md. Motions with a free
+end use half the further starts (`steer.PLAYS`)."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +73,18 @@ class Answer:
     Attributes
     ----------
     cycle : PlateCycle
-        Starts and ends at rest at home, or, if the plate's state is certain, goes on from it and
-        has a tail.
+        It starts and ends at rest at home. If the state of the plate is certain, it starts from
+        that state and has a tail.
     solution : Solution or None
         None if nothing was requested.
     message : str
-        For the log.
+        Text for the log.
     error_m, asked_m : float
-        Root mean square over parts and axes of the missed and of the requested displacement [m];
-        rotations count as arcs of the rim. 0 with targets.
+        Displacement error and requested displacement, root mean square over parts and axes [m].
+        Rotations count as arc lengths at the edge of the part. Both are 0 with targets.
     fraction : float
-        Fraction of the goal that was searched for: one of `FRACTIONS`, or 0 for a cycle at rest.
+        Fraction of the goal used in the search: one of `FRACTIONS`. 0 if the cycle is at rest
+        because a part would leave the plate.
     """
 
     cycle: PlateCycle
@@ -93,7 +96,7 @@ class Answer:
 
 
 class Controller:
-    """Solves for one cycle after the other, and keeps the parts' velocities between them.
+    """Computes one cycle after another, and keeps the predicted part velocities between them.
 
     Parameters
     ----------
@@ -102,11 +105,11 @@ class Controller:
     method : str
         A key of `METHODS`.
     seed : int
-        Seed of the solvers' restarts.
+        Seed of the solvers' random starts.
     threads : int
-        Cores that a search may use.
+        Number of threads for a search.
     **effort
-        `iterations`, `restarts` of the solvers, where those of `EFFORT` are not wanted.
+        `iterations` and `restarts` of the solvers. Default: `EFFORT`.
 
     Raises
     ------
@@ -136,7 +139,7 @@ class Controller:
 
     @property
     def cut_short(self) -> int:
-        """Number of searches so far that ended because their time was up."""
+        """Number of searches that ended at their deadline."""
         return sum(solver.cut_short for solver in self._solvers.values())
 
     def reset(self) -> None:
@@ -146,8 +149,8 @@ class Controller:
             solver.reset()
 
     def warm_up(self) -> None:
-        """Solve once by each method: tables and libraries are there when the first request comes.
-        Forgets all parts and solutions."""
+        """Solve test requests with each method, so that the first real request finds all tables and
+        libraries loaded. Forgets all parts and solutions."""
         rest = PlateCycle.rest(IDLE_PERIOD)
         rotated = Parts.make(("part_0",), np.zeros((1, 2)))
         requests = [Wanted.make(rotated, torque=np.array([1e-6]))]
@@ -162,21 +165,21 @@ class Controller:
         self.reset()
 
     def answer(self, wanted: Wanted, running: PlateCycle | None, until: float = math.inf) -> Answer:
-        """Return the cycle to run after the one that is running now.
+        """Return the cycle that follows the running cycle.
 
         Parameters
         ----------
         wanted : Wanted
-            The request; parts as the camera saw them at the start of the running cycle.
+            The request, with the parts as detected at the start of the running cycle.
         running : PlateCycle, optional
-            The cycle that runs now; None if the plate is at rest.
+            The running cycle; None if the plate is at rest.
         until : float
             As in `MotionSolver.steer`.
 
         Raises
         ------
         PlateError
-            If the request cannot be a goal: see `form_goal`.
+            If the request cannot be converted to a goal: see `form_goal`.
         """
         return self._answer(self.method, wanted, running, until)
 
@@ -212,20 +215,20 @@ class Controller:
 def search(
     solver: MotionSolver, goal: Goal, fraction: float, period: float, miss: float, until: float
 ) -> Solution:
-    """Search a motion that meets a fraction of a goal.
+    """Search for a motion that meets a fraction of a goal.
 
     Parameters
     ----------
     solver : MotionSolver
-        Its last motion and random numbers are the state of the search.
+        Its last motion and its random generator are the state of the search.
     goal : Goal
     fraction : float
-        0 to 1.
+        Fraction of the goal, 0 to 1.
     period : float
         Length of the cycle [s].
     miss : float
-        Fraction of the displacements that may be missed (root mean square) before the solver
-        searches from other starts; not used for a goal that lasts.
+        Maximum acceptable error (root mean square), as a fraction of the displacements. If the
+        error is larger, the solver searches from further starts. Unused if `goal.lasting`.
     until : float
         As in `MotionSolver.steer`.
     """
@@ -235,28 +238,33 @@ def search(
 
 
 def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
-    """Whether a part that is well on the plate would be off it after the cycle.
+    """Whether a part would cross the edge of the plate, or move further beyond it, in the cycle.
+
+    The centre of a part must stay half a radius inside the edge.
 
     Parameters
     ----------
     rig : Rig
     ids : tuple of M str
     goal : Goal
-        A part whose goal lies beyond an edge may leave the plate there.
+        A part may leave the plate at an edge if its goal is located beyond that edge.
     predicted : (C,)
-        End of the cycle, as `Goal.end`.
+        Predicted end of the cycle, as `Goal.end`.
     """
     end = predicted[: goal.position.size].reshape(2, -1).T
     radius = np.sqrt([[kind.area_m2 / np.pi] for kind in part_types(rig, ids)])
     edge = rig.plate.half - 0.5 * radius
     middle = goal.position + goal.displacement
-    asked = np.abs(middle) - goal.tolerance > edge  # the goal is to leave the plate there
+    asked = np.abs(middle) - goal.tolerance > edge  # the goal is beyond the edge
     out = (np.abs(end) > edge) & ~(asked & (end * middle > 0))
     return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))
 
 
 def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) -> Answer:
-    """Return a solution of a fraction of a goal, with its error relative to the whole goal."""
+    """Return the answer of a solution for a fraction of a goal.
+
+    Error and residual refer to the whole goal.
+    """
     if goal.lasting:
         return Answer(solution.cycle, solution, solution.message, 0.0, 0.0, fraction)
     unit = goal.friction_accel[:, None] * period**2
@@ -278,7 +286,7 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
 
 
 def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> Answer:
-    """Return a cycle at rest in place of a solution by which a part would leave the plate."""
+    """Return a cycle at rest that replaces a solution in which a part would leave the plate."""
     message = "a part would leave the plate: one cycle at rest"
     unit = goal.friction_accel[:, None] * rest.period**2
     solution = replace(

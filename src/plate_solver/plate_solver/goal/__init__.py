@@ -1,6 +1,7 @@
-"""The goal of one cycle, judged on the cycle map: where parts are to end, and what a miss costs.
+"""The goal of one cycle: required end positions and angles of the parts, and the cost of errors.
 
-`Solution` says how much of a goal, or of a request for forces, the motion found meets.
+Motions are evaluated on the cycle map. `Solution` contains the motion found and the fraction of the
+request that it meets.
 """
 
 from .ends import Ends, end_errors

@@ -1,8 +1,9 @@
-"""The solver's door: the one conversion of a request, forces or targets, into a goal.
+"""Converts a request (forces or targets) to the goal of one cycle.
 
-A goal is an interval and a weight for x, y and the angle of each part at the end of the cycle.
-Only here can it be formed, since the interval of a force depends on the length of the cycle and on
-the state at its start, which the solver chooses and predicts.
+A goal is an interval and a weight for x, y and the angle of each part at the end of the cycle. The
+interval of a force depends on the length of the cycle, which the solver chooses, and on the state
+at its start, which the solver predicts. Therefore the solver, not the planner, converts the
+request.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from ..start import StartState, contact_spread, part_types
 from .goal import Goal, Turns
 
 MAX_REQUEST = 1e9
-"""Maximum value in a request, in SI units: enough for all, and its square can be computed with."""
+"""Maximum value in a request, in SI units. It is above all practical values, and its square does
+not overflow."""
 
 NEAR_M = 0.006
 """Distance within which a part counts as near its target [m]. If all parts are near, every cycle
@@ -26,18 +28,19 @@ ends at rest so that they stay in place."""
 
 @dataclass(frozen=True)
 class RequestFacts:
-    """Properties of a request that decide how long a cycle is, and how it is searched.
+    """Properties of a request that determine the length of the cycle and the kind of search.
 
     Attributes
     ----------
     lasting : bool
-        Whether targets are requested, which later cycles may reach too.
+        Whether targets are requested. Later cycles may complete them.
     rotating : int or None
         Number of parts with a requested rotation; None if no rotation is requested.
     far : bool
-        Whether a part, or its rim by rotation, is farther than `NEAR_M` from its target.
+        Whether a part is farther than `NEAR_M` from its target. A rotation counts as the arc length
+        at the edge of the part.
     exact : bool
-        Whether forces are requested, of a part without any tolerance.
+        Whether forces are requested and at least one part has zero tolerance on both axes.
     """
 
     lasting: bool
@@ -47,7 +50,7 @@ class RequestFacts:
 
     @classmethod
     def of(cls, rig: Rig, wanted: Wanted) -> RequestFacts:
-        """Return those of a request."""
+        """Return the properties of a request."""
         request = wanted.request
         if isinstance(request, Forces):
             rotating = int(np.count_nonzero(request.torque)) or None
@@ -80,8 +83,8 @@ def form_goal(
     Raises
     ------
     PlateError
-        If a value is not finite or beyond `MAX_REQUEST`, an interval ends before it begins, or a
-        weight, a tolerance, the clearance or the length of a cycle is negative.
+        If a value is not finite or exceeds `MAX_REQUEST`, if the high end of an interval is below
+        its low end, or if a weight, a tolerance, the clearance or the period is negative.
     """
     request = wanted.request
     if isinstance(request, Targets):
@@ -92,12 +95,13 @@ def form_goal(
 def _goal_of_targets(
     rig: Rig, targets: Targets, wanted: Wanted, start: StartState, coast: float, free_end: bool
 ) -> Goal:
-    """Convert targets: with the predicted place x0 and angle a0 at the start of the cycle
+    """Convert targets to a goal. With the predicted position x0 and angle a0 at the start of the
+    cycle, the displacement d and the rotation are
 
         d = target - x0,    turn = target angle - a0,
 
-    for both ends of each interval. The goal lasts: every motion is accepted that leaves little of
-    the distances, since later cycles go on. Places near edges and other parts count as errors too.
+    for both ends of each interval. The goal is lasting: later cycles complete the motion, so every
+    motion counts as a success. Positions too close to edges or other parts add errors.
     """
     ids, types = wanted.parts.ids, part_types(rig, wanted.parts.ids)
     _check_targets(ids, "target", targets)
@@ -131,13 +135,15 @@ def _goal_of_targets(
 def _goal_of_forces(
     rig: Rig, forces: Forces, wanted: Wanted, start: StartState, period: float
 ) -> Goal:
-    """Convert forces: a mean force F over a cycle of length T changes the drift v of a part of mass
-    m by F T/m, a mean torque N its spin w by N T/J, so over a cycle of length P
+    """Convert forces to a goal. A mean force F over a period T changes the drift v of a part of
+    mass m by F T/m. A mean torque N changes its spin w by N T/J. Over a cycle of length P the
+    displacement d and the rotation are
 
         d = (v + F T/m) P,    turn = (w + N T/J) P,    J = m (Sxx + Syy)
 
-    with the second moments S of its contacts. A half width of forces is one of displacements in the
-    same ratio. Displacements have weight 1, rotations the radius at which the part's rim moves.
+    with the second moments S of the contact. A force tolerance f gives the displacement tolerance
+    f T P/m. Displacements have weight 1. The weight of a requested rotation is the radius of the
+    part.
     """
     parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
     if not 0 < forces.period <= MAX_REQUEST:
@@ -150,7 +156,7 @@ def _goal_of_forces(
     gain = forces.period / np.array([[t.mass_kg] for t in types])
     displacement = (parts.velocity + gain * forces.force) * period
     tolerance = gain * forces.tolerance * period
-    # Displacements that lead off the plate are cut at its edge, so they do not hold up the others.
+    # Clip displacements at the edge of the plate, so that parts near it do not limit the others.
     edge = rig.plate.half - np.array([[t.reach_m] for t in types])
     low = np.clip(displacement - tolerance, -edge - start.position, edge - start.position)
     high = np.clip(displacement + tolerance, -edge - start.position, edge - start.position)
@@ -173,7 +179,10 @@ def _goal_of_forces(
 
 
 def _to_go(rig: Rig, wanted: Wanted, to: Targets) -> np.ndarray:
-    """Return the distance (M,) [m] of each part from its target, or of its rim by rotation."""
+    """Return the distance (M,) [m] of each part from its target.
+
+    If the arc length of the remaining rotation at the part's edge is larger, it is returned.
+    """
     place = wanted.parts.position if wanted.start is None else wanted.start[:, :2]
     way = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
     way = np.hypot(*np.where(to.weight > 0, way, 0.0).T)
@@ -186,7 +195,7 @@ def _to_go(rig: Rig, wanted: Wanted, to: Targets) -> np.ndarray:
 
 
 def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTargets) -> None:
-    """Check interval and weight of targets (M, ...)."""
+    """Check the intervals and weights of targets (M, ...)."""
     _check(ids, f"low end of the {name}", targets.low, -MAX_REQUEST)
     _check(ids, f"high end of the {name}", targets.high, -MAX_REQUEST)
     _check(ids, f"width of the {name}", targets.high - targets.low, 0.0, np.inf)
@@ -196,14 +205,14 @@ def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTarg
 def _check(
     owners: tuple[str, ...], name: str, values: np.ndarray, low: float, high: float = MAX_REQUEST
 ) -> None:
-    """Check that values (M, ...), a row for each owner, are from `low` to `high`.
+    """Check that values (M, ...), one row per owner, are in the range `low` to `high`.
 
     Raises
     ------
     PlateError
-        Naming the first wrong value, its owner and the range.
+        With the first invalid value, its owner and the range.
     """
-    wrong = ~((values >= low) & (values <= high))  # so is NaN
+    wrong = ~((values >= low) & (values <= high))  # NaN counts as wrong
     if np.any(wrong):
         row = tuple(np.argwhere(wrong)[0])
         raise PlateError(

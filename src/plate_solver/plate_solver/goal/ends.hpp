@@ -1,4 +1,4 @@
-// What it costs where parts are not where they are to be: kernels of ends.py.
+// Errors of the parts' positions and angles at the end of a cycle: kernels of ends.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,11 +9,11 @@
 
 namespace plate {
 
-// So far beyond a wall a metre counts twice as much on average [m]: else many parts on their way
-// push one that is at home over the edge.
+// Distance b beyond a wall at which the error b + b^2 / STEEP_M is twice as large as b [m]. With a
+// linear error, many moving parts could push one that is at its target over the edge.
 constexpr double STEEP_M = 0.01;
 
-// What is asked of the ends (C,) of M parts: as `Ends` in ends.py.
+// Requested end coordinates (C,) of M parts: as `Ends` in ends.py.
 struct Ends {
     View<const double, 1> low, high, weight, edge_low, edge_high;
     View<const int64_t, 2> pair;
@@ -21,8 +21,8 @@ struct Ends {
     int parts;
 };
 
-// Errors (R,) of ends (C,) [m, rad], and minus their derivatives (R, C): first those of the
-// coordinates, then of pairs that are too near.
+// Errors (R,) of end coordinates (C,) [m, rad], and their negative derivatives (R, C). The first C
+// rows belong to the coordinates, the others to pairs that are too close.
 inline void end_errors(const std::vector<double>& place, const Ends& ends,
                        std::vector<double>& error, Matrix& slope) {
     const int size = place.size(), count = ends.parts, pairs = ends.pair.size(0);

@@ -1,10 +1,13 @@
-"""Where parts are to be at the end of a cycle, and what it costs where they are not.
+"""Errors of the parts' positions and angles at the end of a cycle.
 
-A part that is outside the interval asked of it errs by how far, times its weight. So an exact drift
-is an interval without width and weight 1, and a region far away is one that counts little for each
-metre: then the parts with the longest ways come first. Where parts are too near to each other each
-metre counts in full, beyond a wall more and more. An angle is a coordinate like x and y; what a
-radian of it counts is the weight.
+With the interval [l, h] and the weight w of a coordinate q, the distance b beyond a wall, the
+centre distance r of two parts and their minimum distance c, the errors are
+
+    w (nearest point of [l, h] - q),    +-(b + b^2 / 0.01 m),    c - r  if r < c.
+
+An exact drift is an interval of zero width with weight 1. A distant target region has a small
+weight, so that the squared errors favour the parts with the longest distances. Angles are
+coordinates like x and y; their weight has the unit metres per radian.
 """
 
 from __future__ import annotations
@@ -17,23 +20,25 @@ from .. import _kernels
 
 
 class Ends(NamedTuple):
-    """What is asked of M parts at the end of a cycle: x of all, then y of all, then, where angles
-    count, those of all; C = 2 M or 3 M coordinates.
+    """Requested coordinates of M parts at the end of a cycle.
+
+    The order is x of all parts, y of all parts and, if angles count, the angles of all parts: C = 2
+    M or 3 M coordinates.
 
     Attributes
     ----------
     low, high : (C,)
-        Anywhere between is as good [m, plate_home; rad]; infinite where all is.
+        Interval in which a coordinate has no error [m, plate_home; rad]. Infinite ends are allowed.
     weight : (C,)
-        What a metre beside it counts [-], or a radian [m].
+        Error per metre outside the interval [-], or per radian [m].
     edge_low, edge_high : (C,)
-        Walls [m]; infinite for angles.
+        Positions of the walls [m]; infinite for angles.
     pair : (K, 2)
-        Rows of parts that may come near each other.
+        Indices of parts that may come close to each other.
     clear : (K,)
-        Least distances of their centres [m].
+        Minimum distances of their centres [m].
     parts : int
-        M.
+        Number of parts M.
     """
 
     low: np.ndarray
@@ -47,8 +52,9 @@ class Ends(NamedTuple):
 
 
 def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors (R,) of ends (C,) [m, rad], and minus their derivatives (R, C).
+    """Return the errors (R,) [m] of end coordinates (C,) [m, rad], and their negative derivatives
+    (R, C).
 
-    The first C are those of the coordinates, then come pairs that are too near.
+    The first C errors belong to the coordinates, the others to pairs that are too close.
     """
     return _kernels.end_errors(place, ends)

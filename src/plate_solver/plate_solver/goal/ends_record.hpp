@@ -1,11 +1,12 @@
-// `Ends` of Python, as kernels take it: for bindings.
+// Converts the Python tuple `Ends` to the C++ struct, for the bindings.
 #pragma once
 #include "goal/ends.hpp"
 #include "records.hpp"
 
 namespace plate {
 
-// Keeps the arrays of a named tuple `Ends` while views of them are used; checked for `size` ends.
+// Owns the arrays of a named tuple `Ends` while their views are in use. The constructor checks the
+// shapes for `size` coordinates.
 class EndsRecord {
 public:
     EndsRecord(const nb::tuple& record, size_t size)

@@ -1,7 +1,9 @@
-"""A goal: what one cycle is to do with the parts' places and angles, judged on the cycle map.
+"""The goal of one cycle: displacements and rotations of the parts, evaluated on the cycle map.
 
-Averages hold only where parts hardly move within a cycle, and many parts need long cycles. So the
-displacement over the cycle itself is asked for, from the state in which it starts (3.1.2).
+Averaged forces are valid only if the parts hardly move within a cycle, but many parts require long
+cycles. Therefore a goal specifies the displacement over the cycle, from a given initial state
+(section 3.1.2). `fit_goal` fits the parameters of a motion to a goal; `goal_solution` evaluates the
+finished cycle.
 """
 
 from __future__ import annotations
@@ -27,23 +29,24 @@ from .ends import Ends, end_errors
 from .solution import Solution
 
 COMING_M = 0.05
-"""Parts further apart than they are to be by this come no nearer than that within a cycle [m]."""
+"""A pair of parts is ignored if its distance exceeds the minimum distance by more than this [m].
+Two parts approach each other by less in one cycle."""
 
 
 @dataclass(frozen=True)
 class Turns:
-    """What one cycle is to do with the angles of M parts.
+    """Requested rotations of M parts over one cycle.
 
     Attributes
     ----------
     spin : (M,)
-        At the start of the cycle [rad/s].
+        Angular velocity at the start of the cycle [rad/s].
     spread : (M, 3)
-        Second moments xx, xy, yy of their contacts then [m2], as they lie in plate_home.
+        Second moments xx, xy, yy of the contacts at the start of the cycle [m2, plate_home].
     low, high : (M,)
-        Any turn over the cycle between is as good [rad].
+        Interval of rotations over the cycle that have no error [rad].
     weight : (M,)
-        What a radian beside it counts [m]; 0: any turn will do.
+        Error per radian outside the interval [m]. 0 accepts any rotation.
     """
 
     spin: np.ndarray
@@ -54,54 +57,55 @@ class Turns:
 
     @property
     def middle(self) -> np.ndarray:
-        """Middle of the wanted turns (M,) [rad]; 0 where any will do."""
+        """Middle of each interval (M,) [rad]; 0 if the weight is 0."""
         return np.where(self.weight > 0, (self.low + self.high) / 2, 0.0)
 
     @property
     def count(self) -> int:
-        """How many are to turn."""
+        """Number of parts with a requested rotation."""
         return int(np.count_nonzero(self.weight))
 
     def shifted(self, way: np.ndarray | float) -> Turns:
-        """Return the same for turns that are greater by `way` (M,) [rad]."""
+        """Return the request with all intervals shifted by `way` (M,) [rad]."""
         return replace(self, low=self.low + way, high=self.high + way)
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What one cycle is to do with M parts.
+    """Goal of one cycle for M parts.
 
     Attributes
     ----------
     position, velocity : (M, 2)
         Parts at the start of the cycle [m], [m/s], plate_home.
     displacement : (M, 2)
-        Wanted displacement over the cycle [m].
+        Requested displacement over the cycle [m].
     tolerance : (M, 2)
-        Any displacement within +-tolerance [m] is as good.
+        Displacements within +-tolerance [m] of the request have no error.
     friction_accel : (M,)
-        mu g of each part [m/s2]; one number stands for all.
+        mu g of each part [m/s2]; a scalar applies to all parts.
     turns : Turns, optional
-        What is to become of the parts' angles; None where parts may be taken for points.
+        Requested rotations; None models the parts as points.
     lasting : bool
-        Whether it is for many cycles: then no motion misses it, but leaves more or less of it.
+        Whether several cycles may complete the goal. If so, every motion counts as a success.
     weight : (M, 2)
-        What a metre that is missed counts [-]; one number stands for all.
+        Error per metre outside the tolerance [-]; a scalar applies to all parts.
     edge : (2,) or (M, 2)
-        No part is to end further from the middle along x and y [m]; infinite if left out.
+        Maximum distance of a part's centre from the plate's centre along x and y [m]. Default:
+        infinite.
     clear : (M, M) or float
-        No two parts are to end with their centres nearer to each other [m].
+        Minimum distance between the centres of two parts at the end [m].
     coast : float
-        Where parts end counts as if they kept their last velocity and spin for so long [s].
+        Time by which the ends are extrapolated with the final velocity and spin [s].
     plate : (3, 3), optional
-        State of the plate at the start, as `PlateCycle.state`; None: at rest.
+        State of the plate at the start, as `PlateCycle.state`; None if at rest.
     free_end : bool
-        Whether the plate may end in any state; else at rest.
+        Whether the plate may end in any state. If False, it ends at rest.
 
     Raises
     ------
     PlateError
-        If a weight is negative, infinite or no number.
+        If a weight is negative, infinite or NaN.
     """
 
     position: np.ndarray
@@ -129,7 +133,7 @@ class Goal:
 
     @cached_property
     def ends(self) -> Ends:
-        """What is asked of the parts' places at the end."""
+        """Requested coordinates at the end of the cycle."""
         shape, middle = self.position.shape, self.position + self.displacement
 
         def flat(values: np.ndarray | float) -> np.ndarray:
@@ -138,7 +142,7 @@ class Goal:
         low, high = middle - self.tolerance, middle + self.tolerance
         weighed = np.broadcast_to(self.weight, shape) > 0
         beyond = np.where(weighed, [-high, low], -np.inf)
-        below, above = np.maximum(self.edge, beyond)  # not where a part is to be beyond
+        below, above = np.maximum(self.edge, beyond)  # a wall moves out to a goal beyond it
         gap = self.position[None] - self.position[:, None]
         clear = np.broadcast_to(self.clear, (len(middle), len(middle)))
         near = np.hypot(gap[..., 0], gap[..., 1]) < clear + COMING_M
@@ -154,17 +158,17 @@ class Goal:
 
     @property
     def rows(self) -> int:
-        """Number of errors: two for each part, or three where angles count."""
+        """Number of coordinates: two per part, or three if angles count."""
         return self.position.size + (0 if self.turns is None else len(self.position))
 
     @property
     def asked(self) -> int:
-        """Number of errors that are not always 0."""
+        """Number of requested coordinates: positions, and angles with a weight above 0."""
         return self.position.size + (0 if self.turns is None else self.turns.count)
 
     @property
     def size(self) -> float:
-        """What is asked, root mean square over displacements and turns by their weights [m]."""
+        """Root mean square of the requested displacements and weighted rotations [m]."""
         asked = self.displacement.ravel()
         if self.turns is not None:
             arc = self.turns.weight * self.turns.middle
@@ -172,8 +176,12 @@ class Goal:
         return float(np.sqrt(np.mean(asked**2)))
 
     def times(self, fraction: float) -> Goal:
-        """Return a goal that asks for less: for a fraction of the displacements; of a lasting one
-        for ways that count less beside edges and other parts."""
+        """Return a reduced goal.
+
+        If the goal is lasting, its weights are multiplied by the square of the fraction, so that
+        errors at edges and between parts dominate. Otherwise displacements and rotations are
+        multiplied by the fraction.
+        """
         turns = self.turns
         if self.lasting:
             if turns is not None:
@@ -184,8 +192,10 @@ class Goal:
         return replace(self, displacement=fraction * self.displacement, turns=turns)
 
     def downhill(self, most: float) -> np.ndarray:
-        """Return the displacements (M, 2) [m] that make errors less most quickly, the longest of
-        which is `most` [m]."""
+        """Return displacements (M, 2) [m] along the steepest descent of the squared errors.
+
+        They are scaled so that the longest displacement is `most` [m].
+        """
         place = (self.position + self.coast * self.velocity).T.ravel()
         if self.turns is not None:
             place = np.append(place, self.coast * self.turns.spin)
@@ -194,28 +204,30 @@ class Goal:
         return np.asarray(way * (most / max(float(np.max(np.hypot(*way.T))), 1e-12)))
 
     def left(self, end: np.ndarray) -> np.ndarray:
-        """Return how far (M, 2) [m] an end is from what is asked, signed."""
+        """Return the signed distance (M, 2) [m] from an end to the requested interval."""
         miss = self.position + self.displacement - end[: self.position.size].reshape(2, -1).T
         beyond = np.sign(miss) * np.maximum(np.abs(miss) - self.tolerance, 0.0)
         return np.where(np.asarray(self.weight) > 0, beyond, 0.0)
 
     def left_to_turn(self, end: np.ndarray) -> np.ndarray:
-        """Return by how much (Q,) [rad] the turns that are asked are missed, signed."""
+        """Return the signed errors (Q,) [rad] of the Q requested rotations."""
         if self.turns is None:
             return np.zeros(0)
         turns, turn = self.turns, end[self.position.size :]
         return (np.clip(turn, turns.low, turns.high) - turn)[turns.weight > 0]
 
     def shifted(self, way: np.ndarray) -> Goal:
-        """Return the goal to end elsewhere: by `way` (C,) [m, rad], as `end` gives it."""
+        """Return the goal shifted by `way` (C,) [m, rad], in the order of `end`."""
         places = self.position.size
         shift = way[:places].reshape(2, -1).T
         turns = None if self.turns is None else self.turns.shifted(way[places:])
         return replace(self, displacement=self.displacement + shift, turns=turns)
 
     def end(self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """Predict the end (C,) of a sampled motion: x of all parts [m], y of all, then, where
-        angles count, the turns of all [rad]."""
+        """Predict the end (C,) of a sampled motion.
+
+        The order is x of all parts [m], y of all parts and, if angles count, their rotations [rad].
+        """
         moved = pose, twist, dt, self.friction_accel
         if self.turns is None:
             place, velocity = end_state(self.position, self.velocity, *moved)
@@ -229,7 +241,8 @@ class Goal:
     def end_slopes(
         self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the derivatives of `end` by pose (2, n, C), twist (3, n, C) and dt (n, C)."""
+        """Return the derivatives of `end` with respect to pose (2, n, C), twist (3, n, C) and dt
+        (n, C)."""
         moved = pose, twist, dt, self.friction_accel
         if self.turns is None:
             return end_state_gradient(self.position, self.velocity, *moved, self.coast)
@@ -238,7 +251,7 @@ class Goal:
         )
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors (R,) of an end [m], and minus their derivatives (R, C)."""
+        """Return the errors (R,) of an end [m], and their negative derivatives (R, C)."""
         return end_errors(end, self.ends)
 
 
@@ -246,30 +259,32 @@ class Family(Protocol):
     """A family of closed motions with parameters (P,)."""
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these."""
+        """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,)
+        [s]."""
 
     def pull_back(
         self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
     ) -> np.ndarray:
-        """Turn derivatives by the samples, (c, n, R) and (n, R), into ones (R, P)."""
+        """Convert derivatives with respect to the samples, (c, n, R) and (n, R), to derivatives
+        (R, P) with respect to the parameters."""
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the nearest parameters that the rig can run."""
+        """Return parameters of a motion that the rig can run, close to the given ones."""
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return further errors (K,) [m]."""
+        """Return additional errors (K,) [m], such as limit violations."""
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the derivative (K, P) of minus the further errors."""
+        """Return the negative derivatives (K, P) of the additional errors."""
 
 
 def fit_goal(
     goal: Goal, family: Family, parameters: np.ndarray, tolerance: float, iterations: int
 ) -> Fit:
-    """Correct a motion until the parts go where they are to go.
+    """Fit the parameters of a motion to a goal by Levenberg-Marquardt.
 
-    Errors are those of `Goal.error` and the family's own [m]; `tolerance` is the greatest at which
-    to stop [m].
+    The errors are `Goal.error` and the family's penalty [m]. The search stops when the largest
+    error is below `tolerance` [m].
     """
 
     def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
@@ -288,10 +303,11 @@ def fit_goal(
 def goal_solution(
     goal: Goal, cycle: PlateCycle, good_enough: float, iterations: int, condition: float
 ) -> Solution:
-    """Put a finished cycle, within the limits, into a solution: judged by a finer prediction than
-    the search's.
+    """Return the solution of a finished cycle that is within the limits.
 
-    `residual` is what is left / (mu g T^2); `success` is said of the root mean square error [m].
+    The cycle is evaluated with finer time steps than in the search. `residual` is the distance left
+    divided by mu g T^2. `success` requires a root mean square error of at most `good_enough` [m],
+    or a lasting goal.
     """
     end = goal.end(*finely_sampled(cycle))
     left, unit = goal.left(end), goal.friction_accel[:, None] * cycle.period**2

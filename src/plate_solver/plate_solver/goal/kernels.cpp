@@ -1,4 +1,4 @@
-// What Python sees of the kernels of this chapter.
+// Python bindings of the kernels in this folder.
 #include "goal/ends_record.hpp"
 #include "records.hpp"
 

@@ -1,4 +1,4 @@
-"""A solution: the motion that a solver has found, and how much of the request it meets."""
+"""Result of a solver: the motion found, and the fraction of the request that it meets."""
 
 from __future__ import annotations
 
@@ -11,44 +11,47 @@ from plate_core import PlateCycle
 
 
 class Status(Enum):
-    """How a request fared."""
+    """Outcome of a request."""
 
     SOLVED = "solved"
-    """Met."""
+    """The request is met."""
     PARTIAL = "partial"
-    """A fraction of it is met."""
+    """A fraction of the request is met."""
     UNREACHABLE = "unreachable"
-    """Beyond what any motion can do, proven; `fraction` tells how much is met all the same."""
+    """Proven: no motion meets the request. `fraction` is the fraction that is met."""
     FAILED = "failed"
-    """Nothing of it is met, and nothing is proven."""
+    """No fraction is met, and infeasibility is not proven."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A solver's answer.
+    """Result of a solver.
 
     Attributes
     ----------
     success : bool
         Whether the request is met within the solver's tolerance.
     message : str
-        What was reached, or why not.
+        Accuracy of the result, or the reason of a failure.
     cycle : PlateCycle
-        The motion found: closed, within the rig's limits, also when `success` is false.
+        The motion found. It is closed and within the rig's limits, even if `success` is False.
     residual : (M, 2)
-        Request minus prediction, in mu m g: of the whole request, also where a fraction is met.
+        Request minus prediction, in mu m g. It refers to the whole request, even if only a fraction
+        is met.
     iterations : int
-        Steps of the iterative part, all starts together.
+        Number of iterations, summed over all starts.
     condition : float
-        Condition number of the last linear system: large where parts are hard to tell apart.
+        Condition number of the last linear system. It is large if parts are hard to move
+        independently.
     status : Status
-        As `success`, and why not.
+        Outcome of the request.
     fraction : float
-        Fraction of the request, in its direction, that is found to be possible: 1 where it is met.
-        The motion does it, unless another misses less of the whole (`refine`).
-    predicted : (Q,), optional
-        Where a motion found on the cycle map is predicted to take the parts: x of all [m], y of
-        all, then the turns that were asked for [rad].
+        Feasible fraction of the request, in its direction; 1 if the request is met. The motion
+        achieves this fraction, unless another motion has a smaller error for the whole request
+        (`refine`).
+    predicted : (C,), optional
+        Predicted end of the parts, from the cycle map: x of all parts [m], y of all parts, then
+        their rotations if angles count [rad].
     """
 
     success: bool
