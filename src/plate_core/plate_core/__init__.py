@@ -1,7 +1,7 @@
-"""What two or more stages share: rig facts, plate motions, tasks, messages, the serial protocol.
+"""Code that two or more stages share: rig data, plate motions, tasks, messages, serial protocol.
 
-Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, `ros`,
-`serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` have the rest.
+This package exports the most common names. The modules `rig`, `motion`, `tasks`, `ros`,
+`serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` export the others.
 """
 
 from .ending import ends, piped

@@ -1,4 +1,4 @@
-"""Colours (red, green, blue; 0 to 255) of pictures, films and RViz markers: one palette for all."""
+"""Common colour palette (red, green, blue; 0 to 255) of pictures, films and RViz markers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = [
 Colour = tuple[int, int, int]
 
 INK: Final[Colour] = (34, 34, 34)
-"""Outlines and words."""
+"""Colour of outlines and text."""
 
 PLATE: Final[Colour] = (217, 217, 204)
 
@@ -25,37 +25,38 @@ VELOCITY: Final[Colour] = (125, 79, 158)
 """Arrows of velocities."""
 
 TURNING: Final[tuple[Colour, Colour]] = ((224, 130, 20), (31, 119, 180))
-"""Of what turns counter-clockwise, and clockwise."""
+"""Colours of counter-clockwise and clockwise rotations."""
 
 _FACES: Final = {"black": (26, 26, 26), "grey": (168, 168, 168)}
 
 _CLASSES: Final = {"black": (201, 54, 76), "grey": (31, 119, 180)}
 
 WHITE_XYZ: Final = np.array([0.95047, 1.0, 1.08883])
-"""X, Y, Z of white: D65."""
+"""X, Y, Z of the white point D65."""
 
 RGB_OF_XYZ: Final = np.array(
     [[3.2404542, -1.5371385, -0.4985314], [-0.969266, 1.8760108, 0.041556],
      [0.0556434, -0.2040259, 1.0572252]]
 )  # fmt: skip
-"""Linear red, green, blue by X, Y, Z, of sRGB."""
+"""Matrix from X, Y, Z to linear red, green, blue of sRGB."""
 
 _OTHERS: Final = ((224, 130, 20), (46, 125, 74), (180, 70, 150), (130, 100, 20))
 
 
 def part_colour(label: str) -> Colour:
-    """Return what parts of a class look like; classes that name no shade look like their colour."""
+    """Return the fill colour of parts of a class. It is black or grey for the classes of these
+    names, otherwise the colour of the class."""
     return _FACES.get(label, class_colour(label))
 
 
 def class_colour(label: str) -> Colour:
-    """Return the colour of what belongs to a class: its trails, targets and names."""
+    """Return the colour of a class, used for its trails, targets and names."""
     return _CLASSES.get(label) or _OTHERS[sum(label.encode()) % len(_OTHERS)]
 
 
 def lab_to_srgb(lab: np.ndarray) -> np.ndarray:
-    """Return red, green, blue (..., 3), 0 to 255, of CIE L, a, b (..., 3) under D65, as sRGB;
-    what no screen shows is cut off."""
+    """Convert CIE L, a, b (..., 3) under D65 to sRGB (..., 3), 0 to 255. Colours outside the sRGB
+    gamut are clipped."""
     lab = np.asarray(lab, dtype=float)
     y = (lab[..., 0] + 16) / 116
     f = np.stack([y + lab[..., 1] / 500, y, y - lab[..., 2] / 200], axis=-1)

@@ -1,4 +1,4 @@
-"""What the driver says of the motors: a state, a reason, and both in words."""
+"""Status of the motors, as the driver reports it: a state, a reason, and a text for people."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["DriverReason", "DriverState", "DriverStatus"]
 
 
 class DriverState(IntEnum):
-    """What the motors do, as in plate_interfaces/DriverStatus, which says what each one means."""
+    """State of the motors. plate_interfaces/DriverStatus defines each value."""
 
     UNCONFIGURED = 0
     INACTIVE = 1
@@ -23,7 +23,7 @@ class DriverState(IntEnum):
 
 
 class DriverReason(IntEnum):
-    """Why they are not ready, as in plate_interfaces/DriverStatus."""
+    """Reason why the motors are not ready. plate_interfaces/DriverStatus defines each value."""
 
     NONE = 0
     SWITCHED_OFF = 1
@@ -48,22 +48,22 @@ class DriverReason(IntEnum):
 
     @property
     def words(self) -> str:
-        """Its name, as it stands in a sentence."""
+        """Name of the reason in lower case, for use in a sentence."""
         return self.name.lower().replace("_", " ")
 
 
 @dataclass(frozen=True)
 class DriverStatus:
-    """What the motors do, and why they are not ready.
+    """State of the motors, and the reason why they are not ready.
 
     Attributes
     ----------
     state : DriverState
     reason : DriverReason
     text : str
-        Both in words, with what to do.
+        Text that describes state and reason, and the required action of the user.
     enabled_ns : int
-        Wall clock at the last enable [ns]; 0: there was none.
+        Wall clock time of the last enable [ns]. 0 if the motors were never enabled.
     """
 
     state: DriverState

@@ -1,8 +1,9 @@
-"""A process whose work is done ends, whatever the middleware does.
+"""Process exit: a time limit for destroying ROS nodes, and a quiet end when a pipe is closed.
 
-Fast DDS, as the wheels have it, waits without end in `DomainParticipant::set_listener` if another
-participant is heard of just while this one is destroyed (its default timeout overflows), and rclpy
-holds Python's lock meanwhile: no signal, thread or timer of Python's own would come through.
+The Fast DDS version in the wheels can block forever in `DomainParticipant::set_listener`. This
+happens if another participant is discovered while this one is destroyed, because the default
+timeout overflows. rclpy holds Python's global interpreter lock during this call, so Python signal
+handlers, threads and timers do not run. `ends` therefore uses a POSIX timer that calls `_exit`.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 DESTROYED_S = 2.0
-"""Longest wait for ROS to let go of a process [s]; it takes some 10 ms."""
+"""Maximum time for destroying the ROS nodes of a process [s]. It normally takes about 10 ms."""
 
 SIGEV_THREAD = 2
 
 
 class _Event(ctypes.Structure):
-    """`struct sigevent` of Linux, 64 bit: call a function with this value in a new thread."""
+    """`struct sigevent` of 64-bit Linux. It calls `function` with `value` in a new thread."""
 
     _fields_ = (
         ("value", ctypes.c_int64),
@@ -36,18 +37,18 @@ class _Event(ctypes.Structure):
 
 
 class _Times(ctypes.Structure):
-    """`struct itimerspec`: period and first time, each in seconds and nanoseconds."""
+    """`struct itimerspec`: period and first expiration, each in seconds and nanoseconds."""
 
     _fields_ = (("period", ctypes.c_long * 2), ("first", ctypes.c_long * 2))
 
 
 @contextmanager
 def piped() -> Iterator[None]:
-    """End a program without a traceback when the reader of its output has closed the pipe, as in
+    """Exit without a traceback if the reader of the program's output closes the pipe, as in
     `check_rig | head -1`.
 
-    Use it as a decorator of `main`, or in a `with` statement: clean-up inside still runs. The exit
-    code is then 141, which is SIGPIPE's in shells.
+    Use it as a decorator of `main` or in a `with` statement. Clean-up code inside still runs. The
+    exit code is 141, the code that shells report for SIGPIPE.
     """
     try:
         try:
@@ -58,8 +59,9 @@ def piped() -> Iterator[None]:
         _flush()
     except BrokenPipeError:
         if not _unread():
-            raise  # another pipe, or a socket: a defect
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python still has
+            raise  # the error comes from another pipe or a socket, so it is a defect
+        # discard the output that Python still buffers
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
 
 
@@ -69,7 +71,7 @@ def _flush() -> None:
 
 
 def _unread() -> bool:
-    """Whether stdout or stderr is a pipe that nobody reads."""
+    """Whether stdout or stderr is a pipe whose reader has closed it."""
     poll = select.poll()
     for file in (sys.stdout, sys.stderr):
         if file is not None:
@@ -79,9 +81,10 @@ def _unread() -> bool:
 
 @contextmanager
 def ends(code: int, within_s: float = DESTROYED_S) -> Iterator[None]:
-    """Destroy nodes in this context: if it takes longer, the process ends with this exit code.
+    """Limit the time for destroying nodes inside this context.
 
-    To be used once all else is done, as nothing that Python would do at the end is done then.
+    If the time limit `within_s` [s] passes, the process exits immediately with the exit code
+    `code`. Python's own clean-up is then skipped, so enter this context as the last step.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     function = ctypes.cast(libc._exit, ctypes.c_void_p).value

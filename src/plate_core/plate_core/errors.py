@@ -1,4 +1,4 @@
-"""Errors that a user can act on. Each message names the thing, its value and what is allowed."""
+"""Errors that a user can correct. Each message states the name, the value and the allowed range."""
 
 from __future__ import annotations
 
@@ -7,26 +7,27 @@ from collections.abc import Iterable
 
 
 class PlateError(ValueError):
-    """Base of every error that wrong input can raise."""
+    """Base class of all errors that wrong input can raise."""
 
 
 class RigError(PlateError):
-    """A rig file is missing, unreadable, or holds a wrong value."""
+    """A rig file is missing, is unreadable, or contains a wrong value."""
 
 
 class ScenarioError(PlateError):
-    """A scenario file is missing, unreadable, or holds a wrong value."""
+    """A scenario file is missing, is unreadable, or contains a wrong value."""
 
 
 class CycleError(PlateError):
-    """A plate motion does not close, is not finite, or is otherwise no motion of this plate."""
+    """A plate motion does not close, is not finite, or is not possible with this plate."""
 
 
 class FrameError(PlateError):
-    """Bytes of the serial protocol are damaged, or a message does not fit into them."""
+    """A frame of the serial protocol is damaged, or a message does not fit into a frame."""
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a hint with the nearest known word, ` (did you mean mu?)`; empty if none is near."""
+    """Return a hint with the most similar known word, such as ` (did you mean mu?)`. Empty if no
+    word is similar."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f" (did you mean {near[0]}?)" if near else ""

@@ -1,7 +1,8 @@
-"""Files that a user names: read only if they are regular, and no larger than such files are;
-written whole or not at all.
+"""Safe reading and writing of files that a user names.
 
-A FIFO would keep its reader waiting, and a device or a wrong file fill the memory.
+`read_file` accepts only regular files up to a maximum size. A FIFO would block the reader, and a
+device or a wrong file could fill the memory. `draft` writes a temporary file and then renames it,
+so the target is either complete or unchanged.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from .errors import PlateError
 __all__ = ["YAML_BYTES", "check_file", "draft", "kind_of", "read_file"]
 
 YAML_BYTES = 250_000
-"""Most in a YAML file: sixty taught types take 100 kB, and more takes seconds to parse."""
+"""Maximum size of a YAML file [bytes]. Sixty taught part types need 100 kB; a larger file takes
+seconds to parse."""
 
 KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket",
@@ -27,37 +29,38 @@ KINDS = {
 
 
 def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = PlateError) -> bytes:
-    """Return what is in a regular file, or in one that a link leads to.
+    """Return the content of a regular file. Symbolic links are followed.
 
     Parameters
     ----------
     path : path
     most_bytes : int
-        No file that is meant is larger.
+        Maximum size of the file [bytes].
     error : type
         The error to raise.
 
     Raises
     ------
     PlateError
-        If it is not there, of another kind, or larger: at once, and the message names the path,
-        what it is and what is allowed.
+        If the file is missing, is not a regular file, or is too large. The function does not block
+        in these cases. The message states the path, the kind or size, and the allowed one.
     """
-    check_file(path, most_bytes, error)  # before it is opened: to open a device may start it
+    check_file(path, most_bytes, error)  # check before opening: opening a device may start it
     with (
         _explained(path, error),
         open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file,
     ):
-        _check(path, os.fstat(file.fileno()), most_bytes, error)  # that it still is
-        data = file.read(most_bytes + 1) or b""  # files of /proc do not tell their size
+        # check again, because the file may have been replaced before it was opened
+        _check(path, os.fstat(file.fileno()), most_bytes, error)
+        data = file.read(most_bytes + 1) or b""  # files in /proc report size 0
     if len(data) > most_bytes:
         raise error(f"{path}: has no end, allowed: {_allowed(most_bytes)}")
     return data
 
 
 def kind_of(path: str | Path) -> str:
-    """Say what is at a path, or what a link there leads to: `a file`, `a folder`, `a FIFO`,
-    `a socket` or `a device`; empty if nothing is, or it cannot be told."""
+    """Return the kind of file at a path, after following links: `a file`, `a folder`, `a FIFO`,
+    `a socket` or `a device`. Empty if the path does not exist or cannot be examined."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):
@@ -66,7 +69,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def check_file(path: str | Path, most_bytes: int, error: type[PlateError] = PlateError) -> None:
-    """Refuse what `read_file` does, for a library that opens the file by itself."""
+    """Raise the same errors as `read_file`. Use it if a library opens the file itself."""
     with _explained(path, error):
         _check(path, os.stat(path), most_bytes, error)
 
@@ -79,7 +82,7 @@ def _explained(path: str | Path, error: type[PlateError]) -> Iterator[None]:
         raise
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except (OSError, ValueError) as problem:  # the latter: no path
+    except (OSError, ValueError) as problem:  # ValueError: the text is not a valid path
         raise error(f"{path}: cannot be read ({problem})") from None
 
 
@@ -100,13 +103,15 @@ def _allowed(most_bytes: int) -> str:
 
 @contextlib.contextmanager
 def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]:
-    """Open a file beside `path`, which takes its place once all is on the disk, if `keeps`; else,
-    and after an error, it is removed.
+    """Open a temporary file in the folder of `path` for writing.
+
+    When the context ends, the data are flushed to the disk. If `keeps` is true, the temporary file
+    then replaces `path`. If `keeps` is false or an error occurs, it is removed.
 
     Raises
     ------
     PlateError
-        If it cannot be written: names `what` it is and the path.
+        If the file cannot be written. The message contains `what` (the kind of data) and the path.
     """
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}")

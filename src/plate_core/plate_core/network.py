@@ -1,4 +1,8 @@
-"""Who can hear and command the nodes of a process: this machine alone, unless it is asked for."""
+"""Network access to the nodes of a process. By default, only this machine can reach them.
+
+`choose_network` sets the environment variables that select a profile of Fast DDS and the discovery
+range. `ros_domain` reads the ROS domain from the environment.
+"""
 
 from __future__ import annotations
 
@@ -10,32 +14,32 @@ from .yaml_fields import config_path
 
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 SKIP_OTHERS = "SKIP_DEFAULT_XML_FILE"
-"""Has Fast DDS not look for a DEFAULT_FASTRTPS_PROFILES.xml in the current folder."""
+"""If 1, Fast DDS does not read DEFAULT_FASTRTPS_PROFILES.xml from the current folder."""
 
 OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
-"""Profiles of config/: for this machine alone, and for the network."""
+"""Profiles in config/: for only this machine, and for the network."""
 
 LAST_DOMAIN = 232
-"""ROS domains with a higher number have no ports."""
+"""Highest ROS domain. Higher numbers would give invalid ports."""
 
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 
 
 def choose_network(environ: MutableMapping[str, str]) -> str:
-    """Have DDS keep to this machine, unless peers are named or a wider range is asked for.
+    """Restrict DDS to this machine, unless the environment names peers or a wider range.
 
-    To be called before a process makes its first node. A profile that is not ours stays if it is
-    named; one that only lies in the current folder is not read.
+    Call it before the process creates its first node. If the environment names a profile that is
+    not one of this project's, it is kept. A profile in the current folder is not read.
 
     Parameters
     ----------
     environ : mapping
-        `os.environ`; it is changed.
+        Usually `os.environ`. It is modified.
 
     Returns
     -------
     str
-        What is open to whom; "" if nothing is.
+        Warning that states why the nodes are reachable over the network. Empty if they are not.
     """
     reach, peers = environ.setdefault(RANGE, "LOCALHOST") or "SUBNET", environ.get(PEERS, "")
     is_open = bool(peers) or reach not in ("LOCALHOST", "OFF")
@@ -54,7 +58,7 @@ def ros_domain(environ: Mapping[str, str]) -> int:
     Raises
     ------
     PlateError
-        If the environment names none.
+        If ROS_DOMAIN_ID is not a whole number from 0 to `LAST_DOMAIN`.
     """
     text = environ.get("ROS_DOMAIN_ID") or "0"
     if not text.isdecimal() or int(text) > LAST_DOMAIN:

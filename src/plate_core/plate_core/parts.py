@@ -1,4 +1,4 @@
-"""The parts on the plate, as they travel from stage to stage."""
+"""The state of the parts on the plate, as the stages exchange it, and the special part classes."""
 
 from __future__ import annotations
 
@@ -10,25 +10,27 @@ import numpy as np
 from .errors import PlateError
 
 MOST_PARTS = 100
-"""In a scenario, and in one request: a thousand keep the solver busy for three seconds."""
+"""Maximum number of parts in a scenario and in one request. The solver needs three seconds for a
+thousand parts."""
 
 UNKNOWN = "unknown"
-"""Class of a thing that may be a part, but matches no type."""
+"""Class of an object that may be a part but matches no part type."""
 
 GROUP = "group"
-"""Class of parts that touch and are not told apart."""
+"""Class of touching parts that vision cannot separate."""
 
 NAMELESS = (UNKNOWN, GROUP)
-"""Classes that no type of part may have."""
+"""Reserved class names: no part type may use them."""
 
 PLAUSIBLE_AREA = 0.3, 3.0
-"""Range of a thing's area that may be a part, relative to the smallest and the largest part [-].
-Smaller things are dust or reflections, larger ones tools or hands."""
+"""Plausible area of a part: the first factor times the smallest part's area to the second factor
+times the largest part's area [-]. Smaller objects are dust or reflections, larger ones tools or
+hands."""
 
 
 class OverlookedThing(NamedTuple):
-    """A thing that vision sees and does not take for a part: centre x, y [m, plate_home], radius
-    of the disc of the same area [m], and the reason in words."""
+    """An object that vision detects and rejects as a part: centre x, y [m, plate_home], radius of
+    a disc of equal area [m], and the reason as text."""
 
     x: float
     y: float
@@ -43,17 +45,18 @@ class Parts:
     Attributes
     ----------
     ids : tuple of str
-        Such as `black_3`: class and number.
+        Class and number, such as `black_3`.
     position : (M, 2)
         Centres [m].
     velocity : (M, 2)
-        Drift over the last cycles [m/s].
+        Mean drift over the last cycles [m/s].
     angle : (M,)
         Orientation [rad], counter-clockwise.
     spin : (M,)
-        Turning over the last cycles [rad/s].
+        Mean angular velocity over the last cycles [rad/s].
     friction_limit : (M,)
-        Greatest friction on it [N], mu m g; 0 where no more is known than the rig's facts.
+        Maximum friction force on the part, mu m g [N]. 0 if there is no estimate beyond the values
+        of the rig file.
     """
 
     ids: tuple[str, ...]
@@ -73,7 +76,7 @@ class Parts:
         spin: np.ndarray | None = None,
         friction_limit: np.ndarray | None = None,
     ) -> Parts:
-        """Build it; what is missing is zero.
+        """Build the parts. Missing arrays are zero.
 
         Raises
         ------
@@ -106,7 +109,7 @@ def part_class(part_id: str) -> str:
 
 
 def filled(name: str, array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array of this shape, a row for each part; zeros if it is None.
+    """Return the array in this shape, with one row per part. None gives zeros.
 
     Raises
     ------

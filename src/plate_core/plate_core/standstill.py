@@ -1,7 +1,8 @@
-"""A process that stood still, and what waited meanwhile to be done.
+"""Detection of process stalls.
 
-Frozen, swapped out or held up, it finds on waking what others have asked of it long ago; who asked
-has given up, or does something else by now.
+A process that was frozen, swapped out or blocked finds old requests in its queues when it resumes.
+Their senders may have given up, so these requests must be refused. A stall is detected when two
+successive calls of `Standstill.is_late` are too far apart in time.
 """
 
 from __future__ import annotations
@@ -9,18 +10,18 @@ from __future__ import annotations
 __all__ = ["Standstill"]
 
 AFTER_S = 0.5
-"""What comes so soon after a standstill was asked before its end [s]."""
+"""Time after a stall during which a received request counts as sent before its end [s]."""
 
 
 class Standstill:
-    """Notices standstills, if it is asked often.
+    """Stall detector. It works only if `is_late` is called regularly.
 
     Parameters
     ----------
     longest_s : float
-        A longer time between two looks is a standstill [s].
+        Maximum time between two calls [s]. A longer time is a stall.
     now : float
-        By the steady clock [s].
+        Current time of the steady clock [s].
     """
 
     def __init__(self, longest_s: float, now: float) -> None:
@@ -28,7 +29,8 @@ class Standstill:
         self._looked, self._until = now, now
 
     def is_late(self, now: float) -> bool:
-        """Look: whether what comes now may have waited for the end of a standstill."""
+        """Update the detector. Return whether a request received at `now` [s] may be an old one
+        that waited during a stall."""
         if now - self._looked > self.longest_s:
             self._until = now + AFTER_S
         self._looked = now

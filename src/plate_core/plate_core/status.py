@@ -1,12 +1,12 @@
-"""What a node says of itself: the levels of its diagnostics, and when an input counts as gone.
+"""Diagnostics of a node: levels, and input timeouts.
 
-The rules, for all nodes. All times are of the steady clock, and freshness is judged by when a
-message came, never by its stamp.
+These rules hold for all nodes. All times are times of the steady clock. The age of a message is
+measured from its arrival, never from its stamp.
 
-- OK: it works.
-- WARN: it works, but not as well as it should: some messages refused, bad light, cycles too late.
-- STALE: an input has been silent for longer than its timeout, so what the node tells is old.
-- ERROR: input comes but cannot be used, or the task failed.
+- OK: the node works.
+- WARN: the node works with a fault: some messages refused, poor light, or late cycles.
+- STALE: an input has timed out, so the node's output is old.
+- ERROR: the node receives input but cannot use it, or the task failed.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ __all__ = [
 ]
 
 INPUT_TIMEOUT_S = 1.5
-"""Silence of an input after which it counts as gone [s]: three of the longest usual cycles, and
-short enough for a task to end within 2 s of the fault."""
+"""Default input timeout [s]. It equals three of the longest usual cycles, and it is short enough to
+end a task within 2 s of a fault."""
 
 LATENCY_S, MOST_AGE_S = 0.2, 0.6
-"""What vision, planner and solver may take on a slow computer, and the greatest age of an image
-that a moving cycle answers, unless a period is longer [s]."""
+"""Maximum computation time of vision, planner and solver on a slow computer [s], and maximum age of
+the image for which a moving cycle is computed, if the period is not longer [s]. See `age_limit`."""
 
 
 class Level(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
+    """Level as in diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -45,32 +45,33 @@ class Level(IntEnum):
 
     @property
     def rank(self) -> int:
-        """How bad it is: an error asks for more than silence does."""
+        """Severity, 0 to 3. ERROR is more severe than STALE."""
         return (Level.OK, Level.WARN, Level.STALE, Level.ERROR).index(self)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A level, and the one line that says why."""
+    """A level, and its reason as one line of text."""
 
     level: Level
     message: str
 
 
 def age_limit(period: float) -> float:
-    """Return how old the image may be that a moving cycle of this period [s] answers [s]."""
+    """Return the maximum age [s] of the image for which a moving cycle of this period [s] is
+    computed."""
     return min(2 * period + LATENCY_S, max(MOST_AGE_S, period + LATENCY_S))
 
 
 def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
-    """Put findings together: the worst level, and all messages, those of the worst first.
+    """Combine findings into one: the most severe level, and all messages, most severe first.
 
     Parameters
     ----------
     findings : iterable of Finding or None
-        None where there is nothing to tell.
+        None is ignored.
     otherwise : str
-        What is said if there are none.
+        Message if there are no findings. The level is then OK.
     """
     found = sorted((f for f in findings if f is not None), key=lambda f: -f.level.rank)
     if not found:
@@ -80,20 +81,20 @@ def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
 
 @dataclass(frozen=True)
 class Input:
-    """What a node listens to.
+    """An input of a node, and the arrival time of its last message.
 
     Attributes
     ----------
     what, topic : str
-        What comes, and where: `image`, `image_raw`.
+        Name of the data and its topic, such as `image` and `image_raw`.
     question : str
-        What to look at if nothing comes: `does the camera run?`
+        Hint for the user if no message arrives, such as `does the camera run?`
     timeout_s : float
-        Longest silence [s].
+        Maximum time without a message [s].
     since : float
-        When the node began to listen [s, steady clock].
+        Time of the subscription [s, steady clock].
     came : float or None
-        When the last message came.
+        Arrival time of the last message [s, steady clock]. None if no message has arrived.
     """
 
     what: str
@@ -104,15 +105,15 @@ class Input:
     came: float | None = None
 
     def heard(self, now: float) -> Input:
-        """Return it with a message that has come now."""
+        """Return the input after a message that arrived at `now` [s]."""
         return replace(self, came=now)
 
     def silence(self, now: float) -> float:
-        """For how long nothing has come [s]."""
+        """Time since the last message, or since the subscription if there was none [s]."""
         return now - (self.since if self.came is None else self.came)
 
     def gone(self, now: float) -> Finding | None:
-        """Say that it is silent for too long; None if it is not."""
+        """Return a STALE finding if the input has timed out, otherwise None."""
         silence = self.silence(now)
         if silence <= self.timeout_s:
             return None
@@ -122,7 +123,11 @@ class Input:
 
 
 def used(what: str, count: int, refused: int, why: str) -> Finding | None:
-    """Say that of `count` messages some were refused, and why the last was; None if none was."""
+    """Return a finding for `refused` of `count` messages, and the reason `why` of the last refusal.
+
+    The level is ERROR if all messages were refused, otherwise WARN. Returns None if no message was
+    refused.
+    """
     if not refused:
         return None
     level = Level.ERROR if refused >= count else Level.WARN

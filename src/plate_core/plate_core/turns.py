@@ -1,25 +1,26 @@
-"""Two publishers of one topic are told apart by the numbers of their messages."""
+"""Detection of a second publisher on a topic, by the sequence numbers of the messages."""
 
 from __future__ import annotations
 
 from collections import deque
 
 SEVERAL = 3
-"""Messages out of order that show a second publisher: one that was started again causes one."""
+"""Number of out-of-order messages that indicate a second publisher. A restart of one publisher
+causes only one."""
 
 WITHIN_S = 3.0
-"""Time in which these come [s]."""
+"""Time within which these out-of-order messages must arrive [s]."""
 
 LOST, SILENCE_S = 5, 1.0
-"""Of one publisher so many messages in a row may be lost; another one takes its place when it has
-been silent for longer [s]."""
+"""Largest step between two sequence numbers of the accepted publisher [-], and time without its
+messages after which another publisher may replace it [s]."""
 
 
 class Turns:
-    """Looks whether messages of one topic come from two publishers in turn.
+    """Checks whether the messages of one topic come from two publishers.
 
-    Each publisher numbers its own messages upwards, so a number that is not above the last one is
-    of another publisher.
+    Each publisher sends increasing sequence numbers. A number that is not greater than the last one
+    therefore comes from another publisher.
     """
 
     def __init__(self) -> None:
@@ -28,10 +29,12 @@ class Turns:
         self._back = deque[float](maxlen=SEVERAL)
 
     def came(self, number: int | None, now: float) -> bool:
-        """Take in a message's number, None where the middleware has none, and when it came [s].
+        """Record a message by its sequence number and its arrival time `now` [s].
 
-        Returns whether it follows on those of the publisher that was heard first, or of one that
-        took its place after a silence: what a stranger sends in between does not.
+        `number` is None if the middleware provides no sequence numbers.
+
+        Returns whether the message comes from the accepted publisher. This is the first one
+        received, or one that replaced it after it sent no messages for `SILENCE_S`.
         """
         if number is None:
             return True
@@ -45,5 +48,5 @@ class Turns:
         return follows
 
     def several(self, now: float) -> bool:
-        """Whether two publishers have taken turns just now [s]."""
+        """Whether messages of two publishers arrived recently, at the time `now` [s]."""
         return len(self._back) == SEVERAL and now - self._back[0] < WITHIN_S

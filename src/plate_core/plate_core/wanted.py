@@ -1,4 +1,4 @@
-"""The planner's request for the next cycle: of each part a mean force, or a target."""
+"""The planner's request for the next cycle: a mean force or a target for each part."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from .errors import PlateError
 from .parts import Parts, filled
 
 CYCLE_S = 0.1
-"""Length of a cycle where none is given [s]."""
+"""Default cycle length [s]."""
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Requested mean forces on M parts over one cycle, the request of the paper.
+    """Requested mean forces on M parts over one cycle, the form of request used in the paper.
 
-    A mean force F over a cycle of length T changes the drift of a part of mass m by F T/m, and a
-    mean torque N that of its spin by N T/J, with its moment of inertia J.
+    A mean force F over a cycle of length T changes the drift of a part of mass m by F T/m. A mean
+    torque N changes the spin of a part with the moment of inertia J by N T/J.
 
     Attributes
     ----------
     force : (M, 2)
-        Middle of the interval [N, plate_home].
+        Centre of the accepted interval [N, plate_home].
     tolerance : (M, 2)
-        Half width of the interval: every force within it is as good [N].
+        Half width of the accepted interval [N]. All forces inside it are equally good.
     torque : (M,)
-        Mean torque [N m]; 0: any rotation is as good.
+        Mean torque [N m]. 0: all rotations are equally good.
     period : float
-        Length T of that cycle [s].
+        Length T of the cycle [s].
     """
 
     force: np.ndarray
@@ -40,14 +40,16 @@ class Forces:
 
 @dataclass(frozen=True)
 class AngleTargets:
-    """Requested angles of M parts, for the end of this cycle or of a later one.
+    """Requested angles of M parts at the end of this cycle or of a later one.
 
     Attributes
     ----------
     low, high : (M,)
-        Interval: every angle within it is as good [rad]. Within half a turn of the part's angle.
+        Bounds of the accepted interval [rad]. All angles inside it are equally good. They differ
+        from the part's angle by at most half a turn.
     weight : (M,)
-        Error that counts as much as one radian of missing rotation [m]; 0: any angle is as good.
+        Position error that costs as much as an angle error of one radian [m]. 0: all angles are
+        equally good.
     """
 
     low: np.ndarray
@@ -57,21 +59,23 @@ class AngleTargets:
 
 @dataclass(frozen=True)
 class Targets:
-    """Requested places of M parts, for the end of this cycle or of a later one.
+    """Requested positions of M parts at the end of this cycle or of a later one.
 
     Each cycle minimises the sum of the squared weighted distances to the targets.
 
     Attributes
     ----------
     low, high : (M, 2)
-        Interval along x and y: every place within it is as good [m, plate_home].
+        Bounds of the accepted interval along x and y [m, plate_home]. All positions inside it are
+        equally good.
     weight : (M, 2)
-        Weight of a metre to go along x and y [-]; a metre by which a part is too near to an edge
-        or to another part has weight 1. 0: any place along this axis is as good.
+        Weight of the remaining distance along x and y [-]. A violation of the clearance to an edge
+        or to another part has weight 1 per metre. 0: all positions along this axis are equally
+        good.
     gap_m : float
-        Minimum clearance of any two parts, each taken for a disc about its centre [m].
+        Minimum clearance between any two parts, each modelled as a disc about its centre [m].
     angles : AngleTargets or None
-        Requested angles; None: no angle is requested.
+        Requested angles. None if no angles are requested.
     """
 
     low: np.ndarray
@@ -90,16 +94,17 @@ class Wanted:
     parts : Parts
         The M parts of the request.
     forces : Forces
-        The request, if `targets` is None. Else information for people (markers, the page,
-        recordings): forces that lead the parts towards their targets.
+        The request, if `targets` is None. Otherwise they are only displayed (markers, the page,
+        recordings) and show forces that move the parts towards their targets.
     targets : Targets or None
-        The request; None: forces are requested.
+        The request. None if forces are requested.
     start : (M, 4) or None
-        Position and velocity of each part when the cycle begins [m, m/s]. None: unknown; then
-        `parts` are as an image showed them, and the solver predicts their state.
+        Position and velocity of each part at the start of the cycle [m, m/s]. None if unknown. In
+        this case `parts` is the state in an image, and the solver predicts the state at the start.
     plate : (3, 3) or None
-        Pose, twist and acceleration of the plate when the cycle begins, as `PlateCycle.state`
-        returns them. None: not known for certain; then the cycle begins at rest at home.
+        Pose, twist and acceleration of the plate at the start of the cycle, in the form of
+        `PlateCycle.state`. None if they are uncertain. In this case the cycle starts at rest at
+        home.
     """
 
     parts: Parts
@@ -139,7 +144,7 @@ class Wanted:
 
     @property
     def request(self) -> Forces | Targets:
-        """The request: targets if there are any, else forces."""
+        """The targets if they are given, otherwise the forces."""
         return self.forces if self.targets is None else self.targets
 
 

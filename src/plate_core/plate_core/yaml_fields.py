@@ -1,7 +1,8 @@
-"""Files of config/: found, and read key by key, so that wrong ones are refused usefully.
+"""Reading of YAML files in config/, with a precise error message for each wrong value.
 
-A `Key` says once what may stand in a file: for its reader, and for the reference of all keys
-(docs/reference.md).
+A `Key` defines the name, kind, meaning and default of one value. Both the reader of the file and
+the generated reference (docs/reference.md) use this definition. `Fields` wraps one mapping of a
+file and checks type and range at each access. `read_yaml` returns the `Fields` of a whole file.
 """
 
 from __future__ import annotations
@@ -44,30 +45,30 @@ __all__ = [
 Data = TypeVar("Data")
 
 REQUIRED: Any = object()
-"""In place of a default: the key may not be left out."""
+"""Value of `Key.default` for a key without a default: the file must contain it."""
 
 UNITS = {
     "m": "m", "kg": "kg", "s": "s", "mps": "m/s", "mps2": "m/s^2", "n": "N", "k": "K", "px": "px",
     "deg": "degrees", "hz": "Hz", "kgm2": "kg m^2", "npm": "N/m", "nspm": "N s/m",
 }  # fmt: skip
-"""Units by the ends of keys."""
+"""Units by the last part of a key's name."""
 
 
 SHOWN = reprlib.Repr()
-"""Shows a value in a message: a line of it, however much there is."""
+"""Formats a value for a message, shortened to about one line."""
 SHOWN.maxlevel, SHOWN.maxlist, SHOWN.maxstring, SHOWN.maxother = 3, 8, 80, 80
 
 
 class Kind(Protocol):
-    """What may stand at a key."""
+    """Type and range of the value of a key."""
 
     @property
     def words(self) -> str:
-        """What is allowed, for messages and for the reference."""
+        """Description of the allowed values, for messages and for the reference."""
         ...
 
     def read(self, value: Any) -> Any:
-        """Return the value, checked; raises a ValueError for what is not allowed."""
+        """Return the checked value. Raises a ValueError if it is not allowed."""
         ...
 
 
@@ -80,14 +81,14 @@ class Number:
 
     @property
     def words(self) -> str:
-        """What is allowed."""
+        """Description of the allowed values."""
         return f"a number from {self.low:g} to {self.high:g}"
 
     def read(self, value: Any) -> float:
-        """Return it as a float."""
+        """Return the checked value as a float."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError
-        if not self.low <= value <= self.high:  # NaN is nowhere
+        if not self.low <= value <= self.high:  # also true for NaN
             raise ValueError
         return float(value)
 
@@ -101,11 +102,11 @@ class Whole:
 
     @property
     def words(self) -> str:
-        """What is allowed."""
+        """Description of the allowed values."""
         return f"a whole number from {self.low} to {self.high}"
 
     def read(self, value: Any) -> int:
-        """Return it."""
+        """Return the checked value."""
         if isinstance(value, bool) or not isinstance(value, int):
             raise ValueError
         if not self.low <= value <= self.high:
@@ -120,7 +121,7 @@ class Sign:
     words: ClassVar[str] = "1 or -1"
 
     def read(self, value: Any) -> int:
-        """Return it."""
+        """Return the checked value."""
         if isinstance(value, bool) or value not in (1, -1):
             raise ValueError
         return int(value)
@@ -128,13 +129,13 @@ class Sign:
 
 @dataclass(frozen=True)
 class _OfType:
-    """A value of one type."""
+    """Any value of one Python type."""
 
     words: str
     python_type: ClassVar[type]
 
     def read(self, value: Any) -> Any:
-        """Return it."""
+        """Return the checked value."""
         if not isinstance(value, self.python_type):
             raise ValueError
         return value
@@ -158,7 +159,7 @@ class Text(_OfType):
 
 @dataclass(frozen=True)
 class Table(_OfType):
-    """A mapping, whose keys stand in a section of their own."""
+    """A mapping. A separate section defines its keys."""
 
     words: str = "a mapping"
     python_type = Mapping
@@ -166,7 +167,7 @@ class Table(_OfType):
 
 @dataclass(frozen=True)
 class List(_OfType):
-    """A list of mappings, whose keys stand in a section of their own."""
+    """A list of mappings. A separate section defines their keys."""
 
     words: str = "a list of mappings"
     python_type = list
@@ -174,17 +175,17 @@ class List(_OfType):
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some words."""
+    """One text of a fixed set."""
 
     choices: Sequence[str]
 
     @property
     def words(self) -> str:
-        """What is allowed."""
+        """Description of the allowed values."""
         return "one of " + ", ".join(self.choices)
 
     def read(self, value: Any) -> str:
-        """Return it."""
+        """Return the checked value."""
         if not isinstance(value, str) or value not in self.choices:
             raise ValueError
         return value
@@ -192,7 +193,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Numbers:
-    """An array of finite numbers in [low, high]; None in its shape is any length."""
+    """An array of finite numbers in [low, high]. None in its shape allows any length."""
 
     shape: tuple[int | None, ...]
     low: float
@@ -200,12 +201,12 @@ class Numbers:
 
     @property
     def words(self) -> str:
-        """What is allowed."""
+        """Description of the allowed values."""
         size = " x ".join("n" if n is None else str(n) for n in self.shape)
         return f"{size} numbers from {self.low:g} to {self.high:g}"
 
     def read(self, value: Any) -> np.ndarray:
-        """Return it as an array."""
+        """Return the checked value as an array."""
         try:
             array = np.array(value, dtype=float)
         except (TypeError, OverflowError, RecursionError):
@@ -215,7 +216,7 @@ class Numbers:
         )
         if not fits or not np.all((array >= self.low) & (array <= self.high)):
             raise ValueError
-        # NumPy takes yes for 1 and '2' for 2
+        # NumPy converts yes to 1 and '2' to 2, so refuse these types
         if any(isinstance(entry, bool | str) for entry in np.array(value, dtype=object).ravel()):
             raise ValueError
         return array
@@ -230,11 +231,11 @@ class Several:
 
     @property
     def words(self) -> str:
-        """What is allowed."""
+        """Description of the allowed values."""
         return f"a list of up to {self.most}, each {self.each.words}"
 
     def read(self, value: Any) -> list[np.ndarray]:
-        """Return them as arrays."""
+        """Return the checked values as arrays."""
         if not isinstance(value, list) or len(value) > self.most:
             raise ValueError
         return [self.each.read(item) for item in value]
@@ -247,15 +248,15 @@ class Key:
     Attributes
     ----------
     name : str
-        Its end tells the unit: `radius_m`.
+        Name with the unit as its last part, such as `radius_m`.
     kind : Kind
-        What may stand there.
+        Type and range of the value.
     meaning : str
-        For a user, in a sentence.
+        Explanation for the user, one sentence.
     default
-        What is taken where it is left out; REQUIRED: it may not be left out.
+        Value if the file does not contain the key. REQUIRED: the file must contain it.
     otherwise : str
-        The default in words, where the value does not say it.
+        Description of the default, if its value is not self-explanatory.
     """
 
     name: str
@@ -266,12 +267,12 @@ class Key:
 
     @property
     def required(self) -> bool:
-        """Whether it may not be left out."""
+        """Whether the file must contain the key."""
         return self.default is REQUIRED
 
     @property
     def unit(self) -> str:
-        """Unit of its numbers; `-` for pure numbers, nothing where there are no numbers."""
+        """Unit of the numbers. `-` for dimensionless numbers, empty if the kind has no numbers."""
         if not isinstance(self.kind, Number | Numbers | Several | Whole):
             return ""
         if self.name.endswith("_per_m"):
@@ -281,7 +282,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Section:
-    """A mapping in a file: where it stands, what it is about, and its keys."""
+    """A mapping in a file: its location `where`, an introduction `about`, and its keys."""
 
     where: str
     about: str
@@ -292,7 +293,8 @@ class Section:
 
 
 def measured(name: str, low: float, high: float, meaning: str, default: Any = REQUIRED) -> Any:
-    """Return a dataclass field that `Fields.read` takes from a key: a number in [low, high]."""
+    """Return a dataclass field for `Fields.read`. Its value is a number in [low, high], read from
+    the key `name`."""
     key = Key(name, Number(low, high), meaning, default)
     missing = dataclasses.MISSING if key.required else default
     return dataclasses.field(default=missing, metadata={"key": key})
@@ -304,14 +306,14 @@ def keys_of(kind: type) -> tuple[Key, ...]:
 
 
 class Fields:
-    """One mapping of a YAML file; every access checks type and range.
+    """One mapping of a YAML file. Every access checks type and range.
 
     Parameters
     ----------
     data : mapping
-        What the YAML parser returned.
+        Result of the YAML parser.
     where : str
-        File and key path, the beginning of every message.
+        File and key path. Every message starts with it.
     error : type
         The error to raise.
     """
@@ -331,11 +333,11 @@ class Fields:
 
     @property
     def data(self) -> Mapping[str, Any]:
-        """All that stands in it, unchecked."""
+        """Unchecked content of the mapping."""
         return self._data
 
     def fail(self, key: str, allowed: str) -> PlateError:
-        """Return the error for the value at `key`: the caller raises it."""
+        """Return an error about the value at `key`. The caller raises it."""
         value = SHOWN.repr(self._data.get(key))
         return self._error(f"{self._where}: {key} is {value}, allowed: {allowed}")
 
@@ -349,12 +351,13 @@ class Fields:
         return self._data[key]
 
     def one_of(self, *keys: str) -> str:
-        """Return which one of some keys is there, and count all of them as known.
+        """Return the one key of `keys` that is present, and mark all of them as known.
 
         Raises
         ------
         PlateError
-            If none is, or more than one: the message names a key that is spelt nearly so.
+            If none or more than one is present. If none is, the message suggests a similar key of
+            the file.
         """
         given = [key for key in keys if self.has(key)]
         if len(given) == 1:
@@ -369,25 +372,25 @@ class Fields:
         raise self._error(f"{self._where}: {wrong}, allowed: one of {', '.join(keys)}")
 
     def has(self, key: str) -> bool:
-        """Tell whether the optional key is present, and count it as known."""
+        """Return whether the optional key is present, and mark it as known."""
         self._used.add(key)
         return key in self._data
 
     def holds_mapping(self, key: str) -> bool:
-        """Tell whether there is a mapping at the key."""
+        """Return whether the value at the key is a mapping."""
         return isinstance(self._data.get(key), Mapping)
 
     def holds_list(self, key: str) -> bool:
-        """Tell whether there is a list at the key."""
+        """Return whether the value at the key is a list."""
         return isinstance(self._data.get(key), list)
 
     def keys(self) -> tuple[str, ...]:
-        """Return the mapping's keys, in the file's order, and count all of them as known."""
+        """Return the mapping's keys in the order of the file, and mark all of them as known."""
         self._used.update(self._data)
         return tuple(str(key) for key in self._data)
 
     def value(self, key: Key) -> Any:
-        """Return what stands at a key, checked, or its default."""
+        """Return the checked value of a key, or its default if the file does not contain it."""
         self._used.add(key.name)
         if not key.required and key.name not in self._data:
             return key.default
@@ -406,7 +409,7 @@ class Fields:
         return int(self.value(_key(key, Whole(low, high), default)))
 
     def flag(self, key: str) -> bool:
-        """Return true or false."""
+        """Return a boolean."""
         return bool(self.value(_key(key, Flag())))
 
     def text(self, key: str, choices: Sequence[str] | None = None) -> str:
@@ -414,7 +417,7 @@ class Fields:
         return str(self.value(_key(key, Choice(choices) if choices else Text())))
 
     def array(self, key: str, shape: tuple[int | None, ...], low: float, high: float) -> np.ndarray:
-        """Return an array of finite numbers in [low, high]; None in `shape` is any length."""
+        """Return an array of finite numbers in [low, high]. None in `shape` allows any length."""
         return np.asarray(self.value(_key(key, Numbers(shape, low, high))))
 
     def child(self, key: str) -> Fields:
@@ -429,14 +432,14 @@ class Fields:
         ]
 
     def read(self, kind: type[Data]) -> Data:
-        """Return a dataclass whose fields are `measured`; the mapping has no other keys."""
+        """Return a dataclass whose fields are `measured`. Other keys in the mapping are refused."""
         items = dataclasses.fields(kind)  # type: ignore[arg-type]
         values = {item.name: self.value(item.metadata["key"]) for item in items}
         self.finish()
         return kind(**values)
 
     def finish(self) -> None:
-        """Refuse keys that nobody asked for: most of them are spelling mistakes."""
+        """Raise an error if the mapping contains an unknown key, usually a spelling mistake."""
         unknown = [str(key) for key in self._data if key not in self._used]
         if unknown:
             known = sorted(self._used)
@@ -447,23 +450,25 @@ class Fields:
 
 
 def required(key: Key) -> Key:
-    """Return a key that may not be left out here."""
+    """Return a copy of the key that the file must contain."""
     return dataclasses.replace(key, default=REQUIRED)
 
 
 def _key(name: str, kind: Kind, default: Any = None) -> Key:
-    """Return a key of a file that has no reference; None: there is no default."""
+    """Return a key of a file without a generated reference. If `default` is None, the key is
+    required."""
     return Key(name, kind, "", REQUIRED if default is None else default)
 
 
 def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
-    """Return the top mapping of a YAML file; every failure is one clear line of type `error`."""
+    """Return the top-level mapping of a YAML file. Every failure raises an `error` with a one-line
+    message."""
     return parse_yaml(read_file(path, YAML_BYTES, error), path, error)
 
 
 def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fields:
-    """Return the top mapping of a YAML file's content; the path is for messages, as in
-    `read_yaml`."""
+    """Return the top-level mapping of YAML content, like `read_yaml`. The path is only used in
+    messages."""
     path = Path(path)
     try:
         loader = _Loader(content.decode("utf-8"))
@@ -479,7 +484,7 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     except RecursionError:
         raise error(f"{path}: broken YAML: nested too deeply") from None
-    except ValueError as problem:  # of the scanner: an escape beyond Unicode
+    except ValueError as problem:  # raised by the scanner for an escape beyond Unicode
         raise error(f"{path}: broken YAML: {problem}") from None
     if mistake:
         raise error(f"{path.name}: {mistake}")
@@ -487,8 +492,8 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as people write it: 1e-3 is a number too (to YAML 1.1 it is a text), and a value that is
-    none of its kind, such as the date 2026-13-45, is a mistake at a line."""
+    """YAML loader with two changes. It reads 1e-3 as a number, although YAML 1.1 defines it as
+    text. It reports an impossible value, such as the date 2026-13-45, with its line number."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
@@ -508,15 +513,15 @@ _Loader.add_implicit_resolver(
 
 
 WITH_COMMA = re.compile(r"[-+]?\d+,\d+")
-"""A number with a decimal comma, which YAML takes for a text; or between braces, `{mu: 0,3}`, for a
-number and a key without a value."""
+"""A number with a decimal comma. YAML reads it as text. Inside braces, as in `{mu: 0,3}`, YAML
+reads a number and a key without a value."""
 
 
 def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
-    """Name the first decimal comma, or key that stands twice in one mapping, at any depth; empty if
-    there is none. YAML itself would say nothing.
+    """Return a message about the first decimal comma, or the first key that occurs twice in one
+    mapping, at any depth. Empty if there is none. PyYAML accepts both without an error.
 
-    A node that aliases lead to again, from within it too, is looked at once.
+    A node that aliases refer to is examined only once, even if it contains itself.
     """
     if node is None or node in seen:
         return ""
@@ -545,7 +550,7 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
 
 
 CONFIG = Path(__file__).parent / "config"
-"""The folder config/: a link to it in the source tree, a copy where the package is installed."""
+"""The folder config/. In the source tree this is a link to it, in an installed package a copy."""
 
 
 def config_path(name: str) -> Path:
@@ -554,7 +559,7 @@ def config_path(name: str) -> Path:
     Raises
     ------
     PlateError
-        If there is none of that name.
+        If it does not exist.
     """
     path = CONFIG / name
     if not path.exists():

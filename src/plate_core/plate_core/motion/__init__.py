@@ -1,7 +1,8 @@
-"""The plate's motion: closed cycles, the motors that give them, and the limits they must keep.
+"""The plate's motion: cycles, the corresponding motor motion, and the rig's limits.
 
-A `PlateCycle` is knots and quintic splines; `usage` holds one against a rig's limits. A `Timeline`
-says which cycle runs and which one follows.
+A `PlateCycle` consists of knots and quintic splines. `usage` compares one with a rig's limits.
+`motor_state` and `plate_state` convert between plate and motors. A `Timeline` determines which
+cycle runs and which one follows.
 """
 
 from .cycle import PIECES, PlateCycle, control_points, is_rest, quintic_pieces

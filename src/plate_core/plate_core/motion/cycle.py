@@ -1,4 +1,9 @@
-"""PlateCycle: the plate's motion from one cycle's beginning to the next one's."""
+"""The plate's motion during one cycle, as a quintic spline.
+
+A `PlateCycle` stores knots with pose, twist and acceleration in plate_home and interpolates them
+with quintic polynomials. It can have a tail, a motion that brings the plate to rest if no other
+cycle follows. `control_points` bounds the spline and its derivatives by Bezier control points.
+"""
 
 from __future__ import annotations
 
@@ -15,29 +20,30 @@ if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
-"""Pose [m, m, rad], twist and acceleration below this (times 1, 1/s, 1/s2 and 100) are rest."""
+"""Tolerance of rest at home: pose [m, m, rad]. The tolerances of twist [1/s] and acceleration
+[1/s2] are 100 and 10 000 times as large."""
 
 PIECES = 4
-"""Pieces of a knot interval when bounding its peaks: with 6 knots to a sine wave they come out
-0.2 % too high, with 3 knots 1 %."""
+"""Number of pieces into which a knot interval is cut to bound its peaks. With 6 knots per sine
+wave the bound is 0.2 % too high, with 3 knots 1 %."""
 
 
 @dataclass(frozen=True)
 class PlateCycle:
     """One motion of the plate in plate_home: knots, and quintic splines between them.
 
-    The spline takes on pose, twist and acceleration at every knot, so it has a continuous
-    acceleration. It ends as it began, or at rest at home, or in the middle of a motion: then it has
-    a tail, which brings the plate to rest where no cycle follows that begins in this state.
+    The spline interpolates pose, twist and acceleration at every knot, so its acceleration is
+    continuous. It ends in its initial state, at rest at home, or in another state. In the last case
+    it has a tail, which brings the plate to rest if no cycle follows that begins in this state.
 
     Attributes
     ----------
     times : (k + 1,)
         Knot times [s], from 0 to the period.
     knot_pose, knot_twist, knot_accel : (k + 1, 3)
-        x, y, theta: [m, m, rad] and their first and second derivatives in time.
+        x, y, theta [m, m, rad], and their first and second time derivatives.
     tail : PlateCycle or None
-        From the state of the last knot to rest at home.
+        Motion from the state of the last knot to rest at home. None if there is no tail.
     """
 
     times: np.ndarray
@@ -54,17 +60,17 @@ class PlateCycle:
 
     @property
     def period(self) -> float:
-        """Length of one cycle [s]: then the next one may begin."""
+        """Length of the cycle without its tail [s]."""
         return float(self.times[-1])
 
     @property
     def parts(self) -> tuple[PlateCycle, ...]:
-        """Itself, and its tail if it has one."""
+        """The cycle and, if it has one, its tail."""
         return (self,) if self.tail is None else (self, self.tail)
 
     @property
     def knots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What `from_knots` takes: times, pose, twist, accel, those of the tail with them."""
+        """Arguments of `from_knots`: times, pose, twist, accel. The knots of the tail follow."""
         if self.tail is None:
             return self.times, self.knot_pose, self.knot_twist, self.knot_accel
         times, *states = self.tail.knots
@@ -73,31 +79,32 @@ class PlateCycle:
         return np.concatenate([self.times, self.period + times]), pose, twist, accel
 
     def state(self, knot: int) -> np.ndarray:
-        """Pose, twist and acceleration (3, 3) at a knot, by its number."""
+        """Pose, twist and acceleration (3, 3) at the knot with this index."""
         return np.stack([self.knot_pose[knot], self.knot_twist[knot], self.knot_accel[knot]])
 
     @property
     def coefficients(self) -> np.ndarray:
-        """Powers (k, 6, 3) of the time since the knot, per knot interval [m, m, rad]."""
+        """Polynomial coefficients (k, 6, 3) of each knot interval, in ascending powers of the time
+        since its first knot [m, m, rad]."""
         return self._coefficients
 
     @property
     def starts_at_rest(self) -> bool:
-        """Whether the plate is at home and at rest where the cycle begins."""
+        """Whether the plate is at rest at home at the start of the cycle."""
         return is_rest(self.state(0))
 
     @property
     def closes(self) -> bool:
-        """Whether it ends as it began, so that it may be played again."""
+        """Whether the cycle ends in its initial state, so that it can be repeated."""
         return is_rest(self.state(0) - self.state(-1))
 
     def follows(self, before: PlateCycle) -> bool:
-        """Whether it begins in the state in which another cycle ends."""
+        """Whether the cycle begins in the final state of the cycle `before`."""
         return is_rest(self.state(0) - before.state(-1))
 
     @property
     def moves(self) -> bool:
-        """Whether the plate does anything but rest at home."""
+        """Whether the plate moves. False if it stays at rest at home."""
         return any(np.any(k) for k in (self.knot_pose, self.knot_twist, self.knot_accel))
 
     def pose(self, t: np.ndarray | float) -> np.ndarray:
@@ -125,34 +132,35 @@ class PlateCycle:
     @cached_property
     def _splines(self) -> tuple[PPoly, PPoly, PPoly]:
         """Pose, twist and acceleration as piecewise polynomials."""
-        from scipy.interpolate import PPoly  # here: the command that stops must not wait for it
+        # imported here, because the stop command must not wait for this import
+        from scipy.interpolate import PPoly
 
         pose = PPoly(self._coefficients.transpose(1, 0, 2)[::-1], self.times)
         return pose, pose.derivative(), pose.derivative(2)
 
     def control_points(self, order: int, pieces: int = PIECES) -> np.ndarray:
-        """Return what `control_points` does of the motion, its tail left out."""
+        """Return the Bezier control points of the cycle without its tail. See `control_points`."""
         return control_points(self.times, self._coefficients, order, pieces)
 
     @classmethod
     def from_knots(
         cls, times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
     ) -> PlateCycle:
-        """Build a cycle from knots; the last must equal the first, or be at rest at home.
+        """Build a cycle from knots. The last knot must equal the first or be at rest at home.
 
         Parameters
         ----------
         times : (k + 1,)
-            Knot times [s], rising, the first 0. A time that is given twice is where the next cycle
-            may begin: what comes after it is the tail.
+            Increasing knot times [s], starting at 0. One time may occur twice: the cycle ends there
+            and the following knots are the tail.
         pose, twist, accel : (k + 1, 3)
             State of the plate at the knots.
 
         Raises
         ------
         CycleError
-            If times do not rise from 0, a value is not finite or too large to compute with, or the
-            motion ends neither as it began nor at rest.
+            If the times do not increase from 0, a value is not finite or too large to compute with,
+            or the motion ends neither in its initial state nor at rest.
         """
         times = np.array(times, dtype=float)
         states = [np.array(a, dtype=float) for a in (pose, twist, accel)]
@@ -184,7 +192,8 @@ class PlateCycle:
     def _ending(
         cls, times: np.ndarray, states: list[np.ndarray], at_rest: bool = False
     ) -> PlateCycle:
-        """Return a motion that ends as it began or at rest, or at rest only, to the last bit."""
+        """Return a motion whose last state is set exactly to its first state or to rest. If
+        `at_rest` is true, it must end at rest."""
         gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
         size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
         closes = gap[0] <= size[0] and gap[1] <= 1e2 * size[1] and gap[2] <= 1e4 * size[2]
@@ -226,8 +235,8 @@ class PlateCycle:
         pose : (n, 3)
             Poses [m, m, rad] at t = 0, period/n, 2 period/n, ...
         twist, accel : (n, 3), optional
-            Derivatives at the same times; where missing, those of the periodic quintic
-            interpolating spline.
+            Derivatives at the same times. By default, they are those of the periodic quintic spline
+            that interpolates the poses.
 
         Raises
         ------
@@ -255,33 +264,39 @@ class PlateCycle:
 
     @classmethod
     def rest(cls, period: float) -> PlateCycle:
-        """Return the cycle of a plate that stays at home."""
+        """Return a cycle at rest at home."""
         return cls.from_samples(period, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
 
     def scaled(self, factor: float) -> PlateCycle:
-        """Return the same motion with all amplitudes times `factor`, in the same time."""
+        """Return the motion with all amplitudes multiplied by `factor` and unchanged times."""
         times, *states = self.knots
         return PlateCycle.from_knots(times, *(factor * state for state in states))
 
     @classmethod
     def stopping(cls, state: np.ndarray, way_s: float, period: float = 0.0) -> PlateCycle:
-        """Return the motion of one quintic from a state (3, 3), as `state` gives it, to rest, and
-        rest until the period [s], if that is longer."""
+        """Return a motion that stops the plate.
+
+        A single quintic leads from `state` (3, 3), in the form of `PlateCycle.state`, to rest at
+        home within `way_s` [s]. If `period` [s] is longer, the plate rests until then.
+        """
         times = [0.0, way_s, period][: 2 + (period > way_s)]
         knots = [np.vstack([own, np.zeros((len(times) - 1, 3))]) for own in state]
         return cls._ending(np.array(times), knots, at_rest=True)
 
 
 def is_rest(state: np.ndarray) -> bool:
-    """Whether pose, twist and acceleration (3, 3) are those of rest at home, within tolerances."""
+    """Whether pose, twist and acceleration (3, 3) are zero within the tolerances of rest at
+    home."""
     return bool(np.all(np.abs(state) <= REST_TOLERANCE * np.array([[1.0], [100.0], [1e4]])))
 
 
 @lru_cache
 def _bezier(pieces: int) -> np.ndarray:
-    """Quintic Bezier points (5 pieces, 6) of the powers of u in [0, 1], piece by piece.
+    """Matrix (5 pieces, 6) from the coefficients of a quintic in powers of u in [0, 1] to its
+    Bezier control points, piece by piece.
 
-    In piece j, u = (j + v)/pieces; the points of v**m are binom(i, m)/binom(5, m), i = 0..5.
+    In piece j, u = (j + v)/pieces. The control points of v**m are binom(i, m)/binom(5, m), i =
+    0..5. The last point (i = 5) of a piece is omitted, because it is the first of the next one.
     """
     rows = [
         [
@@ -300,25 +315,25 @@ def _bezier(pieces: int) -> np.ndarray:
 def control_points(
     times: np.ndarray, coefficients: np.ndarray, order: int, pieces: int = PIECES
 ) -> np.ndarray:
-    """Bezier control points of a spline: it never leaves their hull.
+    """Return Bezier control points of a spline. Their convex hull contains the spline.
 
     Parameters
     ----------
     times : (k + 1,)
         Knot times [s].
     coefficients : (k, 6, m)
-        Powers of the time since the knot.
+        Polynomial coefficients in ascending powers of the time since the knot.
     order : int
-        0: the spline itself, 1 and 2: its derivatives.
+        0: the spline, 1 and 2: its derivatives.
     pieces : int
-        Equal pieces into which every knot interval is cut first; the points come closer to the
-        curve as 1/pieces**2.
+        Number of equal pieces into which every knot interval is cut. The distance of the points
+        from the curve decreases with 1/pieces**2.
 
     Returns
     -------
     (k * pieces * 5, m)
-        In order of time, for all orders at the same times. A piece's last point is the next one's
-        first, and is left out.
+        Points in order of time, at the same times for all orders. The last point of each piece is
+        omitted, because it equals the first point of the next piece.
     """
     for _ in range(order):
         coefficients = coefficients[:, 1:] * np.arange(1, coefficients.shape[1])[:, None]
@@ -330,10 +345,11 @@ def control_points(
 def quintic_pieces(
     times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
 ) -> np.ndarray:
-    """Coefficients (k, 6, 3) of the quintic that takes on both ends' value and derivatives."""
+    """Coefficients (k, 6, 3) of the quintics that interpolate pose, twist and acceleration at both
+    ends of each knot interval, in ascending powers of the time since its first knot."""
     h = np.diff(times)[:, None]
     p, v, a = pose[:-1], twist[:-1], accel[:-1]
-    # What the left end's Taylor polynomial misses at the right end, in units of position.
+    # Errors of the left end's Taylor polynomial at the right end, in units of position.
     dp = pose[1:] - p - h * v - 0.5 * h**2 * a
     dv = (twist[1:] - v - h * a) * h
     da = (accel[1:] - a) * h**2
@@ -348,8 +364,9 @@ def _periodic_derivatives(period: float, pose: np.ndarray) -> tuple[np.ndarray, 
 
     At equally spaced knots the quintic B-spline has the values (1, 26, 66, 26, 1)/120, the slopes
     (1, 10, 0, -10, -1)/24 and the curvatures (1, 2, -6, 2, 1)/6 (de Boor, A Practical Guide to
-    Splines, chapter IX), so sampled spline and derivatives are cyclic convolutions of one set of
-    coefficients: a quotient in frequency.
+    Splines, chapter IX). The sampled spline and its derivatives are therefore cyclic convolutions
+    of the same coefficients. The Fourier transform turns them into products, so the derivatives
+    follow from the samples by a division.
     """
     step = period / len(pose)
     w = 2 * np.pi * np.fft.rfftfreq(len(pose))[:, None]

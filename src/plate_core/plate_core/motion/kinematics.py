@@ -1,8 +1,8 @@
-"""Four motors and the plate: both ways.
+"""Forward and inverse kinematics of the four motors and the plate.
 
-Motor i pushes the plate at point a_i along d_i. Its shaft slides freely across d_i (a flexure
-takes that up), so its travel is q_i = d_i . (o + (R(theta) - 1) a_i): exact, not linearised.
-Three coordinates, four motors: the fourth is redundant, and must agree.
+Motor i pushes the plate at point a_i along d_i. A flexure lets its shaft move freely perpendicular
+to d_i, so its travel is exactly q_i = d_i . (o + (R(theta) - 1) a_i), without linearisation. Four
+motors move three coordinates: one motor is redundant, so the four travels must be consistent.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from ..errors import CycleError
 from ..rig import Rig
 
 CONSISTENCY_TOLERANCE = 5e-6
-"""Greatest disagreement of four motors [m]: more would bend the plate's suspension."""
+"""Maximum inconsistency of the four motor travels [m]. A larger one would bend the plate's
+suspension."""
 
 
 def motor_state(
@@ -54,12 +55,12 @@ def plate_state(
     q, qd, qdd : (n, 4)
         Motors: [m], [m/s], [m/s2].
     tolerance : float
-        Greatest disagreement of the motors [m]; inf for what sensors measure.
+        Maximum inconsistency of the motors [m]. Use inf for sensor measurements.
 
     Returns
     -------
     pose, twist, accel : (n, 3)
-        Plate in plate_home, the best in the sense of least squares.
+        Least-squares estimate of the plate's motion in plate_home.
 
     Raises
     ------
@@ -102,7 +103,7 @@ def _geometry(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 def _projections(
     point: np.ndarray, direction: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """d_i . R a_i and d_i . R a_i turned by 90 degrees, both (n, 4) [m]."""
+    """Return d_i . R a_i and d_i . J R a_i, both (n, 4) [m]. J rotates by 90 degrees."""
     cos, sin = np.cos(theta)[:, None], np.sin(theta)[:, None]
     x = cos * point[:, 0] - sin * point[:, 1]
     y = sin * point[:, 0] + cos * point[:, 1]
@@ -112,7 +113,7 @@ def _projections(
 
 
 def _jacobian(direction: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """dq/dpose (n, 4, 3)."""
+    """Jacobian dq/dpose (n, 4, 3)."""
     translation = np.broadcast_to(direction, (len(across), 4, 2))
     return np.concatenate([translation, across[..., None]], axis=2)
 

@@ -1,7 +1,8 @@
-"""How much of the rig's limits a motion uses: on its exact splines, not on samples.
+"""Peak values of a plate motion as fractions of the rig's limits.
 
-Between two times h apart a curve is within h^2 max |c''| / 8 of its chord; pieces that can still
-hide a peak are cut until it is bounded to 1e-6.
+The peaks are computed on the exact splines, not only at samples. Between two times a distance h
+apart, a curve deviates from its chord by at most h^2 max(c'') / 8, with c'' the magnitude of the
+second derivative. Pieces that may contain a higher peak are cut until the bound is within 1e-6.
 """
 
 from __future__ import annotations
@@ -16,40 +17,46 @@ from .cycle import PlateCycle, quintic_pieces
 from .kinematics import motor_state
 
 CERTAINTY = 1e-6
-"""A peak comes out too high by this fraction of its value at most."""
+"""Maximum relative overestimation of a peak [-]."""
 
 CUTS = 8
-"""Pieces that may hide a peak are cut in so many: the bound's gap is 1/64 then."""
+"""Number of parts into which a piece that may contain a peak is cut. This reduces the gap of the
+bound to 1/64."""
 
 MOST_PIECES = 4000
-"""More parts than this, beyond the motion's own pieces, are not examined: the bound so far is the
-answer, too high for a motion far beyond any limit. Others take some 20."""
+"""Maximum number of parts to examine, in addition to the motion's pieces. If there are more, the
+current bound is returned. It is too high, but this only happens for motions far beyond all limits.
+Other motions need about 20."""
 
 GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
-"""Exact for polynomials up to degree 11: for the square of a quintic."""
+"""Nodes and weights of Gauss-Legendre quadrature with 6 nodes. It is exact for polynomials up to
+degree 11, and therefore for the square of a quintic."""
 
 Curve = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(piece (n,), time since its start (n,) [s]) to values (n, j)."""
+"""Function of piece numbers (n,) and times since the start of the piece (n,) [s]. Returns values
+(n, j)."""
 
 
 @dataclass(frozen=True)
 class CycleUsage:
-    """Peaks of a motion, and what they are of the rig's limits.
+    """Peak values of a motion, and their fractions of the rig's limits.
 
     Attributes
     ----------
     stroke_m, speed : float
-        Of the motor that moves most [m] and fastest [m/s].
+        Maximum travel [m] and speed [m/s] of all motors.
     accel : float
-        Of the plate's corners [m/s2], so of any point of the plate: it is convex in the point.
+        Maximum acceleration of the plate's corners [m/s2]. No point of the plate exceeds it,
+        because the acceleration is a convex function of the point.
     force : float
-        Of the motor that pushes hardest [N].
+        Maximum force of all motors [N].
     thermal_load : (4,)
-        Mean square force of each motor over that of its continuous force [-].
+        Mean square force of each motor divided by its squared continuous force [-].
     worst : float
-        Greatest of stroke, speed and acceleration as a fraction of its limit.
+        Maximum of stroke, speed and acceleration, each as a fraction of its limit.
     overall : float
-        The same with force, and with the root of the thermal load over what is allowed of it.
+        Maximum of `worst`, the force as a fraction of its limit, and the square root of the thermal
+        load divided by the allowed one.
     """
 
     stroke_m: float = 0.0
@@ -62,12 +69,14 @@ class CycleUsage:
 
 
 def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> CycleUsage:
-    """Return what a plate cycle and its tail use, the motors on the quintics through the knots.
+    """Return the peaks of a plate cycle and its tail, and their fractions of the rig's limits.
+
+    The motors follow the quintics through their states at the knots.
 
     Parameters
     ----------
     thermal_load : (4,) or float
-        What is allowed of `CycleUsage.thermal_load`; more than 1 for motors that are cold.
+        Allowed `CycleUsage.thermal_load` [-]. It may exceed 1 while the motors are cold.
     """
     limits, parts = rig.limits, cycle.parts
     steps = np.concatenate([np.diff(part.times) for part in parts])
@@ -77,7 +86,7 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
     stroke, speed, force = (float(np.max(most)) for most in np.split(each, 3))
     accel = max(_corner_peak(rig, part) for part in parts)
-    # The tail is played once, or not at all.
+    # The tail may be played or not, so use the larger load of both cases.
     load = np.maximum(*(mean_square(pushes[:k], steps[:k]) for k in (len(cycle.times) - 1, None)))
     load = load / limits.continuous_force**2
     worst = max(stroke / limits.stroke_m, speed / limits.speed, accel / limits.accel)
@@ -87,16 +96,18 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
 
 
 def _travel(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Powers (k, 6, 4) of the time since the knot of the motors' travels [m]."""
+    """Polynomial coefficients (k, 6, 4) of the motor travels, in powers of the time since the knot
+    [m]."""
     motors = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
     return quintic_pieces(cycle.times, *motors)
 
 
 def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Powers (k, 6, 4) of the time since the knot of the motors' forces [N].
+    """Polynomial coefficients (k, 6, 4) of the motor forces, in powers of the time since the knot
+    [N].
 
-    They carry the plate's mass and, where the rig file tells of flexures, stretch those:
-    see `Rig.motor_loads`.
+    The forces accelerate the plate's mass. If the rig file describes flexures, they also deflect
+    these. See `Rig.motor_loads`.
     """
     pose = cycle.coefficients
     return np.asarray(
@@ -111,9 +122,11 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
 def polynomial_peaks(
     coefficients: np.ndarray, steps: np.ndarray, enough: float = 0.0
 ) -> np.ndarray:
-    """Greatest magnitudes (m,) of pieces (k, d, m) in powers of time, over their lengths [s].
+    """Return the maximum magnitudes (m,) of piecewise polynomials.
 
-    Below `enough` they are not searched for closely: such a one may come out too low.
+    The coefficients (k, d, m) are in ascending powers of the time since the start of each piece.
+    `steps` (k,) are the lengths of the pieces [s]. Peaks below `enough` are not refined, so a
+    result below it may be too low.
     """
     count, powers, columns = coefficients.shape
     each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
@@ -124,7 +137,7 @@ def polynomial_peaks(
 
 
 def mean_square(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Mean square (m,) over all pieces (k, 6, m), exact but for rounding."""
+    """Mean square (m,) over all pieces (k, 6, m), exact up to rounding."""
     total = np.zeros(coefficients.shape[2])
     for u, weight in zip(GAUSS_U, GAUSS_WEIGHT, strict=True):
         value = _at(coefficients, steps * (1 + u) / 2)
@@ -144,10 +157,11 @@ def corner_accel(rig: Rig, pose: np.ndarray, twist: np.ndarray, accel: np.ndarra
 
 
 def _corner_peak(rig: Rig, cycle: PlateCycle) -> float:
-    """Greatest acceleration of the plate's corners [m/s2].
+    """Maximum acceleration of the plate's corners [m/s2].
 
-    With S = R r, J the quarter turn, w = theta': A = a + w' J S - w^2 S, and so
-    |A''| <= |a''| + |r| (|w'''| + 4 |w w''| + 3 w'^2 + 6 w^2 |w'| + w^4).
+    A corner r of the plate has the acceleration A = a + w' J S - w^2 S, with S = R r, w = theta'
+    and J the rotation by 90 degrees. With abs the magnitude, its second derivative is bounded by
+    abs(A'') <= abs(a'') + abs(r) (abs(w''') + 4 abs(w w'') + 3 w'^2 + 6 w^2 abs(w') + w^4).
     """
     steps = np.diff(cycle.times)
     pose = cycle.coefficients
@@ -166,11 +180,11 @@ def _corner_peak(rig: Rig, cycle: PlateCycle) -> float:
 def _peaks(
     curve: Curve, bend: np.ndarray, steps: np.ndarray, group: np.ndarray, enough: float = 0.0
 ) -> np.ndarray:
-    """Return the peak of each group of curves; `group` (k,) tells which one a piece belongs to.
+    """Return the peak of each group of curves. `group` (k,) is the group of each piece.
 
-    Their vectors bend by at most `bend` (k,), the second derivative: between two times h apart a
-    curve is within h^2 bend/8 of its chord. Pieces that can still hide a peak are cut in `CUTS`.
-    What cannot be computed is infinite.
+    `bend` (k,) bounds the second derivative of the curve's vector. Between two times a distance h
+    apart, a curve therefore deviates from its chord by at most h^2 bend/8. Pieces that may contain
+    a higher peak are cut into `CUTS` parts. If a bound is not finite, all peaks are infinite.
     """
     low = np.zeros(int(np.max(group)) + 1)
     piece, start, length = np.arange(len(steps)), np.zeros(len(steps)), np.asarray(steps, float)
@@ -194,7 +208,7 @@ def _peaks(
 
 
 def _at(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Values (n, m) of polynomials (n, d, m) at times t (n,) since their start."""
+    """Values (n, m) of polynomials (n, d, m) at the times t (n,) since the start of each."""
     value = coefficients[:, -1]
     for power in range(coefficients.shape[1] - 2, -1, -1):
         value = value * t[:, None] + coefficients[:, power]
@@ -213,6 +227,6 @@ def _padded(coefficients: np.ndarray) -> np.ndarray:
 
 
 def _largest(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Bound (k, m) of the magnitude of pieces over their lengths."""
+    """Upper bound (k, m) of the magnitude of each piece over its length."""
     powers = steps[:, None] ** np.arange(coefficients.shape[1])
     return np.asarray(np.einsum("kdm,kd->km", np.abs(coefficients), powers))

@@ -1,8 +1,8 @@
-"""Which cycle the plate runs, which one follows, and from when.
+"""The rule that selects the cycle that the plate runs, the next one, and its start time.
 
 The simulator, the loop without ROS and the environments play cycles by this rule. Planner and
-solver predict by it which cycle is played. The guards of driver and firmware do not use it: they
-must not trust it.
+solver use it to predict the played cycle. The guards of driver and firmware must be independent of
+it, so they do not use it.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ HANDOVER_S = 4e-3
 and the computation of the driver."""
 
 HOLD_CYCLES = 2
-"""Default number of repetitions of a cycle without a tail that no other one follows: the plate goes
-on through one or two late answers, and then stops."""
+"""Default number of repetitions of a cycle without a tail if no other cycle follows. The plate
+keeps moving during one or two late results of the solver and then stops."""
 
 IDLE_S = 0.1
 """Default length of a cycle at rest [s]: a typical cycle of the solver."""
 
 
 def in_time(arrival: float, begin: float) -> bool:
-    """Whether a cycle that was published at `arrival` [s] can run from `begin` [s] on, by the same
-    clock: the device has it by then."""
+    """Whether a cycle that was published at `arrival` [s] reaches the device before `begin` [s].
+    Both are times of the same clock."""
     return arrival + HANDOVER_S <= begin
 
 
@@ -35,17 +35,17 @@ def next_cycle(
 ) -> PlateCycle:
     """Return the cycle that the plate runs after another one.
 
-    This is the first possible of: the newest cycle sent that begins in the state in which the
-    running one ends; the tail of the running one; the running one again, if it ends as it began;
-    rest.
+    This is the first available of: the newest cycle sent that begins in the final state of the
+    running one; the tail of the running one; the running one again, if it ends in its initial
+    state; rest.
 
     Parameters
     ----------
     running : PlateCycle
     sent : sequence of PlateCycle
-        Cycles that the device has, the newest one last.
+        Cycles that the device has received, in order of arrival.
     repeat : bool
-        Whether the running cycle may run again.
+        Whether the running cycle may be repeated.
     idle_s : float
         Length of a cycle at rest [s].
     """
@@ -59,20 +59,21 @@ def next_cycle(
 
 @dataclass(frozen=True)
 class Timeline:
-    """The cycle that a player runs now, and the one that waits.
+    """The cycle that a player runs, and the next one that it has received.
 
     Attributes
     ----------
     cycle : PlateCycle
         The running cycle, or the tail of one.
     begin : float
-        When it began, on the player's clock [s].
+        Start time of the running cycle on the player's clock [s].
     repeats : int
-        How often it has been repeated.
+        Number of repetitions of the running cycle so far.
     filling : bool
-        Whether it only fills the time until another one is sent: a tail, or rest.
+        Whether the running cycle is a tail or rest, which only fills the time until the next cycle.
     waiting : PlateCycle or None
-        The cycle to run next, if it begins as the running one ends.
+        The cycle to run next, if it begins in the final state of the running one. None if no cycle
+        has been received.
     """
 
     cycle: PlateCycle
@@ -83,19 +84,20 @@ class Timeline:
 
     @classmethod
     def at_rest(cls, idle_s: float = IDLE_S) -> Timeline:
-        """Return the timeline of a plate at rest, from 0 on, in cycles of `idle_s` [s]."""
+        """Return the timeline of a plate at rest that starts at 0, with cycles of `idle_s` [s]."""
         return cls(PlateCycle.rest(idle_s), filling=True)
 
     @property
     def end(self) -> float:
-        """When the running cycle ends [s]."""
+        """End time of the running cycle [s]."""
         return self.begin + self.cycle.period
 
     def send(self, cycle: PlateCycle) -> Timeline:
-        """Return the timeline with a cycle that has reached the player.
+        """Return the timeline after the player has received a cycle.
 
-        The newest one that begins as the running one ends waits. Another one, which would have to
-        wait for the tail, does not replace it, except rest: this may be a stop.
+        Normally the new cycle becomes the waiting one. If the present waiting cycle follows the
+        running one and the new one does not, the present one is kept. A cycle at rest always
+        replaces it, because it may be a stop.
         """
         kept = self.waiting is not None and self.waiting.follows(self.cycle)
         if kept and cycle.moves and not cycle.follows(self.cycle):
@@ -103,10 +105,11 @@ class Timeline:
         return Timeline(self.cycle, self.begin, self.repeats, self.filling, cycle)
 
     def next(self, hold_cycles: int = HOLD_CYCLES, idle_s: float = IDLE_S) -> Timeline:
-        """Return the timeline from the end of the running cycle on.
+        """Return the timeline after the end of the running cycle.
 
-        A cycle that no other one follows is repeated `hold_cycles` times at most. During a tail, a
-        cycle that begins at rest goes on waiting. `idle_s` [s] is the length of a cycle at rest.
+        If no other cycle follows, the running one is repeated at most `hold_cycles` times. A
+        waiting cycle that begins at rest is kept during a tail. `idle_s` [s] is the length of a
+        cycle at rest.
         """
         waiting = () if self.waiting is None else (self.waiting,)
         repeat = not self.filling and self.repeats < hold_cycles
