@@ -1,6 +1,7 @@
-"""Takes plate cycles to the motors, within the rig's limits and with a stop that latches.
+"""Driver: sends plate cycles to the motors within the rig's limits. A stop stays in effect until a
+person enables the motors again.
 
-Others use its chapters `setpoints`, `transports`, `calibration` and `freshness`.
+Other packages use its subpackages `setpoints`, `transports`, `calibration` and `freshness`.
 """
 
 __all__: list[str] = []

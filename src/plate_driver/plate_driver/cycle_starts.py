@@ -1,8 +1,7 @@
-"""When the plate begins cycles, as the device's telemetry tells. Pure; time is an argument.
-
-A device may be wrong of how long a table has played. Where that cannot be, by the device's clock,
-the table's period and our time, no start is taken from it: the planner would find parts elsewhere.
-Whether the device's clock itself can be true, `transports.device_clock` tells.
+"""Start times of the plate's cycles, derived from the device's telemetry. No ROS, no clock: time is
+an argument. Each telemetry message is checked against the device's clock, the table's period and
+the host's time. An inconsistent message yields no start, because the planner would predict wrong
+part positions from it. `transports.device_clock` checks the device's clock itself.
 """
 
 from __future__ import annotations
@@ -15,33 +14,34 @@ from .transports.device_clock import DRIFT
 __all__ = ["CycleStarts"]
 
 SAME_START = 0.5
-"""Starts of a table less than this fraction of a cycle apart are one: clocks are not quite one."""
+"""Two start times of the same table closer than this fraction of a cycle are the same start. The
+host and device clocks differ slightly."""
 
 MARGIN_S = 3e-3
-"""What is nearer than this is the same time [s]: less than the time between two telemetries, and
-more than a table that begins at a tick of the device may be late."""
+"""Tolerance for equal times [s]. It is shorter than the interval between two telemetry messages
+and longer than the delay of a table that starts at a tick of the device."""
 
 AHEAD_S = 0.1
-"""How far ahead of our time telemetry may be [s]: the device's clock is known by round trips."""
+"""Maximum time by which telemetry may be ahead of the host's time [s]. The clock offset is
+estimated from round trips."""
 
 
 @dataclass(frozen=True)
 class CycleStarts:
-    """What is known of the cycle that runs. Times on the host's clock [s].
+    """State of the current cycle. Times on the host's clock [s].
 
     Attributes
     ----------
     until : float
-        When the cycle that was told last ends, with its tail; before the first, now.
+        End of the last reported cycle, including its tail. Initially the creation time.
     began : float
-        When it began.
+        Start of the last reported cycle. Initially minus infinity.
     table : int
-        The table whose play it is; 0: the motors rest.
+        Number of the table of that cycle. 0 if the motors rest.
     last : Measured or None
-        The telemetry before, if it is believed.
+        Previous telemetry, or None if it was rejected.
     slip : float
-        By how much tables have begun later than whole periods apart, of late, by the device's own
-        clock [s].
+        Recent delay of table starts relative to whole periods, on the device's clock [s].
     """
 
     until: float
@@ -53,22 +53,22 @@ class CycleStarts:
     def heard(
         self, new: Measured, period: float, now: float
     ) -> tuple[CycleStarts, float | None, str]:
-        """Take in telemetry; a tail is a cycle of its own.
+        """Update the state with telemetry. A tail counts as a separate cycle.
 
         Parameters
         ----------
         new : Measured
         period : float
-            Of the cycle that plays, or of one of rest [s].
+            Period of the current cycle, or of a rest cycle [s].
         now : float
 
         Returns
         -------
         starts : CycleStarts
         began : float or None
-            When a cycle began that was not told of yet.
+            Start of a cycle that was not reported before, or None.
         problem : str
-            Why the telemetry cannot be; empty if it can.
+            Reason why the telemetry is inconsistent. Empty if it is consistent.
         """
         if new.doubt:
             return replace(self, last=None, slip=0.0), None, new.doubt
@@ -91,7 +91,10 @@ class CycleStarts:
         return replace(self, table=new.table, began=began, until=until)
 
     def _problem(self, new: Measured, period: float, now: float) -> tuple[float, str]:
-        """Return the new slip, and why telemetry of a table of `period` [s] cannot be."""
+        """Return the new slip [s] and the reason why the telemetry is inconsistent, or "".
+
+        `period` [s] is the period of the table that plays.
+        """
         played = new.time - new.began
         if played > period + MARGIN_S:
             return 0.0, f"played for {played:.3g} s, allowed: {period:.3g} s, its period"
@@ -112,7 +115,7 @@ class CycleStarts:
         if last.table != new.table:
             if later < before - MARGIN_S:
                 return 0.0, f"began {later:.3g} s after the table before, allowed: {before:.3g} s"
-            if abs(off) > MARGIN_S:  # the plate rested meanwhile
+            if abs(off) > MARGIN_S:  # the plate rested between the tables
                 return 0.0, ""
         slip = self.slip + off
         if abs(slip) > MARGIN_S:

@@ -1,8 +1,8 @@
-"""Whether a cycle may still move the plate: how old what it answers is, and what happened since.
+"""Decision whether a cycle is recent enough to move the plate.
 
-The one rule, in the last place before the motors. Each message of the loop carries the stamp of the
-image, or of the cycle's start, that it descends from; so whatever was delayed, frozen, lost, sent
-again or out of order on the way, its age is known here. Pure; times are arguments.
+The driver applies this rule immediately before the motors. Each message of the loop carries the
+stamp of the image, or of the cycle start, from which it is derived. The age is therefore known even
+if a message was delayed, lost, repeated or reordered. No ROS, no clock: times are arguments.
 """
 
 from __future__ import annotations
@@ -15,47 +15,48 @@ from plate_core.status import age_limit
 __all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness"]
 
 SEND_S = 0.02
-"""What sending may take on a busy computer [s]: a cycle that comes later than that before its limit
-is refused, so that none is sent beyond it."""
+"""Maximum duration of sending on a busy computer [s]. It is subtracted from the age limit, so that
+no cycle is sent after the limit."""
 
 AHEAD_S = 0.1
-"""How far the clock of another computer may be ahead of ours [s]."""
+"""Maximum time by which another computer's clock may be ahead of this computer's clock [s]."""
 
 CLOCKS_S = 3.0
-"""An image that seems to be older than this, or not to be taken yet, is one of another clock [s]: a
-computer that is too slow answers sooner."""
+"""Maximum image age that a slow computer explains [s]. If the age is larger or negative, the
+message suggests that the clocks disagree."""
 
 STANDSTILL_S = 0.25
-"""A driver that did not run for longer stood still [s]: about a cycle."""
+"""If the driver does not run for longer than this, it counts as stalled [s]. About one cycle."""
 
 ALONE_S = 1.0
-"""Two nodes that have sent cycles within this time are rivals [s], also if their names are one: a
-solver that was started again is not so quick."""
+"""If two publishers have sent cycles within this time, both are refused [s], even if their names
+are equal. A solver takes longer than this to restart."""
 
 RESTART_NS = 1_000_000_000
-"""What happened so long after a stamp does not count [ns]: that stamp is too old anyway, or of a
-simulator that began anew."""
+"""An event later than this after a stamp is ignored [ns]. The stamp is then too old in any case, or
+it comes from a simulator that was restarted."""
 
 
 @dataclass(frozen=True)
 class Freshness:
-    """What the driver must know to tell old cycles from new ones. Stamps are in ns.
+    """Record of the events that make older cycles invalid. Stamps are in ns.
 
     Attributes
     ----------
     since_ns : int
-        When the motors became ready, or the driver ran again after it had stood still, whichever
-        was last: by the clock that stamps images.
+        Time when the motors last became ready or the driver last resumed after a stall, whichever
+        is later. On the clock that stamps images.
     why : str
-        Which of the two.
+        Text that names this event.
     ended_ns : int
         Stamp of the last request of a task that has ended.
     number : int or None
-        Stops before the motors became ready; None: they are not.
+        Number of stops before the motors became ready. None if they are not ready.
     looked : float
-        When it was last looked whether they are [s, steady clock].
+        Time of the last call of `seen` [s, steady clock].
     heard : dict of bytes to float
-        When each publisher has sent its last cycle [s, steady clock], by its key.
+        Time of the last cycle of each publisher [s, steady clock]. The key identifies the
+        publisher.
     """
 
     since_ns: int = 0
@@ -66,16 +67,16 @@ class Freshness:
     heard: dict[bytes, float] = field(default_factory=dict)
 
     def seen(self, number: int | None, now: float, clock_ns: int) -> Freshness:
-        """Take in whether the motors are ready; to be called every 20 ms or so.
+        """Record whether the motors are ready. Call this about every 20 ms.
 
         Parameters
         ----------
         number : int or None
-            Stops so far if they are ready, else None.
+            Number of stops so far if the motors are ready. Otherwise None.
         now : float
-            Of the steady clock [s].
+            Time on the steady clock [s].
         clock_ns : int
-            The same instant by the clock that stamps images.
+            The same time on the clock that stamps images.
         """
         away, why = now - self.looked, ""
         if number is not None and number != self.number:
@@ -86,24 +87,27 @@ class Freshness:
         return replace(new, since_ns=clock_ns, why=why) if why else new
 
     def ended(self, stamp_ns: int) -> Freshness:
-        """Take in that a task has ended, or that none runs: the planner's last request answered the
-        image of this stamp. 0, of one that has asked for nothing yet, and what was said of older
-        images count for nothing."""
+        """Record that a task has ended, or that no task runs.
+
+        `stamp_ns` is the image stamp of the planner's last request. It is ignored if it is 0 (no
+        request yet) or less than `RESTART_NS` older than the last recorded stamp.
+        """
         old = not stamp_ns or 0 < self.ended_ns - stamp_ns < RESTART_NS
         return self if old else replace(self, ended_ns=stamp_ns)
 
     def came(self, source: bytes, now: float) -> Freshness:
-        """Take in that a cycle has come, at rest or not: from whom, and when [s, steady clock]."""
+        """Record that publisher `source` sent a cycle, moving or at rest, at `now` [s, steady
+        clock]."""
         recent = {key: at for key, at in self.heard.items() if now - at < ALONE_S}
         return replace(self, heard=recent | {source: now})
 
     def left(self, stamp_ns: int, clock_ns: int, period: float) -> float:
-        """Return for how long a moving cycle may still be sent [s].
+        """Return the remaining time in which a moving cycle may be sent [s].
 
         Raises
         ------
         CycleError
-            If it may no more, with the reason.
+            If it must not be sent. The message gives the reason.
         """
         age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
         if not -AHEAD_S <= age <= limit:

@@ -1,4 +1,5 @@
-"""How long a plate cycle is, from its bytes alone: one that is too long is never unpacked."""
+"""Size check of a serialized plate cycle. The number of points is read from the first bytes of the
+CDR message, so a cycle that is too long is never deserialized."""
 
 from __future__ import annotations
 
@@ -7,10 +8,10 @@ import struct
 from plate_core import CycleError
 
 POINT_BYTES = 256
-"""Of a point with three joints, however it is written: 3 x (4 + 4 + 24) + 8 + 8, and room."""
+"""Maximum size of a point with three joints [bytes]: 3 x (4 + 4 + 24) + 8 + 8, and a margin."""
 
 HEAD_BYTES = 4096
-"""Of all that comes before the points: a frame's and three joints' names."""
+"""Maximum size of the part before the points [bytes]: the names of a frame and of three joints."""
 
 MOST_NAMES = 16
 
@@ -21,14 +22,14 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
     Parameters
     ----------
     data : bytes
-        How it begins: `HEAD_BYTES` are enough.
+        First bytes of the message. `HEAD_BYTES` are enough.
     size : int
-        Bytes of the whole.
+        Size of the whole message [bytes].
 
     Raises
     ------
     CycleError
-        Naming both numbers.
+        If the message is too long. The text gives the actual and the allowed number.
     """
     points = _points(data)
     if points is not None and points > most_points:
@@ -41,7 +42,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
 
 
 def _points(data: bytes) -> int | None:
-    """Number of points, as far as the beginning tells; None if it does not."""
+    """Return the number of points, or None if it cannot be read from `data`."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         return None
     order = "<" if data[1] == 1 else ">"

@@ -1,4 +1,6 @@
-"""What the driver says of itself: what the motors do, why, and what to do; and how bad it is."""
+"""Content of `driver_status` and of the driver's diagnostics. The inputs are the latch, the report
+of the transport and the statistics. The outputs are the state of the motors, its reason, the
+recommended action and a severity level."""
 
 from __future__ import annotations
 
@@ -13,35 +15,35 @@ from .transports import Condition, Latch, Report
 __all__ = ["AT_REST", "LOOK", "OFF", "UNANSWERED", "driver_status", "health"]
 
 PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
-"""Stops by a person who saw a danger."""
+"""Reasons of stops that a person requested because of a danger."""
 
 LOOK = "look at the rig, then call enable"
 OFF = "disabled: the motors are off; call enable"
 UNCERTAIN = "error: the last stop was not acknowledged: cut the power by hand"
-"""What is said until the device has been heard again."""
+"""Text until a message of the device arrives again."""
 
 UNANSWERED = "the device does not answer: cut the power by hand"
-"""What a stop says that nobody has acknowledged."""
+"""Reply to a stop that the device has not acknowledged."""
 
 AT_REST = "the plate rests: no task runs"
 
 MANY_RETRIES = 50
-"""Messages repeated in a second beyond which the line is worth a warning."""
+"""Maximum number of repeated messages per second without a warning about the line."""
 
 
 def driver_status(
     active: bool, latch: Latch, report: Report | None, calibrating: bool
 ) -> DriverStatus:
-    """Return what the motors do, and why they are not ready.
+    """Return the state of the motors and, if they are not ready, the reason.
 
     Parameters
     ----------
     active : bool
-        Whether the lifecycle node is.
+        Whether the lifecycle node is active.
     latch : Latch
-        Why the driver lets no cycles through.
+        Latch that blocks cycles after a stop, with its reason.
     report : Report or None
-        What the motors do; None: no transport is open, the node is not configured.
+        Report of the transport. None if no transport is open (node not configured).
     calibrating : bool
     """
 
@@ -55,7 +57,8 @@ def driver_status(
     if latch.unanswered and condition is Condition.GONE:
         return status(DriverState.ERROR, UNCERTAIN, DriverReason.STOP_UNANSWERED)
     known = Report(condition) if report is None else report
-    # Ready, with the latch closed: it has not noticed the stop yet, or the enable is not over.
+    # If the motors are ready and the latch is closed, the transport has not noticed the stop yet,
+    # or the enable is not finished.
     stopping = condition is Condition.READY and bool(asked) and not latch.enabling
     if condition is Condition.BRAKING or (active and stopping):
         why = asked or known.reason
@@ -94,23 +97,23 @@ def health(
     lasting: Sequence[str] = (),
     unplayed: str = "",
 ) -> Finding:
-    """Return how well the driver is, and why.
+    """Return the severity level of the driver's state, and its reason.
 
     Parameters
     ----------
     status : DriverStatus
     statistics : Statistics
-        Of the last second.
+        Statistics of the last second.
     retries : int
-        Messages that were repeated in this second.
+        Number of messages that were repeated in the last second.
     quiet_s : float or None
-        Time since the last cycle [s], if the plate rests for lack of cycles; otherwise None.
+        Time since the last cycle [s] if the plate rests because no cycle arrives. Otherwise None.
     task : bool
-        Whether a task runs. Without a task rest is normal.
+        Whether a task runs. If no task runs, a plate at rest is normal.
     lasting : sequence of str
         Faults that last until somebody corrects them.
     unplayed : str
-        Why the motors have not played any sent cycle for long; otherwise empty.
+        Reason why the motors have not played a sent cycle for a long time. Otherwise empty.
     """
     if status.state in (DriverState.ERROR, DriverState.STOPPED):
         return Finding(Level.ERROR, status.text)

@@ -1,6 +1,5 @@
-"""What stops the motors: a node with a participant and threads of its own, apart from all cycles.
-
-The driver makes it; others use its services and `driver_status`.
+"""Node that stops the motors. It has its own DDS participant and threads, separate from the node
+that processes cycles. The driver creates it; other nodes use its services and `driver_status`.
 """
 
 __all__: list[str] = []

@@ -1,4 +1,5 @@
-"""Stops, enable, home and driver_status: a node with a participant and threads of its own."""
+"""Services for stops, enable and home, and the topic driver_status. The node has its own DDS
+participant and threads, so that cycle traffic cannot delay a stop."""
 
 from __future__ import annotations
 
@@ -32,35 +33,39 @@ STATE_PERIOD_S = 0.05
 """Time between checks whether driver_status has changed [s]."""
 
 LIFE_PERIOD_S = 0.5
-"""Time after which an unchanged driver_status is repeated [s]."""
+"""Time after which an unchanged driver_status is published again [s]."""
 
 FAREWELL_S = 0.5
-"""How long to wait until the last messages have arrived [s]."""
+"""Maximum wait for the acknowledgement of the last messages [s]."""
 
 END_S = 10.0
-"""Longest wait for the thread that spins, and for those that answer [s]: one that outlives the
-interpreter crashes the process, and on a busy machine half a second may pass before it runs
-again."""
+"""Maximum wait for the spinning thread and the service threads to end [s]. A thread that outlives
+the interpreter crashes the process. On a busy machine a thread may not run for half a second."""
 
 STILL_S = 1.0
-"""A driver that stood still for longer [s] carries out no enable that was asked for meanwhile."""
+"""If the driver stalled for longer than this, it refuses an enable or home that may have waited
+[s]."""
 
 THREADS = 128
-"""So many calls may wait for an answer before the next one is late; made when they are needed."""
+"""Maximum number of calls that wait for a reply at the same time. A further call is delayed.
+Threads are created on demand."""
 
 
 ENABLING = "enabling: driver_status tells when the motors are ready"
 SILENT = "the device has not answered yet"
-"""What an enable and a home say that are not settled when their caller gets an answer."""
+"""Replies to an enable and to a home that are not finished at the time of the reply."""
 
 LATE = "the driver itself stood still: call again"
-"""What they say that may have waited for its end."""
+"""Reply to an enable or home that may have waited during a stall."""
 
 
 class SafetyNode:
-    """Stops, enable, home and driver_status, apart from all that cycles do: a participant of its
-    own receives nothing else, threads of its own answer, and the clock is the steady one. Each call
-    is answered within 0.5 s with what is known then; driver_status tells the rest.
+    """Services for stops, enable and home, and the topic driver_status, separate from cycle
+    traffic.
+
+    The node's DDS participant receives nothing else, the calls run in its own threads, and it uses
+    the steady clock. Each call returns within 0.5 s with the state known then. driver_status
+    reports later changes.
 
     Parameters
     ----------
@@ -108,14 +113,15 @@ class SafetyNode:
         with contextlib.suppress(ExternalShutdownException):
             while self._context.ok() and not self._ended:
                 try:
-                    self._executor.spin_once()  # at most until the timer ticks
+                    self._executor.spin_once()  # returns at the latest when the timer fires
                 except ExternalShutdownException:
                     raise
                 except Exception as error:
                     self.node.get_logger().error(f"safety: {error!r}")
 
     def _guarded(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return a callback that answers whatever goes wrong: these threads must not end."""
+        """Return a callback that replies even after an exception, so that the thread does not
+        end."""
 
         def callback(request: Any, response: Any) -> Any:
             try:
@@ -128,7 +134,7 @@ class SafetyNode:
         return callback
 
     def publish_status(self) -> None:
-        """Publish driver_status if it has changed, or was not published for a while."""
+        """Publish driver_status if it has changed or `LIFE_PERIOD_S` has passed."""
         with self._publishing:
             status, now = self._driver.status, time.monotonic()
             self._standstill.is_late(now)
@@ -139,7 +145,7 @@ class SafetyNode:
             self._statuses.publish(driver_status_to_msg(status, stamp))
 
     def close(self) -> None:
-        """Publish the last state, and answer no more; once."""
+        """Publish the last state and stop the threads. Further calls do nothing."""
         if self._ended:
             return
         self.publish_status()
@@ -168,7 +174,7 @@ class SafetyNode:
         self, response: Any, reason: DriverReason,
         over: tuple[DriverReason, ...] = (DriverReason.NONE,),
     ) -> Any:  # fmt: skip
-        """Close the latch, have the motors stop, and answer whether they do."""
+        """Close the latch, stop the motors, and set the response to the result."""
         self._latch.close(reason, over)
         response.success = self._driver.stop_motors(cut=reason is DriverReason.POWER_CUT)
         response.message = self._driver.status.text if response.success else UNANSWERED
@@ -197,7 +203,7 @@ class SafetyNode:
             response.message = f"the driver is {self._driver.status.text}, allowed: active"
             return response
         status = self._driver.status
-        if status.state is DriverState.READY:  # there is no stop to clear, and a task may run
+        if status.state is DriverState.READY:  # already enabled: do not disturb a task that may run
             response.success, response.message = True, status.text
             return response
         end = time.monotonic() + ANSWER_S

@@ -1,6 +1,8 @@
-"""From a plate cycle to what the motors get: faded in and out, within the limits, never too warm.
+"""Conversion of plate cycles to motor setpoints. Cycles are faded in and out if needed, and kept
+within the rig's limits, including the motors' temperature.
 
-`prepare` makes a `MotorTable` of a cycle, `Guard` does that for a running driver and counts.
+`prepare` converts one cycle to a `MotorTable`. `Guard` does so in a running driver and keeps
+statistics.
 """
 
 from .guard import Guard, Statistics

@@ -1,7 +1,8 @@
-"""What the driver passes on to the motors and what it refuses, without ROS, and counts of both.
+"""State of the driver between incoming cycles and the motors, without ROS. It converts accepted
+cycles to tables, refuses the others, detects that no more cycles arrive, and keeps statistics.
 
-Pure: time is an argument, and what happens returns a new guard. A clock that is put back, as a
-simulated one is when the simulator starts again, has begun anew: what was sent before is over.
+Guards are immutable: each event returns a new guard, and time is an argument. If a simulated clock
+is set back, the simulator was restarted and earlier tables no longer count.
 """
 
 from __future__ import annotations
@@ -17,28 +18,28 @@ from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays,
 from .thermal import ThermalState
 
 EXPERIMENT_CYCLES = 9
-"""Times that a calibration's cycle is played: one more than is measured, and less than 10 s."""
+"""Number of plays of a calibration cycle: one more than is measured. Total below 10 s."""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Counts since the start; extremes and problems since the last report.
+    """Counts since the start, and extremes and problems since the last report.
 
     Attributes
     ----------
     cycles, refused, scaled, rests : int
-        Plate cycles accepted, refused, accepted but scaled down, and times that the plate came to
-        rest because no more came.
+        Number of plate cycles accepted, refused, and accepted but scaled down. `rests` counts how
+        often the plate came to rest because no more cycles arrived.
     worst : float
-        Greatest fraction of a limit that any cycle asked for.
+        Maximum fraction of a limit that a cycle requested.
     factor : float
-        Smallest factor that a cycle was scaled with.
+        Minimum scaling factor of a cycle.
     late : float
-        Longest that a cycle came after the last one's end [s].
+        Maximum delay of a cycle after the end of the last one [s].
     since : int
-        Cycles accepted before this report.
+        Value of `cycles` at the last report.
     problems : tuple of str
-        What went wrong, each once.
+        Problems, each once.
     """
 
     cycles: int = 0
@@ -52,7 +53,7 @@ class Statistics:
     problems: tuple[str, ...] = ()
 
     def accepted(self, fit: Fit, late: float = 0.0) -> Statistics:
-        """Count a cycle that was sent, so much after the last one's end [s]."""
+        """Count a cycle that was sent `late` [s] after the end of the last one."""
         new = replace(
             self,
             cycles=self.cycles + 1,
@@ -65,17 +66,17 @@ class Statistics:
         return new
 
     def noted(self, problem: str) -> Statistics:
-        """Note what went wrong."""
+        """Record a problem."""
         if problem in self.problems:
             return self
         return replace(self, problems=(*self.problems, problem))
 
     def reported(self) -> Statistics:
-        """Begin the next report."""
+        """Reset the extremes and problems for the next report."""
         return replace(self, worst=0.0, factor=1.0, late=0.0, since=self.cycles, problems=())
 
     def values(self, period_s: float) -> dict[str, str]:
-        """Return the report of the last `period_s`, name to value."""
+        """Return the report of the last `period_s` [s] as names and values."""
         return {
             "rate_hz": f"{(self.cycles - self.since) / period_s:.2f}",
             "late_ms": f"{self.late * 1e3:.1f}",
@@ -90,26 +91,28 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Guard:
-    """Between what comes in and the motors.
+    """Check and conversion of cycles before they are sent to the motors.
 
-    A table with a tail is played once, whatever `hold_cycles` says: where no other one follows it
-    ends at rest by itself.
+    A table with a tail is played once, independent of `hold_cycles`. If no other table follows, it
+    ends at rest.
 
     Attributes
     ----------
     rig : Rig
     hold_cycles, repeats : int
-        Periods that a cycle from rest to rest is played without a new one; see `with_fades`.
+        `hold_cycles` is the number of plays of a cycle from rest to rest without a new one. See
+        `with_fades` for `repeats`.
     correction : callable or None
-        What was learned of the plate.
+        Correction by a calibration, or None.
     hold_s : float
-        Longest time for which the motors play a table again [s].
+        Maximum time for which the motors repeat a table [s].
     last_ns : int or None
-        Stamp of the last cycle accepted.
+        Stamp of the last accepted cycle.
     table : MotorTable or None
-        The last one sent; None: the plate rests.
+        Last table sent. None if the plate rests.
     sent_at, lasts_s : float
-        When the last one was sent, and how long after that the plate rests without a new one [s].
+        Time when the last table was sent, and time from then until the plate rests without a new
+        one [s].
     thermal : ThermalState
     statistics : Statistics
     """
@@ -128,7 +131,7 @@ class Guard:
 
     @property
     def plays(self) -> int:
-        """Times that the motors play the last table, unless another one comes."""
+        """Number of times that the motors play the last table if no other one arrives."""
         assert self.table is not None
         cycle = self.table.cycle
         return plays(self.hold_cycles if cycle.tail is None else 1, self.hold_s, cycle.period)
@@ -139,7 +142,7 @@ class Guard:
         Raises
         ------
         CycleError
-            If the cycle is refused: this guard stays as it is.
+            If the cycle is refused. This guard is unchanged.
         """
         check_order(self.last_ns, stamp_ns)
         guard, fit = self.commanded(cycle, stamp_ns, now)
@@ -148,15 +151,15 @@ class Guard:
         return replace(guard, last_ns=stamp_ns, statistics=statistics), fit
 
     def commanded(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, Fit]:
-        """Return the guard with a cycle's table, whatever mode and order are.
+        """Return the guard with a cycle's table, without a check of the order of stamps.
 
         Raises
         ------
         CycleError
-            If it is none that this plate could do.
+            If the plate cannot execute the cycle.
         """
         thermal = self.thermal.at_time(self.rig, now)
-        # It may be played once more than that: what plays now goes on to its end.
+        # One more play than that is possible, because the current table is played to its end.
         longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         allowed = thermal.allowed_load(self.rig, longest)
         before = None if self.table is None else self.table.cycle
@@ -166,53 +169,57 @@ class Guard:
         thermal = thermal.under(fit.usage.thermal_load)
         guard = replace(self, table=table, sent_at=now, thermal=thermal)
         lasts_s = guard.plays * table.cycle.period
-        if table.tail is not None:  # what plays now goes on to its end before
+        if table.tail is not None:  # the current table is played to its end first
             lasts_s = table.length + (0.0 if self.table is None else self.table.length)
         return replace(guard, lasts_s=lasts_s), fit
 
     def lasting(self, until: float) -> Guard:
-        """Return the guard whose table is too old from `until` on [s, steady clock]."""
+        """Return the guard whose table must not be sent after `until` [s, steady clock]."""
         assert self.table is not None
         return replace(self, table=replace(self.table, until=until))
 
     def experimenting(self, cycle: PlateCycle, now: float) -> tuple[Guard, PlateCycle]:
-        """Return the guard with the table of a calibration's cycle, and what it makes of that."""
+        """Return the guard with the table of a calibration cycle, and the scaled cycle."""
         patient = replace(self, hold_cycles=EXPERIMENT_CYCLES, correction=None)
         guard, fitted = patient.commanded(cycle, 0, now)
         return guard, fitted.cycle
 
     def after_experiment(self, before: Guard) -> Guard:
-        """Return the guard with the settings of one from before an experiment."""
+        """Return the guard with the settings of `before`, the guard before an experiment."""
         return replace(self, hold_cycles=before.hold_cycles, correction=before.correction)
 
     def refused(self) -> Guard:
-        """Return the guard after a cycle that it did not take."""
+        """Return the guard after a refused cycle."""
         more = replace(self.statistics, refused=self.statistics.refused + 1)
         return replace(self, statistics=more.noted("a cycle was refused"))
 
     def reported(self) -> Guard:
-        """Return the guard whose statistics were reported."""
+        """Return the guard after its statistics were reported."""
         return replace(self, statistics=self.statistics.reported())
 
     def noted(self, problem: str) -> Guard:
-        """Return the guard that knows what is wrong with the transport."""
+        """Return the guard with a recorded problem."""
         return replace(self, statistics=self.statistics.noted(problem))
 
     def resting(self, now: float) -> Guard:
-        """Return the guard of a plate that is brought to rest, or has come to rest by itself."""
+        """Return the guard after the plate has stopped or come to rest."""
         thermal = self.thermal.at_time(self.rig, now).under(np.zeros(4))
         return replace(self, table=None, thermal=thermal)
 
     def over(self, now: float, times: float = 1.0) -> bool:
-        """Tell whether cycles have ceased to come: `times` as long as the last table lasts has
-        passed, or the clock was put back. At 0 a simulated clock has not been heard yet."""
+        """Return whether no more cycles arrive.
+
+        True if `times` times the duration of the last table has passed, or if the clock was set
+        back. A simulated clock at 0 has not been received yet and is ignored.
+        """
         if self.table is None:
             return False
         put_back = now > 0 and 1e9 * (self.sent_at - now) > RESTART_NS
         return put_back or now - self.sent_at > times * self.lasts_s
 
     def watched(self, now: float) -> tuple[Guard, bool]:
-        """Return the guard at `now` [s], and whether it rests since cycles ceased to come."""
+        """Return the guard at `now` [s], and whether the plate now rests because no cycles
+        arrive."""
         if not self.over(now):
             return self, False
         more = replace(self.statistics, rests=self.statistics.rests + 1)
@@ -220,7 +227,7 @@ class Guard:
         return replace(rests, sent_at=min(self.sent_at, now)), True
 
     def values(self, period_s: float, now: float) -> dict[str, str]:
-        """Return what is to be reported of the last `period_s` at `now` [s], name to value."""
+        """Return the report of the last `period_s` [s] at `now` [s] as names and values."""
         thermal = self.thermal.at_time(self.rig, now)
         return self.statistics.values(period_s) | {
             "thermal_load": f"{float(np.max(thermal.rise)):.4f}",

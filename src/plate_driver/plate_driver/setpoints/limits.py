@@ -1,4 +1,6 @@
-"""Keep a motion within what the rig can do: scale it down as a whole, or refuse it."""
+"""Check of motions against the rig's limits on stroke, speed, acceleration, force and heat. `fit`
+scales a cycle as a whole until it is within the limits. `check_setpoints` checks the final motor
+setpoints and refuses those beyond the limits."""
 
 from __future__ import annotations
 
@@ -16,35 +18,36 @@ from plate_core.motion import (
 )
 
 TARGET = 0.999
-"""Fraction of the worst limit that a scaled cycle uses: the rest is for the search and rounding."""
+"""Target usage of the worst limit by a scaled cycle [-]. The margin covers search and rounding."""
 
 CLOSE_ENOUGH = 0.99
-"""A scaled cycle that uses this fraction or more of the worst limit is not scaled up again."""
+"""The search ends when the scaled cycle uses at least this fraction of the worst limit."""
 
 ROUNDS = 60
-"""Trials of a factor: most cycles need one or two, absurd ones (poses of 1e100 m) some ten."""
+"""Maximum number of trial factors. Most cycles need one or two; poses of 1e100 m need about ten."""
 
 ROUNDING = 3e-6
-"""Excess that is none: peaks come out up to 1e-6 too high, and solvers round too."""
+"""Relative excess of a limit that is accepted. Computed peaks are up to 1e-6 too high, and solvers
+round as well."""
 
 HOME_TOLERANCE = 2e-5
-"""How far a motor may be from home where a table begins and ends [m], for each metre from the
-plate's centre to the farthest motor, at least one; the speed may be off by 100 times as much.
-That is what `PlateCycle.starts_at_rest` allows, at the motors."""
+"""Maximum deviation of a motor from home at the ends of a table [m], per metre of distance from the
+plate's centre to the farthest motor (at least 1 m). The speed tolerance [m/s] is 100 times this
+value. It corresponds to the tolerance of `PlateCycle.starts_at_rest`, at the motors."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A cycle that the rig can follow, and how it came to be.
+    """A cycle within the rig's limits, and its scaling.
 
     Attributes
     ----------
     cycle : PlateCycle
-        The motion asked for, all amplitudes times `factor`, in the same time.
+        The requested motion with all amplitudes multiplied by `factor`. The period is unchanged.
     factor : float
-        1 if the cycle was within the limits as it came.
+        1 if the requested cycle was within the limits.
     asked, usage : CycleUsage
-        Peaks of the cycle as it came, and of the one returned.
+        Peaks of the requested cycle, and of the returned one.
     """
 
     cycle: PlateCycle
@@ -54,7 +57,7 @@ class Fit:
 
     @property
     def summary(self) -> str:
-        """By how much it was scaled down, and why."""
+        """Text with the scaling factor and the requested peaks."""
         return (
             f"cycle scaled by {self.factor:.3g}: it used {self.asked.overall:.3g} times the limits "
             f"({self.asked.stroke_m * 1e3:.3g} mm, {self.asked.speed:.3g} m/s, "
@@ -65,13 +68,13 @@ class Fit:
 def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> Fit:
     """Scale a cycle down, as a whole, until no limit of the rig is exceeded.
 
-    Scaling keeps the directions of the surface's motion, and those alone decide friction;
-    clipping the peaks would make another motion with other forces.
+    Friction forces depend on the direction of the surface's motion, and scaling keeps it. Clipping
+    the peaks would change the forces.
 
     Parameters
     ----------
     thermal_load : (4,) or float
-        What the motors may take, see `usage`.
+        Allowed thermal load of the motors, see `usage`.
 
     Raises
     ------
@@ -93,11 +96,11 @@ def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> 
 def _scaled(
     rig: Rig, cycle: PlateCycle, asked: CycleUsage, thermal_load: np.ndarray | float
 ) -> Fit:
-    """Search the largest factor that fits.
+    """Search the largest factor that keeps the cycle within the limits.
 
-    Peaks are not quite proportional to the factor (turning adds its square), so this is a search
-    for the root of log(worst/TARGET) over log(factor), between a factor too large and one that
-    fits: secant steps, halvings where those do not help.
+    Peaks are not exactly proportional to the factor, because rotation adds a quadratic term. The
+    search finds the root of log(worst/TARGET) as a function of log(factor), between a factor that
+    is too large and one that fits. It uses secant steps, and bisection in every third trial.
     """
     large, large_worst = 1.0, asked.overall
     small: Fit | None = None
@@ -127,18 +130,18 @@ def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bo
     if not secant:
         return float(np.exp((low + high) / 2))
     below, above = np.log(small.usage.overall / TARGET), np.log(large_worst / TARGET)
-    # A little below the root: the next trial then most likely fits, and ends the search.
+    # Slightly below the root, so that the next trial most likely fits and ends the search.
     fraction = -below / (above - below)
     return float(np.exp(low + fraction * (high - low)) * 0.998)
 
 
 def excess(rig: Rig, used: CycleUsage, thermal_load: np.ndarray | float = 1.0) -> str:
-    """Say which limit a motion exceeds most: its name, its value and what is allowed.
+    """Return a text about the limit that a motion exceeds most: name, value and allowed value.
 
     Parameters
     ----------
     thermal_load : (4,) or float
-        What the motors may take, see `usage`.
+        Allowed thermal load of the motors, see `usage`.
     """
     limits, allowed = rig.limits, np.broadcast_to(thermal_load, 4)
     warmest = int(np.argmax(used.thermal_load / allowed))
@@ -162,24 +165,24 @@ def check_setpoints(
     qdd: np.ndarray,
     start: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> None:
-    """Refuse motor setpoints beyond the rig's limits, or that begin or end elsewhere than allowed.
+    """Refuse motor setpoints that exceed the rig's limits or have wrong end states.
 
-    The last look before the motors: it knows nothing of how the setpoints were made.
+    This is the last check before the motors. It does not depend on how the setpoints were computed.
 
     Parameters
     ----------
     times : (k + 1,)
-        [s], rising from 0; one may be given twice, with the same setpoints.
+        [s], increasing from 0. A time may occur twice if its setpoints are equal.
     q, qd, qdd : (k + 1, 4)
-        Travel [m], speed [m/s] and acceleration [m/s2] of the motors; quintics between.
+        Travel [m], speed [m/s] and acceleration [m/s2] of the motors, with quintic interpolation.
     start : (4,) and (4,), optional
-        Travel [m] and speed [m/s] with which they must begin; missing: at rest at home, as they
-        must end.
+        Required initial travel [m] and speed [m/s]. Default: at rest at home. The final state must
+        always be at rest at home.
 
     Raises
     ------
     CycleError
-        Naming the motor, its value and what is allowed.
+        If a check fails. The text gives the motor, the value and the allowed value.
     """
     if not all(np.all(np.isfinite(values)) for values in (times, q, qd, qdd)):
         raise CycleError("motor setpoints: a value is not finite")

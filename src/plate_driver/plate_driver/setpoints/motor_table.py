@@ -1,4 +1,6 @@
-"""From a plate cycle to the motor table that is sent: faded in and out, and within the limits."""
+"""Conversion of a plate cycle to the motor table that is sent. The motion is faded in and out if it
+does not start at rest, scaled to the rig's limits, and corrected by a calibration if there is one.
+Plate states at the knots become motor travel, speed and acceleration by `plate_core.motion`."""
 
 from __future__ import annotations
 
@@ -14,42 +16,45 @@ from plate_core.motion import motor_state, usage
 from .limits import Fit, check_setpoints, excess, fit
 
 PERIOD_S = (0.01, 10.0)
-"""Allowed length of a table, and of its tail [s]: one image is taken in each, so it is 0.1 to
-100 Hz of sight."""
+"""Allowed length of a table and of its tail [s]. One image is taken per table, so the image rate is
+0.1 to 100 Hz."""
 
 MAX_KNOTS = 2000
-"""Knots of one cycle: more would take longer to work through than the cycle lasts."""
+"""Maximum number of knots of one cycle. Processing more would take longer than the cycle."""
 
 RESTART_NS = 1_000_000_000
-"""A stamp this much older than the last means that the simulator or camera began anew [ns]."""
+"""If a stamp is older than the last one by more than this, the simulator or camera was restarted
+[ns]."""
 
 MIN_KNOTS = 48
-"""Least knots per fade. With 48 and 8 harmonics the splines miss the exact fade by 1e-5 of the
-pose and 2e-4 of the acceleration; pose, twist and acceleration stay continuous in any case."""
+"""Minimum number of knots per fade. With 48 and 8 harmonics the splines miss the exact fade by 1e-5
+of the pose and 2e-4 of the acceleration; pose, twist and acceleration stay continuous in any
+case."""
 
 Correction = Callable[[PlateCycle], PlateCycle]
-"""From the motion that the plate is to make to the one to command; linear."""
+"""Linear map from the requested motion of the plate to the commanded motion."""
 
 
 @dataclass(frozen=True)
 class MotorTable:
-    """What the motors do: to rest at home, from rest at home or from where another table ends its
-    cycle.
+    """Motor setpoints of a cycle. They end at rest at home. They begin at rest at home or in the
+    state in which another table ends its cycle.
 
-    With a tail it is played once; at the end of its cycle the next table takes over, if that begins
-    in this very state, and else its tail leads to rest. Without one it begins and ends at rest, and
-    may be repeated.
+    A table with a tail is played once. At the end of its cycle the next table takes over if it
+    begins in exactly that state. Otherwise the tail brings the plate to rest. A table without a
+    tail begins and ends at rest, and may be repeated.
 
     Attributes
     ----------
     stamp_ns : int
-        Stamp of the image it descends from.
+        Stamp of the image from which it is derived.
     cycle : PlateCycle
         The plate's motion.
     q, qd, qdd : (k + 1, 4)
-        Travel [m], speed and acceleration of the motors at `times`; quintic splines between.
+        Travel [m], speed [m/s] and acceleration [m/s2] of the motors at `times`, with quintic
+        interpolation.
     until : float
-        From then on it is too old to be sent [s, steady clock].
+        Time after which it is too old to be sent [s, steady clock].
     """
 
     stamp_ns: int
@@ -72,24 +77,26 @@ class MotorTable:
 
     @property
     def times(self) -> np.ndarray:
-        """Times (k + 1,) of the knots [s]: the end of the cycle twice, if a tail begins there."""
+        """Times (k + 1,) of the knots [s]. With a tail, the end of the cycle occurs twice."""
         return self.cycle.knots[0]
 
     @property
     def length(self) -> float:
-        """Time until the motors rest, if it is played once and no other table takes over [s]."""
+        """Duration [s] until the motors rest, if it is played once and no other table takes
+        over."""
         return sum(part.period for part in self.cycle.parts)
 
     @property
     def tail(self) -> MotorTable | None:
-        """What is played from the end of the cycle on where no other table takes over."""
+        """Table that is played after the cycle if no other table takes over. None without a
+        tail."""
         if self.cycle.tail is None:
             return None
         k = len(self.cycle.times)
         return replace(self, cycle=self.cycle.tail, q=self.q[k:], qd=self.qd[k:], qdd=self.qdd[k:])
 
     def check_age(self, now: float) -> None:
-        """Refuse to send it at `now` [s, steady clock] if it is too old.
+        """Check that it is not too old to be sent at `now` [s, steady clock].
 
         Raises
         ------
@@ -100,7 +107,8 @@ class MotorTable:
 
 
 def plays(cycles: int, hold_s: float, period: float) -> int:
-    """Return how often a table is played, wanted `cycles` times, where `hold_s` [s] is the most."""
+    """Return the number of plays of a table: `cycles`, limited to a total of `hold_s` [s], at least
+    1."""
     return max(1, int(min(cycles, hold_s / period + 1e-9)))
 
 
@@ -113,30 +121,30 @@ def prepare(
     correction: Correction | None = None,
     before: PlateCycle | None = None,
 ) -> tuple[MotorTable, Fit]:
-    """Make the table that does what a plate cycle asks for, within the rig's limits.
+    """Convert a plate cycle to a motor table within the rig's limits.
 
-    A cycle from rest is scaled down as a whole, with its tail, where it exceeds them. One that
-    begins in motion cannot be: it would begin elsewhere than the one before ends.
+    If a cycle from rest exceeds the limits, it is scaled down as a whole, with its tail. A cycle
+    that begins in motion cannot be scaled, because it must begin in the end state of the cycle
+    before.
 
     Parameters
     ----------
     repeats : int
         See `with_fades`.
     thermal_load : (4,) or float
-        What the motors may take, see `usage`.
+        Allowed thermal load of the motors, see `usage`.
     correction : callable, optional
-        What was learned of the plate. Wanted motion and command both keep the limits. What is to
-        be corrected depends on what comes next, which is not known at the end of a cycle in motion:
-        such a one is played with its tail as one motion from rest to rest.
+        Correction by a calibration. Both the requested motion and the command keep the limits. The
+        correction depends on the next cycle, which is unknown at the end of a cycle in motion.
+        Therefore such a cycle is played with its tail as one motion from rest to rest.
     before : PlateCycle, optional
-        The one that was sent last, at whose end a cycle may begin in motion; missing: the plate
-        rests.
+        The last cycle sent. A cycle in motion may begin at its end. Default: the plate rests.
 
     Raises
     ------
     CycleError
-        If the cycle is none that this plate could do, or begins in motion and not where `before`
-        ends, or beyond a limit.
+        If the plate cannot execute the cycle, or if it begins in motion and does not continue
+        `before` or exceeds a limit.
     """
     if len(cycle.knots[0]) > MAX_KNOTS:
         count = len(cycle.knots[0])
@@ -178,12 +186,13 @@ def prepare(
 def _following(
     cycle: PlateCycle, before: PlateCycle | None, correction: Correction | None
 ) -> PlateCycle:
-    """Return a cycle that begins in motion, to the last bit where another one ends.
+    """Return a cycle that begins in motion, with its first state replaced by the end state of
+    `before`.
 
     Raises
     ------
     CycleError
-        If it does not begin there, or may not follow.
+        If it does not begin in that state, or must not follow.
     """
     if cycle.tail is None:
         raise CycleError(
@@ -211,8 +220,7 @@ def _following(
 
 
 def unspliced(cycle: PlateCycle) -> PlateCycle:
-    """Return a cycle from rest and its tail as one motion, which nothing can follow before its
-    end."""
+    """Return a cycle from rest and its tail as one motion without a splice."""
     times, *states = cycle.knots
     once = np.append(True, np.diff(times) > 0)
     return PlateCycle.from_knots(times[once], *(state[once] for state in states))
@@ -221,8 +229,8 @@ def unspliced(cycle: PlateCycle) -> PlateCycle:
 def _corrected(
     rig: Rig, fitted: Fit, correction: Correction, thermal_load: np.ndarray | float
 ) -> tuple[PlateCycle, Fit]:
-    """Return the command for a motion, both scaled until the command keeps the limits too."""
-    # Motors carry what the plate does, not what it is commanded to do.
+    """Return the command and the motion, both scaled until the command is within the limits too."""
+    # Forces depend on the actual motion, not on the command: do not check them here.
     moving = replace(rig.limits, force=np.inf, continuous_force=np.inf)
     shorter = fit(replace(rig, limits=moving, suspension=None), correction(fitted.cycle))
     if shorter.factor == 1:
@@ -233,15 +241,15 @@ def _corrected(
 
 
 def check_order(last_ns: int | None, stamp_ns: int) -> None:
-    """Refuse a cycle made from an older image than the last one accepted.
+    """Refuse a cycle whose image is older than that of the last accepted cycle.
 
-    The same stamp again is answered again: who asks twice has missed the answer. A step back by
-    more than a second is a new beginning, not a late message.
+    The same stamp is accepted again, because the sender may have missed the result. A step back of
+    more than a second means a restart, not a late message.
 
     Raises
     ------
     CycleError
-        Naming both stamps.
+        If the stamp is older. The text gives both stamps.
     """
     if last_ns is not None and last_ns - RESTART_NS <= stamp_ns < last_ns:
         raise CycleError(
@@ -256,8 +264,8 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
     Parameters
     ----------
     cycle : PlateCycle
-        Returned unchanged if it starts at rest. Any other is faded in over one period, played
-        `repeats` times, and faded out over one, all in one table.
+        Returned unchanged if it starts at rest. Otherwise it is faded in over one period, played
+        `repeats` times, and faded out over one period, all in one table.
     repeats : int
         At least 1.
     """
@@ -265,7 +273,7 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
         return cycle
     times, pose, twist, accel = _faded_in(cycle)
     period = cycle.period
-    # The fade out is the fade in of the motion played backwards, played backwards.
+    # The fade out is the time reversal of the fade in of the reversed motion.
     back_times, back_pose, back_twist, back_accel = _faded_in(reversed_in_time(cycle))
     plays = [
         (
@@ -283,7 +291,7 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
 
 
 def reversed_in_time(cycle: PlateCycle) -> PlateCycle:
-    """Return the motion from its end to its start, in the same time."""
+    """Return the motion reversed in time."""
     return PlateCycle.from_knots(
         cycle.period - cycle.times[::-1],
         cycle.knot_pose[::-1],
@@ -295,7 +303,7 @@ def reversed_in_time(cycle: PlateCycle) -> PlateCycle:
 def _faded_in(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Knots of s(t/T) times the pose: times (n + 1,), pose, twist, accel (n + 1, 3).
 
-    s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1 with no slope and no curvature at both ends.
+    s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1. Its first two derivatives are 0 at both ends.
     """
     pieces = -(-MIN_KNOTS // (len(cycle.times) - 1))  # rounded up
     steps = np.arange(pieces) / pieces

@@ -1,4 +1,6 @@
-"""Cycle after cycle as one endless stream of setpoints, for a device to which they are streamed."""
+"""Conversion of successive motor tables to one continuous stream of setpoints, for devices that
+receive setpoints instead of whole tables. Inputs are motor tables. Outputs are knots in the wire
+format, at most `LONGEST_S` apart."""
 
 from __future__ import annotations
 
@@ -14,41 +16,42 @@ from plate_core.serial_protocol import TICK_S, Knot
 from .motor_table import MotorTable
 
 LONGEST_S = 0.04
-"""Longest piece of a stream [s]; devices take 50 ms."""
+"""Maximum time between setpoints of a stream [s]. Devices accept up to 50 ms."""
 
 TICKS = 2**32
 """Times on the wire count modulo this many ticks."""
 
 REST_TICKS = 1_000_000
-"""From a cycle's end, at home without speed, to rest without acceleration [TICK_S]: 10 ms. The
-quintic between them needs no more acceleration than there was."""
+"""Time from a cycle's end, at home with zero speed, to zero acceleration [TICK_S]: 10 ms. The
+quintic in between does not exceed the acceleration at the cycle's end."""
 
 
 @dataclass(frozen=True)
 class SetpointStream:
-    """Setpoints that go on with the newest cycle wherever one ends in the state in which that
-    begins; a cycle in whose end it does not begin goes on with its tail.
+    """Stream of setpoints of successive cycles.
 
-    What comes after an end is decided when the first setpoint beyond it is sent.
+    At the end of a cycle the stream continues with the newest cycle if that begins in this state.
+    Otherwise it continues with the tail. The decision is made when the first setpoint after the end
+    is sent.
 
     Attributes
     ----------
     playing : MotorTable
-        The cycle, or tail of one, that is sent now.
+        Cycle or tail that is currently sent.
     knots : tuple of Knot
-        Its setpoints, from 0 to its period, both ends given.
+        Its setpoints from 0 to its period, both ends included.
     newest : MotorTable
-        The one to follow.
+        Table to play next.
     left : int
-        Times that the newest is yet to be sent: then the stream ends at rest.
+        Remaining number of plays of `newest`. Afterwards the stream ends at rest.
     sent : int
-        Setpoints so far.
+        Number of setpoints sent so far.
     at : int
-        Next one of `knots`.
+        Index of the next knot to send.
     begin : int
-        When `playing` began, since the stream's start [TICK_S].
+        Start of `playing` relative to the start of the stream [TICK_S].
     ended : bool
-        Whether rest at the end was sent.
+        Whether the final setpoint at rest was sent.
     """
 
     playing: MotorTable
@@ -62,7 +65,7 @@ class SetpointStream:
 
     @classmethod
     def of(cls, table: MotorTable, repeats: int) -> SetpointStream:
-        """Return the stream that plays a table so many times, from rest.
+        """Return the stream that plays a table `repeats` times, from rest.
 
         Raises
         ------
@@ -80,12 +83,12 @@ class SetpointStream:
         return (self.begin + self.knots[max(0, self.at - 1)].ticks + rest) * TICK_S
 
     def followed_by(self, table: MotorTable, repeats: int) -> SetpointStream:
-        """Return the stream that goes on with another table; one that has ended does not.
+        """Return the stream that continues with another table. An ended stream stays ended.
 
         Raises
         ------
         CycleError
-            If the table begins in motion, and not where what is sent now ends.
+            If the table begins in motion and not in the end state of the current cycle.
         """
         if not (table.cycle.starts_at_rest or table.cycle.follows(self.playing.cycle)):
             raise CycleError(
@@ -94,10 +97,10 @@ class SetpointStream:
         return replace(self, newest=table, left=repeats)
 
     def until(self, time: float) -> tuple[SetpointStream, tuple[Knot, ...]]:
-        """Return the stream sent up to a time [s] or a little more, and what is new of it."""
+        """Return the stream after sending up to `time` [s] or slightly later, and the new knots."""
         stream, knots = self, []
         while stream.time < time and not stream.ended:
-            if stream.at == len(stream.knots):  # its end was sent: the next one's start is the same
+            if stream.at == len(stream.knots):  # its end equals the next start
                 after = stream._after()
                 if after is None:
                     ticks = (stream.begin + stream.knots[-1].ticks + REST_TICKS) % TICKS
@@ -111,7 +114,7 @@ class SetpointStream:
         return stream, tuple(knots)
 
     def _after(self) -> SetpointStream | None:
-        """Return the stream at the start of what comes after the end; None: rest."""
+        """Return the stream at the start of the next cycle or tail. None if it ends at rest."""
         tail, begin, newest = (
             self.playing.tail,
             self.begin + self.knots[-1].ticks,
@@ -128,12 +131,12 @@ class SetpointStream:
 
 
 def knots(table: MotorTable) -> tuple[Knot, ...]:
-    """Return the knots of a motor table, and of its tail, in the wire's precision."""
+    """Return the knots of a motor table, and of its tail, in the precision of the protocol."""
     return _rounded(table.cycle.knots[0], table.q, table.qd, table.qdd)
 
 
 def refined(table: MotorTable) -> tuple[Knot, ...]:
-    """Return a table's motion without its tail, with no piece longer than a stream's may be."""
+    """Return a table's motion without its tail, with pieces of at most `LONGEST_S`."""
     times = table.cycle.times
     own = [values[: len(times)] for values in (table.q, table.qd, table.qdd)]
     steps = np.diff(times)
@@ -149,7 +152,7 @@ def refined(table: MotorTable) -> tuple[Knot, ...]:
 
 
 def _rounded(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> tuple[Knot, ...]:
-    """Knots in the wire's precision."""
+    """Return knots in the precision of the protocol."""
     states = (np.asarray(x, np.float32).tolist() for x in (q, qd, qdd))
     ticks = np.round(times / TICK_S).astype(int).tolist()
     rows = zip(ticks, *states, strict=True)

@@ -1,4 +1,6 @@
-"""How warm the motors are: I2t, with the force in place of the current."""
+"""Thermal model of the motors: an I2t model of first order that uses the force instead of the
+current. Input is the mean square force of each table. Outputs are the temperature rise and the load
+that is still allowed."""
 
 from __future__ import annotations
 
@@ -9,21 +11,23 @@ import numpy as np
 from plate_core import Rig
 
 AMBIENT_C = 25.0
-"""Taken for the room's temperature [deg C]: what counts is the rise."""
+"""Assumed ambient temperature [deg C]. The limits depend only on the rise."""
 
 
 @dataclass(frozen=True)
 class ThermalState:
-    """Windings' rise over that at the continuous force: tau w' = (f/f_c)^2 - w, w < 1 allowed.
+    """Temperature rise of the windings relative to that at the continuous force.
+
+    tau w' = (f/f_c)^2 - w, allowed: w < 1.
 
     Attributes
     ----------
     rise : (4,)
         w at time `at` [-].
     load : (4,)
-        Mean square force of the table that is played, over that of the continuous force [-].
+        Mean square force of the current table divided by the square of the continuous force [-].
     at : float
-        [s].
+        Time of `rise` [s].
     """
 
     rise: np.ndarray = field(default_factory=lambda: np.zeros(4))
@@ -31,19 +35,19 @@ class ThermalState:
     at: float = 0.0
 
     def at_time(self, rig: Rig, now: float) -> ThermalState:
-        """Return the state at `now` [s]; a clock that was put back has only just begun."""
+        """Return the state at `now` [s]. If the clock was set back, no time has passed."""
         decay = np.exp(-max(0.0, now - self.at) / rig.limits.thermal_time_s)
         return replace(self, rise=self.load + (self.rise - self.load) * decay, at=now)
 
     def under(self, load: np.ndarray) -> ThermalState:
-        """Return the state from now on, under another load (4,)."""
+        """Return the state with another load (4,)."""
         return replace(self, load=load)
 
     def allowed_load(self, rig: Rig, duration: float) -> np.ndarray:
-        """Load (4,) that may last for a time [s] from now on, at least 1."""
+        """Return the load (4,) that is allowed for `duration` [s] from now on, at least 1."""
         decay = np.exp(-duration / rig.limits.thermal_time_s)
         return np.asarray(np.maximum(1.0, (1 - self.rise * decay) / (1 - decay)))
 
     def celsius(self, rig: Rig) -> float:
-        """Temperature of the warmest winding [deg C], as far as this model goes."""
+        """Estimated temperature of the warmest winding [deg C]."""
         return AMBIENT_C + rig.limits.heat_rise_k * float(np.max(self.rise))
