@@ -1,7 +1,7 @@
-"""Plate motions that put wanted forces, or displacements, under many parts at once.
+"""Plate motions that produce requested forces or displacements of many parts at once.
 
-Public: the names below and those of the chapters: `averages`, `cycle_map`, `fit`, `goal`,
-`library`, `rotations`, `sinusoids`.
+The public names are those listed below and those of the subpackages `averages`, `cycle_map`, `fit`,
+`goal`, `library`, `rotations` and `sinusoids`.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -35,10 +35,10 @@ __all__ = [
     "manipulability",
 ]
 
-if not TYPE_CHECKING:  # else any name would do
+if not TYPE_CHECKING:  # type checkers would otherwise accept any name
 
     def __getattr__(name: str) -> Any:
-        """Import the averages where one is asked for: what steers does without them."""
+        """Import `averages` on first use. The controller does not need it."""
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from . import averages

@@ -1,4 +1,4 @@
-// What Python sees of the kernels: the module `_kernels`, by chapters.
+// Python module `_kernels`. Each folder binds its own kernels.
 #include <plate/bind.hpp>
 
 namespace plate {
@@ -16,7 +16,7 @@ void bind_sinusoids(nb::module_& m);
 void bind_unreachable(nb::module_& m);
 
 NB_MODULE(_kernels, m) {
-    nb::set_leak_warnings(false);  // of what the interpreter still keeps when it ends
+    nb::set_leak_warnings(false);  // the interpreter may still hold objects when it ends
     bind_average_rotations(m);
     bind_average_sinusoids(m);
     bind_cycle_map(m);

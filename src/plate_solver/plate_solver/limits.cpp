@@ -1,4 +1,4 @@
-// What Python sees of limits.hpp.
+// Python bindings of limits.hpp.
 #include "records.hpp"
 
 namespace plate {

@@ -1,4 +1,4 @@
-// How much of the rig's limits a sampled motion uses: kernels of limits.py.
+// Limit utilisation of a sampled motion: kernels of limits.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -15,19 +15,20 @@ constexpr int MOTORS = 4;
 constexpr double MARGIN = 0.98, CERTAIN = 0.999;
 constexpr double EQUAL_WEIGHT[] = {1.0};
 
-// Weights of control points at equal steps: a square's mean is at most that of the points' squares,
-// as the six basis functions of a piece share its time; its last point is the next one's first.
+// Weights of control points at equal steps. The mean square of a piece is at most the mean of its
+// control points' squares, because the six basis functions have equal integrals. The last point of
+// a piece is the first point of the next one, so that point counts twice.
 constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
 
 // The rig's limits, or a fraction of them.
 struct Limits {
-    double motors[MOTORS][2][2];  // where each pushes [m], and its direction
-    double half[2];               // half sides of the plate [m]
+    double motors[MOTORS][2][2];  // point of application [m] and direction of each motor
+    double half[2];               // half side lengths of the plate [m]
     double stroke_m, speed, accel, arm_m;
-    double levers[MOTORS][3];    // travel of each motor by the pose
-    double loads[3][MOTORS][3];  // force of each motor over its peak force, for pose, twist, accel
-    double heat;                 // peak force over continuous force
-    bool forceful;               // whether motors may lack force or get hot
+    double levers[MOTORS][3];    // derivative of each motor's travel with respect to the pose
+    double loads[3][MOTORS][3];  // force per peak force of each motor, by pose, twist, acceleration
+    double heat;                 // peak force divided by continuous force
+    bool forceful;               // whether force or heat can limit a motion
 };
 
 // Weights (m,) as a view: `weights(EQUAL_WEIGHT)`.
@@ -45,7 +46,8 @@ inline double greatest(const Four& value) {
     return std::max(std::max(value[0], value[1]), std::max(value[2], value[3]));
 }
 
-// The greatest fraction of stroke, speed or acceleration: of four motors, then corners, at once.
+// Maximum utilisation of stroke, speed and acceleration. The four motors, then the four corners,
+// are computed in parallel.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};
@@ -58,7 +60,7 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
     for (int k = 0; k < pose.count; k++) {
         const double angle = pose(k, 2), spin = twist(k, 2), spin_rate = accel(k, 2);
         double s = 0, c = 1;
-        if (!linear && std::abs(angle) < 0.1) {  // the usual case, to 1e-9
+        if (!linear && std::abs(angle) < 0.1) {  // the usual case: series with an error of 1e-9
             s = angle * (1 - angle * angle * (1.0 / 6 - angle * angle / 120));
             c = 1 - angle * angle * (0.5 - angle * angle / 24);
         } else if (!linear) {
@@ -78,7 +80,8 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                      std::sqrt(greatest(peak)) / limits.accel});
 }
 
-// The greatest fraction of a motor's peak or continuous force: of four motors at once.
+// Maximum utilisation of the motors' peak and continuous force. The four motors are computed in
+// parallel.
 PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
                                    View<const double, 1> weight, const Limits& limits) {
     Four loads[3][3], most{}, square{};
@@ -101,8 +104,8 @@ PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
     return std::max(greatest(most), limits.heat * std::sqrt(hottest));
 }
 
-// The greatest fraction of a limit that samples (n, 3) of a motion use; `weight` (m,), over and
-// over again, is the time that each stands for.
+// Maximum limit utilisation of samples (n, 3) of a motion. `weight` (m,) is the duration that each
+// sample represents. The weights repeat after m samples.
 inline double limit_use(Samples pose, Samples twist, Samples accel, View<const double, 1> weight,
                         const Limits& limits, bool linear) {
     const double used = motion_use(pose, twist, accel, limits, linear);

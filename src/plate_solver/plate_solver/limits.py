@@ -1,7 +1,8 @@
-"""How much of the rig's limits a sampled motion uses: the one check that both methods make.
+"""Limit utilisation of a sampled motion, as a fraction of the rig's limits.
 
-In C++, as a search asks it at every step; `plate_core.motion.usage` says the same of a whole
-cycle, and a test compares the two.
+Both methods use it. It checks the motors' stroke, speed, force and heat, and the acceleration of
+the plate's corners. It is implemented in C++, because a search calls it at every step.
+`plate_core.motion.usage` does the same check for a whole cycle; a test compares both.
 """
 
 from __future__ import annotations
@@ -18,41 +19,42 @@ from plate_core.rig import motor_levers, motor_reach
 from . import _kernels
 
 MARGIN: float = _kernels.MARGIN
-"""Fraction of the limits that a search uses: its samples may miss a peak by a little."""
+"""Fraction of the limits that a search may use, because its samples may miss a peak slightly."""
 
 HEADROOM = 1.1
-"""Motors that could give so many times the acceleration that the rig file allows never lack force
-nor get hot, so they are not looked at: the plate's spin takes up to 2 % more of them than
-`motor_reach` counts, and heat up to 3 % more (test_motors.py, test_weak_motors.py)."""
+"""If the motors can accelerate the plate by at least this factor times the limit in the rig file,
+their force and heat are not checked. The plate's spin needs up to 2 % more than `motor_reach`
+computes, and heat up to 3 % more (test_motors.py, test_weak_motors.py)."""
 
 CERTAIN: float = _kernels.CERTAIN
-"""Fraction of the limits that a finished cycle uses at most, by its control points."""
+"""Maximum limit utilisation of a finished cycle, computed from its control points."""
 
 EQUAL_WEIGHT = np.ones(1)
-"""Weights of samples at equal steps."""
+"""Weight of samples at equal steps."""
 
 
 class Limits(NamedTuple):
-    """The rig's limits, or a fraction of them, in the form that kernels take.
+    """The rig's limits, or a fraction of them, in the form that the C++ kernels use.
 
     Attributes
     ----------
     motors : (4, 2, 2)
-        Where each pushes [m], and its direction.
+        Point of application [m] and direction of each motor.
     half : (2,)
-        Half sides of the plate [m].
+        Half side lengths of the plate [m].
     stroke_m, speed, accel : float
-        Of motors [m], [m/s], and of any point of the plate [m/s2].
+        Limits of the motors' stroke [m] and speed [m/s], and of the acceleration of any point of
+        the plate [m/s2].
     arm_m : float
-        Length that turns theta into a travel of its usual effect: scales the parameters.
+        Characteristic length that converts theta to a displacement. It scales the parameters.
     levers : (4, 3)
-        Travel of each motor by the pose, linearised at home.
+        Derivative of each motor's travel with respect to the pose, at home.
     loads : (3, 4, 3)
-        Force of each motor for pose, twist and acceleration, over its peak force.
+        Force of each motor per pose, twist and acceleration, divided by its peak force.
     heat : float
-        Peak force over continuous force.
+        Peak force divided by continuous force.
     forceful : bool
-        Whether motors may lack force or get hot where all else is within limits.
+        Whether force or heat of the motors can limit a motion. If False, they are not checked.
     """
 
     motors: np.ndarray
@@ -68,7 +70,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
-        """Take a fraction of a rig's limits."""
+        """Return a fraction of a rig's limits."""
         limits = rig.limits
         weak = motor_reach(rig).accel < HEADROOM * limits.accel
         return cls(
@@ -89,17 +91,18 @@ def limit_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
     linear: bool,
 ) -> float:  # fmt: skip
-    """Return the greatest fraction of a limit that samples (n, 3) of a motion use.
+    """Return the maximum limit utilisation of samples (n, 3) of a motion, as a fraction of a limit.
 
-    With the control points of a spline motion it is a bound, as in `plate_core.motion.usage`.
-    Searches take it `linear` in theta, so that the scale of a motion far beyond the limits
-    still counts.
+    With the control points of a spline motion, the result is an upper bound, as in
+    `plate_core.motion.usage`. With `linear`, the motors' travel and the corners' positions are
+    linearised in theta. Searches use this, so that the result still depends on the amplitude of a
+    motion far beyond the limits.
 
     Parameters
     ----------
     weight : (m,)
-        Time that each sample stands for, over and over again from the first to the last: for the
-        motors' heat, as if the motion were played continuously.
+        Duration represented by each sample, for the motors' heat. The weights repeat after m
+        samples. The motion is assumed to repeat continuously.
     """
     return _kernels.limit_use(pose, twist, accel, weight, limits, linear)
 
@@ -107,8 +110,11 @@ def limit_use(
 def within_limits(
     cycle: PlateCycle, full: Limits, resting: Callable[[], PlateCycle] | None = None
 ) -> PlateCycle:
-    """Return the cycle, brought nearer to another one of the same knots, which `resting` makes, as
-    far as its control points exceed the full limits. Default: the cycle at rest."""
+    """Return a cycle whose control points are within the full limits.
+
+    If the cycle exceeds them, it is interpolated towards the cycle that `resting` returns, which
+    has the same knot times. Default: the cycle scaled to rest.
+    """
     used = _use(cycle, full)
     if used <= CERTAIN:
         return cycle
@@ -119,7 +125,7 @@ def within_limits(
             f"the plate takes {least:.3g} times its limits to rest from where the cycle begins, "
             f"allowed: {CERTAIN:g}"
         )
-    for _ in range(4):  # turning enters with its square: nearly linear in the share
+    for _ in range(4):  # utilisation is nearly linear in the share
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
         times, *states = cycle.knots
         nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
@@ -131,9 +137,11 @@ def within_limits(
 
 
 def _use(cycle: PlateCycle, full: Limits) -> float:
-    """Return the greatest fraction of a limit that the control points of a motion use; its heat is
-    that of the cycle, of both cycle and tail, or of the tail, with which the next one may begin:
-    whichever is most."""
+    """Return the maximum limit utilisation of a cycle's control points, as a fraction of a limit.
+
+    The heat is computed for the cycle, for cycle and tail together, and for the tail, because the
+    next cycle may begin with it. The largest value counts.
+    """
     used = 0.0
     both = cycle.parts
     for parts in (both,) if len(both) == 1 else (both[:1], both, both[1:]):
@@ -141,7 +149,7 @@ def _use(cycle: PlateCycle, full: Limits) -> float:
             np.vstack(
                 [
                     *(part.control_points(order, PIECES) for part in parts),
-                    parts[-1].state(-1)[order],  # the end need not be as the start
+                    parts[-1].state(-1)[order],  # the end state may differ from the start
                 ]
             )
             for order in range(3)

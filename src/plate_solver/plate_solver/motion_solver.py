@@ -1,4 +1,4 @@
-"""What both methods have in common: cycles that take parts to a goal, and checked options."""
+"""Base class of the solvers of both methods, and the validation of their options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .limits import Limits
 
 
 def make_options(kind: type[Any], options: dict[str, Any]) -> Any:
-    """Return options of a kind; an unknown one is refused with the names of those there are."""
+    """Return options of a kind. An unknown option raises an error with the names of all options."""
     known = kind.__dataclass_fields__
     unknown = [name for name in options if name not in known]
     if unknown:
@@ -24,12 +24,14 @@ def make_options(kind: type[Any], options: dict[str, Any]) -> Any:
 
 
 def check_options(options: object, **ranges: tuple[float, float]) -> None:
-    """Check that options are numbers in their ranges; whole ones where the range is whole.
+    """Check that options are numbers in their ranges.
+
+    If the low end of a range is an integer, the option must be an integer.
 
     Raises
     ------
     PlateError
-        Naming the option, its value and what is allowed.
+        With the name of the option, its value and the allowed range.
     """
     for name, (low, high) in ranges.items():
         value = getattr(options, name)
@@ -41,12 +43,12 @@ def check_options(options: object, **ranges: tuple[float, float]) -> None:
 
 
 class MotionSolver(ABC):
-    """Finds closed plate motions; remembers the last one as a start for the next.
+    """Finds closed plate motions; keeps the last motion as a start for the next search.
 
     Attributes
     ----------
     cut_short : int
-        Searches of `steer` that were ended by the time.
+        Number of `steer` searches that ended at the deadline.
     """
 
     options: Any
@@ -59,41 +61,44 @@ class MotionSolver(ABC):
         self.cut_short = 0
 
     def reset(self) -> None:
-        """Forget the last solution and start the random numbers anew."""
+        """Forget the last solution and reset the random generator to its seed."""
         self._rng = np.random.default_rng(self._seed)
         self.forget()
 
     @abstractmethod
     def forget(self) -> None:
-        """Forget the last solution: the next search begins afresh."""
+        """Forget the last solution. The next search does not start from it."""
 
     @abstractmethod
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        """Find a motion that moves parts as asked, on the cycle map.
+        """Find a motion that moves the parts as requested, evaluated on the cycle map.
 
         Parameters
         ----------
         goal : Goal
-            Start state and wanted displacements.
+            Initial state and requested displacements.
         tolerance : float
-            Greatest error at which to stop [m].
+            Error at which a descent stops [m].
         good_enough : float
-            Root mean square error [m] above which other starts are tried.
+            Root mean square error [m] above which further starts are tried.
         until : float
-            When the answer is to be there, by `time.monotonic` [s]: then the search ends sooner,
-            and what it finds depends on the computer.
+            Deadline by `time.monotonic` [s]. A finite deadline may end the search early, so that
+            the result depends on the computer's speed.
 
         Returns
         -------
         Solution
-            `residual` is the displacement error in mu m g: error / (mu g T^2).
+            `residual` is the displacement error divided by mu g T^2.
         """
 
     @abstractmethod
     def steering_period(
         self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
     ) -> float:
-        """Period [s] of the cycles that `steer` makes for `count` parts, so many of which turn;
-        lasting: as in `Goal`; goes_on: whether the state of the plate is given there."""
+        """Return the period [s] of the cycles of `steer` for `count` parts.
+
+        `turns` is the number of parts with a requested rotation. `lasting` is as in `Goal`.
+        `goes_on` is True if cycles start from a given plate state and may end in motion.
+        """

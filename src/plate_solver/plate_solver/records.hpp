@@ -1,4 +1,4 @@
-// Named tuples of Python as structs, and back: for bindings.
+// Conversion of Python tuples and arrays to C++ structs, for the bindings.
 #pragma once
 #include <algorithm>
 #include <initializer_list>
@@ -15,7 +15,7 @@ using Numbers = Array<const double, 1>;
 using Table = Array<const double, 2>;
 using Box = Array<const double, 3>;
 
-// Raises where an array has not the shape that is wanted.
+// Throws an error if an array does not have the required shape.
 template <class Any>
 void check(const char* name, const Any& array, std::initializer_list<size_t> wanted) {
     std::string found, allowed;
@@ -32,7 +32,8 @@ void check(const char* name, const Any& array, std::initializer_list<size_t> wan
     throw nb::value_error(says.c_str());
 }
 
-// Copies an array that has the shape of the room for it, which has up to three axes.
+// Copies an array to a C array of the same shape, with up to three axes. Throws an error if the
+// shapes differ.
 template <class Room>
 void read(const char* name, nb::handle array, Room& room) {
     constexpr size_t AXES = std::rank_v<Room>;
@@ -44,7 +45,7 @@ void read(const char* name, nb::handle array, Room& room) {
     std::copy_n(from.data(), from.size(), reinterpret_cast<double*>(&room));
 }
 
-// `Limits` of Python.
+// Converts the Python tuple `Limits`.
 inline Limits limits_of(const nb::tuple& record) {
     Limits limits{
         .stroke_m = nb::cast<double>(field(record, 2)),

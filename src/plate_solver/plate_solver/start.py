@@ -17,10 +17,10 @@ from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
 
 @dataclass(frozen=True)
 class Memory:
-    """Predicted velocities of parts at the start of the running cycle, by id; a part without an
-    entry is at rest.
+    """Predicted velocities of parts at the start of the running cycle, by id.
 
-    A camera that fires once per cycle shows places, but not how fast parts swing at that instant.
+    A part without an entry is at rest. The memory is needed because a camera that takes one image
+    per cycle measures positions, but not the instantaneous velocities.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class StartState:
 
     @property
     def memory(self) -> Memory:
-        """What the next prediction needs, once this cycle runs."""
+        """Memory for the next prediction, when this cycle runs."""
         spin = {} if self.spin is None else dict(zip(self.ids, self.spin.tolist(), strict=True))
         return Memory(dict(zip(self.ids, self.velocity, strict=True)), spin)
 
@@ -78,9 +78,9 @@ def predict_start(
 ) -> StartState:
     """Predict the state when the requested cycle begins.
 
-    The parts' stick-slip motion is integrated over the running cycle, from where the image shows
-    them and with the velocities of `memory`. Where the request has predictions of its own
-    (`Wanted.start`), these count.
+    The stick-slip motion of the parts is integrated over the running cycle. It starts at the
+    positions in the image, with the velocities of `memory`. If the request contains predicted
+    positions and velocities (`Wanted.start`), those are used instead.
 
     Parameters
     ----------
@@ -88,14 +88,14 @@ def predict_start(
     wanted : Wanted
         The request, for M parts.
     memory : Memory
-        Of the last prediction.
+        Memory of the last prediction.
     running : PlateCycle, optional
-        The cycle that runs now; None if the plate is at rest.
+        The running cycle; None if the plate is at rest.
     rotates : bool
-        Whether a rotation is requested: else parts are modelled as points.
+        Whether a rotation is requested. If False, parts are modelled as points.
     from_rest : bool
-        Whether the method's cycles begin at rest: then the state is that after the tail of a plate
-        in motion.
+        Whether the method's cycles begin at rest. If True and the plate is in motion, the state
+        after its tail is returned.
     """
     parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
     friction, turn = friction_accel(rig, wanted), np.zeros(len(parts))
@@ -130,7 +130,11 @@ def part_types(rig: Rig, ids: tuple[str, ...]) -> list[PartType]:
 
 
 def friction_accel(rig: Rig, wanted: Wanted) -> np.ndarray:
-    """Return mu g (M,) [m/s2] of the parts: friction limit by mass, where that limit is known."""
+    """Return mu g (M,) [m/s2] of the parts.
+
+    It is the friction limit divided by the mass or, if that limit is 0 (unknown), the value of the
+    part's type.
+    """
     types = part_types(rig, wanted.parts.ids)
     known = wanted.parts.friction_limit / np.array([t.mass_kg for t in types])
     own = np.array([t.mu for t in types]) * rig.friction.gravity
@@ -138,5 +142,6 @@ def friction_accel(rig: Rig, wanted: Wanted) -> np.ndarray:
 
 
 def contact_spread(types: list[PartType], angle: np.ndarray) -> np.ndarray:
-    """Return second moments (M, 3) [m2] of the parts' contacts at angles (M,) [rad]."""
+    """Return the second moments xx, xy, yy (M, 3) [m2, plate_home] of the parts' contacts at angles
+    (M,) [rad]."""
     return room_spread(np.array([t.spread_m2 for t in types]), angle)

@@ -1,7 +1,7 @@
 """Method B (section 3.2): sinusoidal motions, fitted on the cycle map.
 
-Public: the basis, its families, a descent and the search; `SinusoidCycles`, for the controller, is
-in `solver.py`.
+This package exports the basis, its families, the descent and the search. `SinusoidCycles`, the
+solver that the controller uses, is in `solver.py`.
 """
 
 from . import steer

@@ -2,21 +2,21 @@
 
     u_i(t) = sum_j a_ij sin(j w t) + b_ij cos(j w t),   w = 2 pi / T
 
-A free family has 2 N parameters for each degree of freedom. A family that starts at rest meets
-u(0) = 0 and u'(0) = 0 for each, which leaves 2 N - 2, and its poses are measured from where it
-starts: so the plate is at home, at rest and free of acceleration at the edge of each cycle, and any
-cycle may follow any other.
+A free family has 2 N parameters per degree of freedom. A family that starts at rest satisfies
+u(0) = 0 and u'(0) = 0, which leaves 2 N - 2 parameters. Its poses are relative to the start. So the
+plate is at home, at rest and without acceleration at both ends of a cycle, and any cycle may follow
+any other.
 
-A plate that need not rest at the edge has three functions more for each degree of freedom, which
-lead to the state in which the cycle ends, and after it to rest, in the cycle's tail. A cycle that
-begins in motion is that cycle's tail, and what the basis adds to it.
+A family with a free end has three more functions per degree of freedom. They lead to the final
+state of the cycle, and from there to rest in the cycle's tail. A cycle that begins in motion is the
+sum of the previous cycle's tail and the motion of the basis.
 
-The same coefficients may be played several times, one play after the other. With B the basis, E its
-state at the end of a play, and S the path to rest from a state, the plate's motion in play k is
+The same coefficients may be played several times, one play after the other. With the basis B, its
+state E at the end of a play, and the path S from a state to rest, the plate's motion in play k is
 
     u_k = B a + S p_k,    p_0 given,    p_k = E a  for k > 0,
 
-as S ends at rest within a play. So all plays stay linear in the coefficients a.
+because S ends at rest within a play. So all plays are linear in the coefficients a.
 """
 
 from __future__ import annotations
@@ -32,31 +32,35 @@ from plate_core.motion import PIECES, control_points, quintic_pieces
 from ..limits import EQUAL_WEIGHT, Limits, limit_use
 
 STEPS_PER_HARMONIC = 26
-"""Steps of the sampled motion per period of the highest harmonic, at least."""
+"""Minimum number of samples per period of the highest harmonic."""
 
 LONGEST_STEP = 0.4e-3
-"""Longest step [s]: friction acts by first-order steps, which at 1 ms miss 10 % of a drift."""
+"""Maximum step [s]. The friction model is integrated by first-order steps. At 1 ms their error is
+10 % of a drift."""
 
 TAIL_S = 0.05
-"""Length of the way from any state to rest, one quintic, and of the way into a final state [s]."""
+"""Duration of the quintic from any state to rest, and of the one into a final state [s]."""
 
 TAIL_PERIOD_S = 0.1
-"""Length of a tail with rest after it [s]: the image at its start is answered by then."""
+"""Length of a tail including the rest after it [s]. It is long enough to answer the image taken at
+the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
-"""Final pose [m], velocity [m/s] and acceleration [m/s2] for which that way's fastest is 1 m/s."""
+"""Final pose [m], velocity [m/s] and acceleration [m/s2] for which the quintic has a maximum speed
+of 1 m/s."""
 
 LOOKS_PER_HARMONIC = 8
-"""Instants per period of the highest harmonic at which limits are looked at."""
+"""Instants per period of the highest harmonic at which the limits are checked."""
 
 TAIL_LOOKS = 12
-"""The same in a tail."""
+"""Instants in a tail at which the limits are checked."""
 
 KNOTS_PER_HARMONIC = 8
-"""Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m."""
+"""Knots of a finished cycle per period of the highest harmonic. The quintics' error is below 1e-7
+m."""
 
 Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Of pose, twist and acceleration."""
+"""Matrices of pose, twist and acceleration."""
 
 
 @dataclass(frozen=True)
@@ -66,30 +70,30 @@ class SinusoidBasis:
     Attributes
     ----------
     period : float
-        Of all plays together [s].
+        Total length of all plays [s].
     steps : int
-        Number n of equal steps of all plays; samples are at their middles.
+        Number n of equal steps of all plays. Samples are taken at the middles of the steps.
     twist, pose, accel : (n, h)
         Basis of one degree of freedom. Coefficients are (h, 3), columns x, y, theta [m/s, rad/s].
     span : (2 N, h)
-        Coefficients of sin 1..N and cos 1..N of equation (13), from the family's.
+        Matrix from the family's coefficients to those of sin 1..N and cos 1..N in equation (13).
     times : (k + 1,)
-        Knots of a finished cycle [s], which is the first play.
+        Knots of a finished cycle [s]. The finished cycle is the first play.
     knots : tuple of (k + 1, h)
-        The same basis (pose, twist, accel) there.
+        The basis (pose, twist, accel) at the knots.
     spline : (6 k, h)
-        Powers of the time since the knot, as `PlateCycle.coefficients`.
+        Polynomial coefficients in the time since each knot, as `PlateCycle.coefficients`.
     hull : (3 c, h)
         Control points of pose, twist and acceleration, as `PlateCycle.control_points`.
     free_end : bool
-        Whether motions may end in any state; then they have a tail.
+        Whether motions may end in any state. If so, they have a tail.
     looks : tuple of (l, h)
-        The same basis (pose, twist, accel) where limits are looked at, also in the tail.
+        The basis (pose, twist, accel) at the instants where limits are checked, including the tail.
     settling : tuple of (n, 3)
-        Pose, twist and acceleration, at the middles of steps, of a plate that begins with 1 m,
-        1 m/s or 1 m/s2, on its way to rest.
+        Pose, twist and acceleration at the middles of the steps while the plate comes to rest. The
+        columns are for an initial pose of 1 m, velocity of 1 m/s and acceleration of 1 m/s2.
     settling_knots, settling_looks : tuple of (k + 1, 3), (l, 3)
-        The same at the knots, and where limits are looked at.
+        The same motions at the knots, and at the instants where limits are checked.
     """
 
     period: float
@@ -115,17 +119,20 @@ class SinusoidBasis:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """From twists at the middles of steps to coefficients by least squares (h, n)."""
+        """Least squares matrix (h, n) from twists at the middles of the steps to coefficients."""
         return np.linalg.pinv(self.twist)
 
     @property
     def size(self) -> int:
-        """Parameters for each degree of freedom."""
+        """Number of parameters per degree of freedom."""
         return self.twist.shape[1]
 
     def cycle(self, coefficients: np.ndarray, plate: np.ndarray | None = None) -> PlateCycle:
-        """Return the motion of coefficients (h, 3) as a plate cycle; it begins in a state (3, 3) of
-        the plate, at rest if that is left out. What begins or may end in motion has a tail."""
+        """Return the motion of coefficients (h, 3) as a plate cycle.
+
+        It begins in the plate state (3, 3). Default: at rest. The cycle has a tail if it begins in
+        motion or has a free end.
+        """
         states = [basis @ coefficients for basis in self.knots]
         spline = (self.spline @ coefficients).reshape(-1, 6, 3)
         if plate is not None:
@@ -133,7 +140,7 @@ class SinusoidBasis:
             spline = spline + quintic_pieces(self.times, *more)
             states = [state + own for state, own in zip(states, more, strict=True)]
             for state, first in zip(states, plate, strict=True):
-                state[0] = first  # to the last bit, as is the end
+                state[0] = first  # exact to the last bit, like the end
         for state in states:
             if not self.free_end:
                 state[-1] = state[0] if plate is None else 0
@@ -145,7 +152,7 @@ class SinusoidBasis:
         return PlateCycle(self.times, pose, twist, accel, spline, tail)
 
     def cycles(self, coefficients: np.ndarray) -> list[PlateCycle]:
-        """Return what `cycle` does of many coefficients (N, h, 3), from rest to rest."""
+        """Return the cycles of N sets of coefficients (N, h, 3), from rest to rest."""
         states = [basis @ coefficients for basis in self.knots]
         for state in states:
             state[:, -1] = state[:, 0]
@@ -155,8 +162,8 @@ class SinusoidBasis:
 
 
 def settling(t: np.ndarray) -> Matrices:
-    """Return pose, twist and acceleration (n, 3), at times t (n,) [s], on the way to rest from a
-    state of 1 m, 1 m/s or 1 m/s2."""
+    """Return pose, twist and acceleration (n, 3) of the plate at times t (n,) [s] while it comes to
+    rest. The columns are for initial states of 1 m, 1 m/s and 1 m/s2."""
     edge = np.stack([np.eye(3), np.zeros((3, 3))], axis=1)
     powers, on_way = quintic_pieces(np.array([0.0, TAIL_S]), *edge)[0], t < TAIL_S
     pose, twist, accel = (
@@ -172,11 +179,11 @@ def sinusoid_basis(
     number: int, period: float, at_rest: bool, steps: int = 0, free_end: bool = False,
     knots_per_harmonic: int = KNOTS_PER_HARMONIC, plays: int = 1,
 ) -> SinusoidBasis:  # fmt: skip
-    """Return the family with `number` harmonics; at_rest tells whether it starts at rest, free_end
-    whether it may then end in any state, and has a tail.
+    """Return the family with `number` harmonics.
 
-    `steps` is the number of samples of one play; 0 takes enough to find a solution. With `plays`
-    above 1 samples and looks are of so many plays, one after the other; at_rest is required then.
+    With `at_rest`, motions start at rest. With `free_end`, they may end in any state and have a
+    tail. `steps` is the number of samples per play; 0 selects it automatically. `plays` is the
+    number of consecutive plays that samples and limit checks cover; more than 1 requires `at_rest`.
     """
     steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / LONGEST_STEP))
     knots = knots_per_harmonic * max(number, 4)
@@ -197,7 +204,7 @@ def sinusoid_basis(
         accel = np.hstack([cos * j, -sin * j]) * omega
         inside = (t <= period)[:, None]
         matrices = [matrix @ span * inside for matrix in (pose, twist, accel)]
-        if free_end:  # the last TAIL_S are a tail backwards in time
+        if free_end:  # the last TAIL_S are a time-reversed tail
             before = (t < period)[:, None]
             sign, back = np.where(before, [1.0, -1.0, 1.0], 1.0), np.where(before, -1.0, 1.0)
             way = settling(np.abs(period - t))
@@ -216,9 +223,9 @@ def sinusoid_basis(
     looks = t[:: max(1, steps // (LOOKS_PER_HARMONIC * number))]
     if free_end:
         looks = np.append(looks, period + TAIL_S * (np.arange(TAIL_LOOKS) + 0.5) / TAIL_LOOKS)
-    # The spline is linear in the motion, so that of each coefficient alone gives all.
+    # The spline is linear in the coefficients, so one spline per coefficient is sufficient.
     spline = quintic_pieces(times, *ends).reshape(-1, ends[0].shape[1])
-    pieces = 1 if number <= 2 else PIECES  # at 16 knots to a wave they come out 0.1 % too high
+    pieces = 1 if number <= 2 else PIECES  # with 16 knots per wave they are 0.1 % too high
     own = spline.reshape(knots, 6, -1)
     hull = np.vstack([control_points(times, own, order, pieces) for order in range(3)])
     one = SinusoidBasis(
@@ -257,9 +264,9 @@ def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
 class SinusoidFamily:
     """The motions of a basis at the full amplitude that the limits allow.
 
-    Averaged forces do not depend on the scale, and the faster the plate the less the parts' own
-    velocity matters: so the full amplitude is the best. Parameters (3 h,) are coefficients in units
-    that make turns comparable to shifts.
+    Averaged forces do not depend on the amplitude, and the influence of the parts' own velocity
+    decreases with the plate's speed. Therefore the full amplitude is the best. Parameters (3 h,)
+    are coefficients, scaled so that rotations are comparable to translations.
     """
 
     def __init__(self, basis: SinusoidBasis, limits: Limits) -> None:
@@ -273,7 +280,8 @@ class SinusoidFamily:
         return parameters.reshape(-1, 3) * self._scale
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these."""
+        """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,)
+        [s]."""
         coefficients = self.coefficients(parameters)
         return self.basis.pose @ coefficients, self.basis.twist @ coefficients, self._dt
 
@@ -284,7 +292,8 @@ class SinusoidFamily:
         by_twist: np.ndarray,
         by_dt: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Turn derivatives by pose (2, n, R) and twist (3, n, R) into ones (R, 3 h)."""
+        """Convert derivatives with respect to pose (2, n, R) and twist (3, n, R) to derivatives
+        (R, 3 h) with respect to the parameters."""
         jacobian = self.basis.twist.T @ by_twist  # (3, h, R)
         if by_pose is not None:
             jacobian[:2] += self.basis.pose.T @ by_pose
@@ -292,7 +301,7 @@ class SinusoidFamily:
         return np.ascontiguousarray(jacobian.transpose(2, 1, 0)).reshape(by_twist.shape[2], -1)
 
     def use(self, parameters: np.ndarray) -> float:
-        """Return the greatest fraction of a limit that the samples use."""
+        """Return the maximum limit utilisation of the samples, as a fraction of a limit."""
         own, basis = self.coefficients(parameters), self.basis
         pose, twist, accel = basis.pose @ own, basis.twist @ own, basis.accel @ own
         return float(limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True))
@@ -302,7 +311,7 @@ class SinusoidFamily:
         return parameters / max(self.use(parameters), 1e-300)
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return no errors: limits are kept by scaling."""
+        """Return no errors, because scaling keeps the limits."""
         return np.zeros(0)
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:

@@ -17,16 +17,17 @@ namespace plate::descent {
 
 using namespace sinusoids;
 
-// If the distances to go are much longer than one cycle allows, a step gains little of them. With 1e-2
-// at first, most of the first five steps are refused.
+// Options of the Levenberg-Marquardt method. If the distances to go are much longer than one cycle
+// allows, each step covers a small fraction of them. With an initial damping of 1e-2, most of the
+// first five steps are rejected.
 constexpr Damping DAMPING{1.0, 1e-6, 1e3, 3.0, 4.0, 6, 0.9999};
 
-// A basis of h sinusoidal motions, and the limits that it presses against. What moves parts is in
-// single precision.
+// A basis of h sinusoidal motions, and the rig's limits. The matrices that move parts have single
+// precision.
 struct Motions {
     MatrixOf<float> pose, twist;  // (h, n): the basis at the middles of steps
     MatrixOf<float> twist_bins;   // (bins, h): its means over bins of steps
-    Looks looks;                  // where limits are looked at
+    Looks looks;                  // the basis where limits are checked
     double scale[3];              // coefficients of a parameter along x, y and theta
     double dt;                    // length of a step [s]
     Limits limits;
@@ -36,28 +37,28 @@ struct Motions {
     int bins() const { return twist_bins.rows; }
 };
 
-// What the plate does without the basis: on its way to rest from the state in which it begins.
+// Motion of the plate from its initial state to rest, without the basis.
 struct Settling {
     MatrixOf<float> pose, twist;  // (3, n) at the middles of steps
-    Looked looked;                // where limits are looked at
-    bool moves;                   // whether it does anything
+    Looked looked;                // where limits are checked
+    bool moves;                   // whether the motion is not zero
 };
 
-// What a descent is to do.
+// Input of a descent.
 struct Problem {
     const Motions& motions;
     const Settling& settling;
     View<const float, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
     double coast;  // [s]
-    double most;   // fraction of the limits that may be used on the way
+    double most;   // maximum limit utilisation during the search, as a fraction
 
     int blocks() const { return start.size(0); }
     bool turning() const { return start.size(1) == TURNING_STATE; }
     int axes() const { return turning() ? 3 : 2; }
 };
 
-// Memory of a descent: what is written anew at each evaluation.
+// Buffers of a descent, overwritten at each evaluation.
 struct Room {
     AlignedNumbers<float> steps, by_twist;
     std::vector<float> moving;
@@ -82,7 +83,7 @@ public:
         if (problem.settling.moves) settling_use = use_of(problem.settling.looked);
     }
 
-    // Scale a motion to what limits it may use; find its errors [m].
+    // Scales a motion down to the permitted limit utilisation and computes its errors [m].
     void evaluate(std::vector<double>& theta, std::vector<double>& error) {
         const Limits& limits = motions.limits;
         look_at(theta);
@@ -110,7 +111,7 @@ public:
             error.push_back(-EXCESS_M * room.excess.value[k]);
     }
 
-    // Minus the derivatives (R + K, 3 h) of the errors of the motion that was evaluated last.
+    // Negative derivatives (R + K, 3 h) of the errors of the last evaluated motion.
     void slopes(MatrixOf<float>& jacobian) {
         find_slopes_of_ends();
         const int rows = room.by_place.rows, wide = 3 * motions.size();
@@ -120,7 +121,7 @@ public:
             std::fill_n(row, wide, 0.0f);
             for (int c = 0; c < room.by_place.columns; c++) {
                 const float factor = room.by_place[r][c];
-                if (factor == 0) continue;  // most are
+                if (factor == 0) continue;  // most factors are 0
                 const float* __restrict end = room.ends[c];
                 for (int p = 0; p < wide; p++) row[p] += factor * end[p];
             }
@@ -145,7 +146,7 @@ private:
                          {weight.data(), {static_cast<int>(weight.size())}}, motions.limits, true);
     }
 
-    // Finds the motion of parameters where limits are looked at.
+    // Computes the motion at the instants where limits are checked.
     void look_at(const std::vector<double>& theta) {
         for (size_t p = 0; p < theta.size(); p++) room.own[p] = theta[p] * motions.scale[p % 3];
         look(room.own.data(), motions.looks, room.looked);
@@ -161,7 +162,8 @@ private:
             for (int k = 0; k < path.columns; k++) path[axis][k] += more[axis][k];
     }
 
-    // Where parts end, `coast` after the motion: x of all, y of all, turns of all.
+    // Moves the parts and computes their ends, extrapolated by `coast`: x of all parts, y of all
+    // parts, rotations of all parts.
     void move_parts() {
         constexpr int PLACE[] = {blocks::X, blocks::Y, turning::TURN};
         constexpr int RATE[] = {blocks::VX, blocks::VY, turning::SPIN};
@@ -178,13 +180,12 @@ private:
             }
     }
 
-    // The derivatives (C, 3 h) of where parts end, by the parameters.
+    // Computes the derivatives (C, 3 h) of the ends with respect to the parameters.
     void find_slopes_of_ends() {
         const int size = motions.size(), bins = motions.bins(), parts = problem.ends.parts;
         const View<float, 4> by_twist{room.by_twist.data(), {bins, blocks, axes, 3 * LANES}};
         const auto adjoint = problem.turning() ? adjoint_turning : plate::adjoint;
-        adjoint({steps.data, steps.shape}, samples(room.twist), motions.dt, problem.coast, by_twist);
-        const int wide = blocks * axes * 3 * LANES;
+        adjoint({steps.data, steps.shape}, samples(room.twist), motions.dt, problem.coast, by_twist); const int wide = blocks * axes * 3 * LANES;
         room.on_twist.resize(size, wide);
         product(motions.twist_bins[0], size, room.by_twist.data(), wide, bins, size, wide,
                 room.on_twist[0], wide);
@@ -200,15 +201,14 @@ private:
     }
 };
 
-// Improve a motion (3 h,) until no part misses more than `tolerance` [m], or it helps no more. The
-// errors of the result are those of the ends, and then limits that are exceeded.
+// Improves the parameters (3 h,) until no error exceeds `tolerance` [m] or progress stalls. The
+// errors of the result are those of the ends, followed by the limit violations.
 inline FitOf<float> descend(const Problem& problem, std::vector<double> theta, double tolerance,
                    int iterations, Room& room) {
     Descent descent(problem, room);
     return levenberg_marquardt<float>(
         [&](auto& parameters, auto& error) { descent.evaluate(parameters, error); },
-        [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance,
-        iterations);
+        [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance, iterations);
 }
 
 }  // namespace plate::descent

@@ -1,7 +1,9 @@
-"""One descent of a sinusoidal motion on the cycle map, in C++ from start to finish.
+"""One descent of a sinusoidal motion on the cycle map, computed in C++.
 
-Samples, the map and its derivatives, what is asked of the parts' ends, the rig's limits and the
-steps of Levenberg and Marquardt: all in one call, as each takes some ten microseconds.
+One call runs the Levenberg-Marquardt method on the coefficients of the motion. The errors are those
+of the parts' ends (`goal.ends`) and the limit violations. Input is a `Problem` and initial
+parameters; output is a `Fit`. A single call avoids Python overhead, because each evaluation takes
+about ten microseconds.
 """
 
 from __future__ import annotations
@@ -18,17 +20,17 @@ from ..limits import Limits
 from .basis import TAIL_LOOKS, SinusoidBasis
 
 BIN = 4
-"""Steps whose derivatives are summed before they meet the basis."""
+"""Number of steps whose derivatives are summed before they are multiplied by the basis."""
 
 
 class Motions(NamedTuple):
-    """A basis of sinusoidal motions, and the limits that it presses against.
+    """A basis of sinusoidal motions, and the rig's limits.
 
     Attributes
     ----------
     basis : SinusoidBasis
     kept : _kernels.Motions
-        Both, as kernels keep them.
+        Basis and limits in the form that the C++ kernels use.
     """
 
     basis: SinusoidBasis
@@ -36,7 +38,7 @@ class Motions(NamedTuple):
 
     @classmethod
     def of(cls, basis: SinusoidBasis, limits: Limits) -> Motions:
-        """Take a basis whose number of steps is a multiple of `BIN`."""
+        """Prepare a basis for the kernels. Its number of steps must be a multiple of `BIN`."""
         twist_bins = basis.twist.reshape(-1, BIN, basis.size).mean(axis=1)
         scale = np.array([1.0, 1.0, 1 / limits.arm_m])
         kept = _kernels.motions_of(
@@ -47,20 +49,20 @@ class Motions(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What a descent is to do.
+    """Input of a descent.
 
     Attributes
     ----------
     motions : Motions
     settling : _kernels.Settling
-        What the plate does without them, from the state in which it begins.
+        Motion of the plate from its initial state to rest, without the basis.
     start : (b, STATE) or (b, TURNING_STATE)
         Parts at the start, in blocks.
     ends : Ends
     coast : float
-        [s].
+        As in `Goal` [s].
     most : float
-        Fraction of the limits that may be used on the way.
+        Maximum limit utilisation during the search, as a fraction of the limits.
     """
 
     motions: Motions
@@ -72,7 +74,7 @@ class Problem(NamedTuple):
 
     @classmethod
     def of(cls, goal: Goal, motions: Motions, most: float) -> Problem:
-        """Take a goal."""
+        """Convert a goal to a problem."""
         basis = motions.basis
         state = goal.position, goal.velocity, goal.friction_accel, basis.dt
         if goal.turns is None:
@@ -86,9 +88,9 @@ class Problem(NamedTuple):
 
 
 def descend(problem: Problem, theta: np.ndarray, tolerance: float, iterations: int) -> Fit:
-    """Improve a motion (3 h,) until no part misses more than `tolerance` [m], or it helps no more.
+    """Improve the parameters (3 h,) until no error exceeds `tolerance` [m] or progress stalls.
 
-    The errors of the result are those of the ends, and then limits that are exceeded.
+    The errors of the result are those of the ends, followed by the limit violations.
     """
     motions, settling, start, ends, coast, most = problem
     return Fit(

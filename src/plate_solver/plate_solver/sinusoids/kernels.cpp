@@ -1,4 +1,4 @@
-// What Python sees of the kernels of limits.hpp and descent.hpp.
+// Python bindings of the kernels in limits.hpp and descent.hpp.
 #include "fit/fit_record.hpp"
 #include "goal/ends_record.hpp"
 #include "records.hpp"
@@ -25,7 +25,8 @@ static MatrixOf<Number> transposed(const Table& array) {
     return result;
 }
 
-// Of bases (n, h) at the instants looked at, of which the last ones, in a tail, heat nothing.
+// Converts bases (n, h) at the instants where limits are checked. The last `tail` instants belong
+// to the tail and do not count for the motors' heat.
 static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, int tail) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});
     check("accel", accel, {pose.shape(0), pose.shape(1)});
@@ -53,7 +54,8 @@ static Motions motions_of(Table pose, Table twist, Table twist_bins, Table look_
             limits_of(limits)};
 }
 
-// Of samples (n, 3) at the middles of steps, and where limits are looked at.
+// Converts samples (n, 3) at the middles of the steps, and at the instants where limits are
+// checked.
 static descent::Settling settling_of(Table pose, Table twist, Table look_pose, Table look_twist,
                                      Table look_accel) {
     for (const Table* each : {&pose, &twist}) check("settling", *each, {pose.shape(0), 3});

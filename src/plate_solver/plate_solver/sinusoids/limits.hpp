@@ -1,4 +1,4 @@
-// By how much a sinusoidal motion exceeds the rig's limits, and the slopes: kernels of limits.py.
+// Limit violations of a sinusoidal motion, and their gradients: kernels of limits.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -15,29 +15,30 @@ namespace plate::sinusoids {
 // As in limits.py.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
-// A basis of one degree of freedom at the instants that are looked at: (h, n) each, and the same
-// instant by instant, (n, h).
+// The basis of one degree of freedom at the n instants where limits are checked: (h, n) each, and
+// the transposed matrices, (n, h).
 struct Looks {
     Matrix pose, twist, accel, pose_at, twist_at, accel_at;
-    std::vector<double> weight;  // (n,): what each counts for the motors' heat
-    double heated;               // their sum
+    std::vector<double> weight;  // (n,): weight of each instant in the motors' heat
+    double heated;               // sum of the weights
 
     int size() const { return pose.rows; }
     int count() const { return pose.columns; }
 };
 
-// Samples (3, n) of a motion: x of all instants, y of all, theta of all.
+// Samples (3, n) of a motion: rows x, y and theta.
 struct Looked {
     Matrix pose, twist, accel;
 };
 
-// Excesses (K,) as fractions of a limit, and their derivatives (K, 3 h) by coefficients (h, 3).
+// Limit violations (K,), as fractions of a limit, and their derivatives (K, 3 h) with respect to
+// the coefficients (h, 3).
 struct Excess {
     std::vector<double> value;
     Matrix slope;
     int found = 0;
 
-    // Forgets what was found; there may be up to so many.
+    // Clears the result and reserves memory for up to `most` violations.
     void begin(int most, int columns) {
         found = 0;
         if (value.size() < static_cast<size_t>(most)) value.resize(most);
@@ -50,7 +51,7 @@ SamplesOf<Number> samples(const MatrixOf<Number>& path) {
     return {path[0], path.columns, 1, path.columns};
 }
 
-// path (3, n) = the motion that coefficients (h, 3) make of a basis (h, n).
+// path (3, n) = coefficients (h, 3), transposed, times basis (h, n).
 template <class Number>
 void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf<Number>& path) {
     path.resize(3, basis.columns);
@@ -64,12 +65,12 @@ inline void look(const double* coefficients, const Looks& basis, Looked& at) {
     combine(coefficients, basis.accel, at.accel);
 }
 
-// Most excesses of `excess`, and of `force_excess`.
+// Maximum number of violations that `excess` and `force_excess` add.
 inline int most_excesses(int looks) { return looks * (2 * MOTORS + 4); }
 inline int most_force_excesses(int looks) { return (looks + 1) * MOTORS; }
 
-// Adds the excess above AIM of motors' strokes and speeds, and of corners' accelerations. `used` is
-// room.
+// Adds the violations (fraction of a limit minus AIM) of the motors' strokes and speeds, and of the
+// corners' accelerations. `used` is a buffer.
 PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits& limits,
                               Matrix& used, Excess& result) {
     const int n = basis.count(), size = basis.size();
@@ -137,7 +138,7 @@ PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits
     }
 }
 
-// Adds an excess whose slopes are `factor` times rows (3, h).
+// Adds a violation whose gradient is `factor` times rows (3, h).
 [[gnu::always_inline]] inline void add(double value, const Matrix& rows, double factor,
                                        Excess& result) {
     double* slope = result.slope[result.found];
@@ -146,7 +147,7 @@ PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits
     result.value[result.found++] = value;
 }
 
-// Adds the same of motors' peak forces, and of their root mean squares.
+// Adds the violations of the motors' peak forces, and of their root mean square forces.
 PLATE_WIDE inline void force_excess(const Looked& at, const Looks& basis, const Limits& limits,
                                     Excess& result) {
     const int looks = basis.count(), size = basis.size();

@@ -1,8 +1,8 @@
-"""Sinusoidal motions that press against the rig's limits: for steering on the cycle map.
+"""Sinusoidal motions near the rig's limits, for the search on the cycle map.
 
-On the cycle map amplitude matters, and scaling a motion down to its limits would undo what a step
-has gained. So a motion may exceed the limits a little on the way, each excess is an error of its
-own, and only what is left in the end is scaled away.
+On the cycle map the amplitude matters. Scaling a motion down to the limits after each step would
+undo the progress of the step. Therefore the search may exceed the limits slightly, each violation
+is an additional error, and the final motion is scaled to the limits.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from ..limits import Limits
 from .basis import SinusoidBasis, SinusoidFamily
 
 EXCESS_M: float = _kernels.EXCESS_M
-"""An excess of a whole limit counts as a displacement error of so much [m]."""
+"""Displacement error equivalent to a violation by 100 % of a limit [m]."""
 
 AIM: float = _kernels.AIM
-"""Fraction of a limit above which there is excess: what is found ends a little higher."""
+"""Fraction of a limit above which a violation counts. Solutions end slightly above it."""
 
 
 class LimitedSinusoids(SinusoidFamily):
-    """`SinusoidFamily` that may exceed limits by a factor of `most`, at a price.
+    """`SinusoidFamily` that may use up to `most` times the limits.
 
     Parameters
     ----------
     basis : SinusoidBasis
     limits : Limits
     most : float
-        1 keeps the limits.
+        Maximum limit utilisation. 1 keeps the limits.
     plate : (3, 3), optional
-        State in which the plate begins, as `PlateCycle.state`; at rest if left out.
+        Initial state of the plate, as `PlateCycle.state`. Default: at rest.
     """
 
     def __init__(
@@ -43,7 +43,8 @@ class LimitedSinusoids(SinusoidFamily):
         self.plate = np.zeros((3, 3)) if plate is None else plate
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these."""
+        """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,)
+        [s]."""
         pose, twist, dt = super().samples(parameters)
         settling = self.basis.settling
         return pose + settling[0] @ self.plate, twist + settling[1] @ self.plate, dt
@@ -53,10 +54,10 @@ class LimitedSinusoids(SinusoidFamily):
         return self.basis.cycle(self.coefficients(parameters), self.plate)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Scale down what exceeds the limits by more than `most`."""
+        """Scale the parameters down if the limit utilisation exceeds `most`."""
         return parameters * min(1.0, self._most / max(self.use(parameters), 1e-300))
 
     def nearest(self, twist: np.ndarray) -> np.ndarray:
-        """Return the parameters whose twist is nearest to samples (n, 3), by least squares."""
+        """Return the parameters whose twist is closest to samples (n, 3), by least squares."""
         own = self.basis.inverse @ (twist - self.basis.settling[1] @ self.plate)
         return (own / self._scale).ravel()

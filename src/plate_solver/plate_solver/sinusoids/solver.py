@@ -1,4 +1,8 @@
-"""Method B (section 3.2 of the paper) on the cycle map: cycles made of sinusoids."""
+"""Method B (section 3.2 of the paper) on the cycle map: cycles that are sums of sinusoids.
+
+`SinusoidCycles` selects the number of harmonics and the period for a goal, runs the search of
+`SinusoidSteering`, and returns a `Solution`.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +16,18 @@ from ..motion_solver import MotionSolver, check_options, make_options
 from .steer import SinusoidSteering
 
 HARMONIC_S = 0.025
-"""Length of a cycle for each of its harmonics [s], where their number is an option."""
+"""Length of a cycle per harmonic [s], if the number of harmonics is set by option."""
 
 EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
 LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
-"""Most forces, harmonics and period [s] of cycles from rest to rest (rank 6 N - 7) for exact drifts
-and for ways that last, by trial in the loop: few harmonics are soon searched, short cycles soon
-correct what friction does, long ones use the stroke."""
+"""Maximum number of requested coordinates, number of harmonics and period [s] of cycles from rest
+to rest (rank 6 N - 7), for forces and for lasting goals. The values were tuned in closed loop. Few
+harmonics make the search fast, short cycles correct friction errors early, and long cycles use the
+stroke."""
 
 GOING_ON = (15.0, 8, 0.2), (math.inf, 8, 0.1)
-"""Greatest Gamma, harmonics and period [s] of cycles that need not end at rest, by trial in the
-loop: a plate that shakes little moves parts further in long ones."""
+"""Maximum Gamma (shaking ratio), number of harmonics and period [s] of cycles with a free end. The
+values were tuned in closed loop. With a low shaking ratio, long cycles move parts further."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +37,18 @@ class SinusoidOptions:
     Attributes
     ----------
     harmonics : int
-        N of equation (13); 0 takes the fewest that the number of parts allows.
+        Number of harmonics N of equation (13). 0 selects it by the number of parts.
     period : float
-        Length of the cycle [s]; 0 takes one that suits the number of harmonics.
+        Length of the cycle [s]. 0 selects it by the number of harmonics.
     iterations : int
-        Most steps from one start.
+        Maximum number of iterations from one start.
     restarts : int
-        Most further starts when the first fails; half as many if two plays are evaluated.
+        Maximum number of further starts if the first fails. If two plays are evaluated, it is
+        halved.
     threads : int
-        Cores that `steer` may use; its answers are the same.
+        Number of threads of `steer`. It does not change the results.
     seed : int
-        Seed of the further starts.
+        Random seed of the further starts.
     """
 
     harmonics: int = 0
@@ -65,7 +71,7 @@ class SinusoidOptions:
 
 
 class SinusoidCycles(MotionSolver):
-    """Cycles made of sinusoids that take parts to a goal.
+    """Solver that moves parts to a goal by cycles of sinusoids.
 
     Parameters
     ----------

@@ -1,13 +1,15 @@
-"""Sinusoids on the cycle map: descents from the last motion and from disturbances of the best.
+"""Multi-start search for sinusoidal motions on the cycle map.
 
-A motion with a free end is evaluated where it leaves the parts after `PLAYS` plays, each of which
-begins in the state in which the previous one ends:
+The first descent starts from the last motion, the others from random perturbations of the best
+result. A motion with a free end is evaluated by the state of the parts after `PLAYS` plays. Each
+play begins in the state in which the previous one ends:
 
     minimise J(x_PLAYS) over a,    x_{k+1} = F(x_k, p_k; a),    p_{k+1} = E a,
 
 with the parts' state x_k, the plate's state p_k, and the coefficients a of `SinusoidBasis`. Only
-the first play becomes the cycle, and the next answer replaces the second. If one play is evaluated,
-the search ignores how well the plate can go on from its end, and sorting takes longer.
+the first play becomes the cycle. The next answer replaces the second play. With a single play, the
+search would ignore whether the final state of the plate suits the next cycle, and sorting would
+take longer.
 """
 
 from __future__ import annotations
@@ -33,59 +35,62 @@ from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
 
 Grid = tuple[float, int, int]
-"""Longest step [s] of a search; per period of the highest harmonic, least steps, and knots of the
-finished cycle."""
+"""Maximum step of a search [s], minimum number of steps per period of the highest harmonic, and
+number of knots of the finished cycle per such period."""
 
 EXACT: Grid = (0.4e-3, 26, 8)
 ROUGH: Grid = (0.8e-3, 16, 5)
-"""Of exact drifts, and of progress: friction acts by first-order steps, which miss 10 % of a drift
-at 1 ms; what they miss at the end is aimed at once more. Fewer knots are sooner sent."""
+"""Grids for forces (`EXACT`) and for lasting goals (`ROUGH`). The friction model is integrated by
+first-order steps, whose error is 10 % of a drift at 1 ms. The final corrections compensate the
+error of the grid. A cycle with fewer knots is transmitted faster."""
 
 FINE: Grid = (PREDICTION_STEP, 1, 5)
-"""Of the steps by which a motion is judged."""
+"""Grid on which the finished motion is evaluated."""
 
 BEYOND = 1.3
-"""Fraction of the limits that the search may use on its way."""
+"""Maximum limit utilisation during the search, as a fraction of the limits."""
 
 FRESH = 3
-"""Further motions drawn at random where a search knows of none to begin with."""
+"""Number of additional random starts if there is no last motion."""
 
 AT_ONCE = 4
-"""Descents that may run at the same time: each starts near the best of all but those that run, on
-however many cores, so that a seed gives the same motions."""
+"""Number of descents in progress at the same time. A new descent starts near the best result of all
+finished descents. The number does not depend on the number of threads, so that a seed gives
+reproducible motions."""
 
 SPREAD = 0.15
-"""Size of a disturbance of the best motion so far, over that of this motion."""
+"""Size of a perturbation relative to the parameters of the best motion, both root mean square."""
 
 PLAYS = 2
-"""Plays after which a motion with a free end is evaluated. Three gain no more: docs/results.md."""
+"""Number of plays after which a motion with a free end is evaluated. A third play brings no
+improvement: see docs/results.md."""
 
 AIMS, CORRECTIONS = 2, 8
-"""Times that the best motion is corrected within the limits for what finer steps show, and most
-steps of each."""
+"""Number of final corrections of the best motion, within the limits, for the difference between
+fine and coarse steps; and maximum number of iterations of each correction."""
 
 
 class SinusoidSteering:
-    """Steers parts by sinusoids; remembers the last motion as a start for the next.
+    """Searches for sinusoidal motions; keeps the last motion as a start for the next search.
 
     Parameters
     ----------
     limits, full : Limits
-        That a search keeps, and that the motion keeps.
+        Limits of the search, and limits of the finished motion.
     iterations : int
-        Most steps of a descent.
+        Maximum number of iterations of a descent.
     restarts : int
-        Most further descents; `FRESH` more without a motion to begin with. With `PLAYS` plays each
-        descent takes longer, and so many times fewer are made.
+        Maximum number of further descents. Without a last motion there are `FRESH` more. With
+        `PLAYS` plays the number is divided by `PLAYS`, because each descent takes longer.
     threads : int
-        Cores that they may use, at most `AT_ONCE`.
+        Number of threads, at most `AT_ONCE`.
     clock : callable
-        Time [s].
+        Returns the time [s].
 
     Attributes
     ----------
     cut_short : int
-        Searches that the deadline has ended.
+        Number of searches that ended at the deadline.
     """
 
     def __init__(
@@ -102,12 +107,12 @@ class SinusoidSteering:
         self._threads = ThreadPoolExecutor(min(threads, AT_ONCE)) if threads > 1 else None
         self._clock = clock
         self.cut_short = 0
-        self._finishing = 0.0  # how long the last answer took after its search [s]
+        self._finishing = 0.0  # duration of the final corrections of the last call [s]
         self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}  # twists
         self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy has: what kernels keep it makes anew."""
+        """Return the state for a copy. The copy creates its own kernel objects."""
         return vars(self) | {"_motions": {}}
 
     def forget(self) -> None:
@@ -126,12 +131,13 @@ class SinusoidSteering:
     ) -> tuple[PlateCycle, int, float]:
         """Find a motion with `number` harmonics.
 
-        Returns the motion, the iterations of all descents, and the condition number of the
-        displacements' derivatives.
+        Returns the motion, the number of iterations of all descents, and the condition number of
+        the displacements' derivatives.
 
-        Descents begin at the last solution, or else at some motions drawn at random, and then at
-        disturbances of the best so far, until one misses less than `good_enough` [m, root mean
-        square], or an answer by `until`, a time of the clock, allows no further one.
+        The first descent starts from the last motion. Without one, the first descents start from
+        random motions. All others start from perturbations of the best result. The search ends when
+        the error is at most `good_enough` [m, root mean square], when all starts are used, or when
+        a further descent would miss the deadline `until`, a time of the clock.
         """
         grid, plays = ROUGH if goal.lasting else EXACT, PLAYS if goal.free_end else 1
         key = number, period, grid, goal.free_end
@@ -188,7 +194,7 @@ class SinusoidSteering:
         enough: float,
         until: float,
     ) -> tuple[Fit, int]:
-        """Return the best of all descents, and their iterations."""
+        """Return the best result of all descents, and their total number of iterations."""
         began = self._clock()
         best = improved(begin)
         last = until - self._finishing - (self._clock() - began)
@@ -205,7 +211,7 @@ class SinusoidSteering:
                 index += 1
             found = running.popleft()()
             if found is None:
-                self.cut_short += most > 0  # once
+                self.cut_short += most > 0  # count each search once
                 most = 0
             else:
                 iterations += found.iterations
@@ -213,7 +219,7 @@ class SinusoidSteering:
         return best, iterations
 
     def _within(self, goal: Goal, motions: Motions, start: np.ndarray, tolerance: float) -> Fit:
-        """Correct a motion within the limits."""
+        """Improve a motion for a goal, within the limits."""
         return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
 
 
@@ -221,9 +227,11 @@ def limited_sinusoids(
     number: int, period: float, limits: Limits, most: float, grid: Grid = EXACT,
     free_end: bool = False, plate: np.ndarray | None = None, plays: int = 1,
 ) -> LimitedSinusoids:  # fmt: skip
-    """Return the family that starts in a state of the plate (3, 3), at rest if left out, and ends
-    at rest or, with `free_end`, in any state; grid is `EXACT` or `ROUGH`. Samples are of `plays`
-    plays."""
+    """Return the family of motions that start in the plate state (3, 3). Default: at rest.
+
+    Motions end at rest or, with `free_end`, in any state. `grid` is `EXACT`, `ROUGH` or `FINE`.
+    Samples cover `plays` plays.
+    """
     longest, least, knots = grid
     count = max(least * max(number, 4), round(period / longest))
     basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end, knots, plays)
