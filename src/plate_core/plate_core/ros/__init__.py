@@ -1,6 +1,6 @@
-"""What the nodes share of ROS: messages, QoS, parameters, diagnostics, markers, start and end.
+"""ROS code that the nodes share: messages, QoS, parameters, diagnostics, markers, start and stop.
 
-Nothing else outside the nodes imports ROS.
+Only this package and the nodes import ROS.
 """
 
 from .convert import (

@@ -1,6 +1,10 @@
-"""What a node logs waits for nobody: a terminal that is held by Ctrl-S, a pipe that nobody empties
-or a hung connection would else hold up all its threads at the next line, those that stop motors
-too, since ROS writes to stderr with Python's lock held."""
+"""Logging that never blocks a node.
+
+ROS writes to stderr while it holds Python's global interpreter lock. If the terminal is paused with
+Ctrl-S, a pipe is not read, or a connection hangs, the next log line would block all threads,
+including those that stop the motors. `never_held` therefore redirects stderr to a non-blocking
+pipe, and a thread writes its content to the original stderr.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from collections.abc import Iterator
 
 CHUNK = 4096
 LAST_S = 0.5
-"""Longest wait at the end for what was written last [s]."""
+"""Maximum wait at the end for the output of the last lines [s]."""
 
 COLOUR = "RCUTILS_COLORIZED_OUTPUT"
 STDERR = 2
@@ -21,9 +25,9 @@ STDERR = 2
 
 @contextlib.contextmanager
 def never_held() -> Iterator[None]:
-    """Have a thread write out stderr, through a pipe; what finds that full is dropped."""
+    """Write stderr through a pipe and a thread. Output is dropped while the pipe is full."""
     _open_closed()
-    if os.isatty(STDERR):  # which ROS looks for, and will not find
+    if os.isatty(STDERR):  # ROS colours its output only if stderr is a terminal
         os.environ.setdefault(COLOUR, "1")
     kept = os.dup(STDERR)
     read, write = os.pipe()
@@ -33,7 +37,7 @@ def never_held() -> Iterator[None]:
     thread = threading.Thread(target=_write_out, args=(read, kept), name="console", daemon=True)
     thread.start()
     traced = faulthandler.is_enabled()
-    if traced:  # a crash writes by itself: the thread ends with it
+    if traced:  # after a crash the thread does not run, so write to the original stderr
         faulthandler.enable(kept)
     try:
         yield
@@ -42,13 +46,13 @@ def never_held() -> Iterator[None]:
             faulthandler.enable(STDERR)
         with contextlib.suppress(OSError):
             sys.stderr.flush()
-        os.dup2(kept, STDERR)  # the pipe has an end now
+        os.dup2(kept, STDERR)  # this closes the pipe's write end, so the thread finishes
         thread.join(LAST_S)
 
 
 def _open_closed() -> None:
-    """Open stdin, stdout and stderr where they are closed: what took such a number, a serial port
-    perhaps, would get the log."""
+    """Open stdin, stdout and stderr if they are closed. Otherwise another file, such as a serial
+    port, could get one of these numbers and receive the log."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         os.set_inheritable(number, True)
     os.close(number)
@@ -57,7 +61,7 @@ def _open_closed() -> None:
 
 
 def _write_out(read: int, kept: int) -> None:
-    with contextlib.suppress(OSError):  # nobody reads it any more
+    with contextlib.suppress(OSError):  # the reader of stderr has closed it
         while data := os.read(read, CHUNK):
             while data:
                 data = data[os.write(kept, data) :]

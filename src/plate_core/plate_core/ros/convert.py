@@ -1,4 +1,7 @@
-"""Messages to our types and back. Every value is coerced and checked here, nowhere else."""
+"""Conversion between ROS messages and this project's types.
+
+All values of messages are converted and checked here and nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -33,32 +36,33 @@ PLATE_JOINTS = ["x", "y", "theta"]
 CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
 
 STATE = ("x", "y", "angle", "vx", "vy", "spin")
-"""Fields of Part."""
+"""Fields of Part with its state."""
 
 START = ("x", "y", "angle", "vx", "vy", "drift_x", "drift_y", "drift_spin", "friction_limit")
-"""Fields of PartForce."""
+"""Fields of PartForce with the state of the part."""
 
 INTERVALS = (
     "force_x_min", "force_x_max", "force_y_min", "force_y_max", "torque_min", "torque_max",
 )  # fmt: skip
-"""Fields of PartForce."""
+"""Fields of PartForce with the requested force intervals."""
 
 TARGETS = (
     "target_x_min", "target_x_max", "target_y_min", "target_y_max", "target_angle_min",
     "target_angle_max",
 )  # fmt: skip
 WEIGHTS = ("weight_x", "weight_y", "weight_angle")
-"""Fields of PartForce."""
+"""Fields of PartForce with the weights of the targets."""
 
 UNKNOWN = -1.0
 NO_COVARIANCE = np.array([UNKNOWN, *np.zeros(8)])
 
 MOST = 1e9
-"""Of a part nothing is larger than this, in SI units: enough for all, and computable with."""
+"""Maximum magnitude of any value of a part, in SI units. It is larger than all real values and
+small enough for computations."""
 
 
 def seconds(stamp: Time) -> float:
-    """Return a stamp in seconds; exact to better than a microsecond until the year 2100."""
+    """Return a stamp in seconds. The error is below one microsecond until the year 2100."""
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
@@ -68,12 +72,12 @@ def nanoseconds(stamp: Time) -> int:
 
 
 def to_time(nanosec: int) -> Time:
-    """Return the stamp of a whole number of nanoseconds."""
+    """Convert a whole number of nanoseconds to a stamp."""
     return Time(sec=int(nanosec // 1_000_000_000), nanosec=int(nanosec % 1_000_000_000))
 
 
 def driver_status_to_msg(status: DriverStatus, stamp: Time) -> DriverStatusMsg:
-    """Return what the driver says of the motors as a message."""
+    """Convert the driver's status to a message."""
     return DriverStatusMsg(
         header=Header(stamp=stamp), state=int(status.state), reason=int(status.reason),
         text=status.text, enabled_at=to_time(status.enabled_ns),
@@ -81,12 +85,12 @@ def driver_status_to_msg(status: DriverStatus, stamp: Time) -> DriverStatusMsg:
 
 
 def msg_to_driver_status(msg: DriverStatusMsg) -> DriverStatus:
-    """Return what the driver says of the motors.
+    """Convert a message to the driver's status.
 
     Raises
     ------
     PlateError
-        If state or reason is none of those that there are.
+        If the state or the reason is unknown.
     """
     for name, kind in (("state", DriverState), ("reason", DriverReason)):
         if getattr(msg, name) not in set(kind):
@@ -104,20 +108,20 @@ def parts_to_msg(
     quality: np.ndarray | None = None,
     overlooked: Sequence[OverlookedThing] = (),
 ) -> PartsMsg:
-    """Return parts as a message.
+    """Convert parts to a message.
 
     Parameters
     ----------
     parts : Parts
     stamp : Time
-        Of the image.
+        Stamp of the image.
     source : int
-        How all of them were measured.
+        Measurement method of all parts, a constant of the message Part.
     quality : (M, 3), optional
-        Standard deviations of place, along each axis [m], and angle [rad], and the confidence that
-        it is a part [-]; NaN: not known.
+        Standard deviation of the position along each axis [m] and of the angle [rad], and the
+        confidence that the object is a part [-]. NaN if unknown.
     overlooked : sequence of OverlookedThing
-        Things in the image that are not taken for parts.
+        Objects in the image that vision has rejected as parts.
     """
     msg = PartsMsg(header=Header(stamp=stamp, frame_id=FRAME))
     if quality is None:
@@ -143,12 +147,12 @@ def parts_to_msg(
 
 
 def msg_to_parts(msg: PartsMsg) -> Parts:
-    """Return the parts of a message.
+    """Convert a message to parts.
 
     Raises
     ------
     PlateError
-        If a name is given twice, or a value is not finite or beyond `MOST`.
+        If an id occurs twice, or the magnitude of a value is not finite or exceeds `MOST`.
     """
     ids = tuple(part.id for part in msg.parts)
     rows = _checked("parts", ids, msg.parts, STATE)
@@ -157,14 +161,14 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
 
 
 def msg_to_overlooked(msg: PartsMsg) -> tuple[OverlookedThing, ...]:
-    """Return the things of a message that are not taken for parts; those with a value that is not
-    finite are left out."""
+    """Return the objects of a message that vision has rejected as parts. Objects with non-finite
+    values are skipped."""
     things = (OverlookedThing(one.x, one.y, one.radius, one.reason) for one in msg.overlooked)
     return tuple(thing for thing in things if np.all(np.isfinite(thing[:3])))
 
 
 def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> PartForces:
-    """Return the planner's request as a message.
+    """Convert the planner's request to a message.
 
     Parameters
     ----------
@@ -212,14 +216,14 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
 
 
 def msg_to_wanted(msg: PartForces) -> Wanted:
-    """Return the planner's request of a message.
+    """Convert a message to the planner's request.
 
     Raises
     ------
     PlateError
-        If there are more than `MOST_PARTS`, a name is given twice, a value is not finite or beyond
-        `MOST` (the ends of an interval may be infinite), an interval ends before it begins, or the
-        period is not above 0.
+        If there are more than `MOST_PARTS` parts, an id occurs twice, the magnitude of a value is
+        not finite or exceeds `MOST` (bounds of intervals may be infinite), a lower bound exceeds
+        its upper bound, or the period is not positive.
     """
     if msg.plate_known and not np.all(np.abs(msg.plate) <= MOST):
         raise PlateError(f"part_forces: plate is {list(msg.plate)}, allowed: -{MOST:g} to {MOST:g}")
@@ -249,25 +253,25 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
 
 
 def target_to_msg(target: PartTarget) -> TargetMsg:
-    """Return where a part is to come as a message."""
+    """Convert the target of a part to a message."""
     x, y = target.place
     angle = math.nan if target.angle is None else target.angle
     return TargetMsg(id=target.id, x=float(x), y=float(y), angle=float(angle))
 
 
 def targets_to_msg(targets: Sequence[PartTarget], stamp: Time) -> TargetsMsg:
-    """Return where parts are to come as a message."""
+    """Convert the targets of parts to a message."""
     header = Header(stamp=stamp, frame_id=FRAME)
     return TargetsMsg(header=header, targets=[target_to_msg(target) for target in targets])
 
 
 def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
-    """Return where parts are to come; whether each can be asked there, `target_problem` says.
+    """Convert a message to targets of parts. `target_problem` checks whether each is possible.
 
     Raises
     ------
     PlateError
-        If there are more than `MOST_PARTS`, a name is given twice, or the frame is another one.
+        If there are more than `MOST_PARTS` targets, an id occurs twice, or the frame is wrong.
     """
     frame, ids = msg.header.frame_id, [target.id for target in msg.targets]
     if len(ids) > MOST_PARTS:
@@ -289,7 +293,7 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
     Raises
     ------
     PlateError
-        If an interval ends before it begins, or a weight or `gap_m` is outside 0 to `MOST`.
+        If a lower bound exceeds its upper bound, or a weight or `gap_m` is outside 0 to `MOST`.
     """
     ends = np.clip(_intervals(ids, msg.forces, TARGETS), -MOST, MOST)
     weight = _checked("part_forces", ids, msg.forces, WEIGHTS)
@@ -310,10 +314,11 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
 def _intervals(
     ids: tuple[str, ...], forces: Sequence[PartForce], keys: tuple[str, ...]
 ) -> np.ndarray:
-    """Return the ends of intervals, fields `keys` (M, n), if none ends before it begins."""
+    """Return the bounds of intervals, the fields `keys` (M, n). Raise an error if a lower bound
+    exceeds its upper bound."""
     ends = np.array([[getattr(each, key) for key in keys] for each in forces], dtype=float)
     ends = ends.reshape(-1, len(keys))
-    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # so where one is NaN
+    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # also true for NaN
     if np.any(wrong):
         row, column = np.argwhere(wrong)[0]
         low, high = ends[row, 2 * column : 2 * column + 2]
@@ -325,7 +330,7 @@ def _intervals(
 
 
 def _state(parts: Parts) -> list[list[float]]:
-    """Return the numbers of `STATE` for each part."""
+    """Return the values of the fields `STATE` for each part."""
     columns = [parts.position, parts.angle[:, None], parts.velocity, parts.spin[:, None]]
     rows: list[list[float]] = np.hstack(columns).tolist()
     return rows
@@ -334,12 +339,13 @@ def _state(parts: Parts) -> list[list[float]]:
 def _checked(
     what: str, ids: tuple[str, ...], items: Sequence[Part | PartForce], keys: tuple[str, ...]
 ) -> np.ndarray:
-    """Return the fields `keys` (M, n) of the parts in a message, if all are sane."""
+    """Return the fields `keys` (M, n) of the parts in a message. Raise an error if an id occurs
+    twice or a value is not allowed."""
     if len(set(ids)) < len(ids):
         raise PlateError(f"{what}: a name is given twice in {list(ids)}")
     rows = [[getattr(item, key) for key in keys] for item in items]
     array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
-    sane = np.abs(array) <= MOST  # not so where it is NaN
+    sane = np.abs(array) <= MOST  # false for NaN
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(
@@ -350,37 +356,37 @@ def _checked(
 
 
 def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:
-    """Return a plate cycle as a message: its knots. Where one is given twice the next cycle may
-    begin, and what comes after it is the tail."""
+    """Convert a plate cycle to a message with its knots. If one knot occurs twice, the cycle ends
+    there and the following knots are its tail."""
     return trajectory_to_msg(PLATE_JOINTS, *cycle.knots, stamp)
 
 
 def msg_to_cycle(msg: JointTrajectory) -> PlateCycle:
-    """Return the plate cycle of a message.
+    """Convert a message to a plate cycle.
 
     Raises
     ------
     CycleError
-        If joints, lengths or times are wrong, a value is not finite, or it ends neither as it
-        began nor at rest.
+        If joints, lengths or times are wrong, a value is not finite, or the motion ends neither in
+        its initial state nor at rest.
     """
     return PlateCycle.from_knots(*msg_to_knots(msg, PLATE_JOINTS))
 
 
 def motors_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> JointTrajectory:
-    """Return the motors' motion that gives a plate cycle."""
+    """Convert a plate cycle to a message with the corresponding motion of the motors."""
     times, *states = cycle.knots
     joints = [motor.name for motor in rig.motors]
     return trajectory_to_msg(joints, times, *motor_state(rig, *states), stamp)
 
 
 def msg_to_motors(rig: Rig, msg: JointTrajectory) -> PlateCycle:
-    """Return the plate cycle that the motors' motion gives.
+    """Convert a message with a motion of the motors to the corresponding plate cycle.
 
     Raises
     ------
     CycleError
-        As `msg_to_cycle`, or if the motors disagree with each other.
+        For the same errors as `msg_to_cycle`, or if the motor positions are inconsistent.
     """
     times, q, qd, qdd = msg_to_knots(msg, [motor.name for motor in rig.motors])
     return PlateCycle.from_knots(times, *plate_state(rig, q, qd, qdd))
@@ -394,7 +400,7 @@ def trajectory_to_msg(
     accel: np.ndarray,
     stamp: Time,
 ) -> JointTrajectory:
-    """Return knots as a message: times (k + 1,) [s], the others (k + 1, len(joints))."""
+    """Convert knots to a message: times (k + 1,) [s], the other arrays (k + 1, len(joints))."""
     msg = JointTrajectory(header=Header(stamp=stamp, frame_id=FRAME), joint_names=joints)
     rows = zip(times.tolist(), position.tolist(), velocity.tolist(), accel.tolist(), strict=True)
     for t, q, qd, qdd in rows:
@@ -483,7 +489,7 @@ def image_to_array(msg: Image) -> np.ndarray:
 
 
 def camera_to_info(camera: Camera, header: Header) -> CameraInfo:
-    """Return a rig's camera as a message: K, D and P zero if its lens is not known."""
+    """Convert a rig's camera to a message. K, D and P are zero if the lens is not calibrated."""
     info = CameraInfo(header=header, width=camera.width_px, height=camera.height_px)
     info.distortion_model = "plumb_bob"
     if camera.lens is not None:

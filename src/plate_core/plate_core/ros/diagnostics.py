@@ -1,4 +1,8 @@
-"""How every node publishes `diagnostics`, once a second, whatever comes in; how they are read."""
+"""Publishing and reading of the topic `diagnostics`.
+
+Every node publishes its level, message and values once per second, independently of its inputs. A
+level that becomes worse is published at once. `msg_to_reports` reads these messages.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +19,16 @@ from ..status import Finding, Level
 from .qos import DATA
 
 DIAGNOSTICS_PERIOD_S = 1.0
-"""Time between diagnostics [s]: a node that has said nothing for longer is dead or frozen."""
+"""Period of the diagnostics [s]. A node without diagnostics for a longer time has ended or is
+blocked."""
 
 LOOK_PERIOD_S = 0.1
-"""Time between looks at the level [s]: a level that has become worse is published at once."""
+"""Period at which the level is evaluated [s]. A level that has become worse is published at
+once."""
 
 
 class Report(NamedTuple):
-    """What a node said of itself: its name without namespace, and all values as text."""
+    """Diagnostics of one node: its name without namespace, level, message, and values as text."""
 
     node: str
     level: Level
@@ -31,9 +37,10 @@ class Report(NamedTuple):
 
 
 def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:
-    """Read diagnostics, also of nodes of others, who name a status `node: part of it`.
+    """Yield the reports in a diagnostics message.
 
-    One whose level is none of diagnostic_msgs/DiagnosticStatus is left out.
+    Other packages often name a status `node: component`. The node's name is then the part before
+    the colon. A status with an unknown level is skipped.
     """
     for status in msg.status:
         level = int.from_bytes(status.level, "little")
@@ -44,21 +51,21 @@ def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:
 
 
 class Diagnostics:
-    """Publishes what a node finds of itself, by the steady clock; see `plate_core.status`.
+    """Publishes the diagnostics of a node, timed by the steady clock. See `plate_core.status`.
 
     Parameters
     ----------
     node : Node
     find : callable
-        Given the time [s, steady clock], returns the level and its reason.
+        Function of the time [s, steady clock]. Returns the level and its reason.
     values : callable
-        Returns what is published with it, name to value.
+        Returns the values to publish, by name.
     hardware_id : callable
         Returns the identifier of the hardware, such as the name of a rig.
     reported : callable, optional
-        Called after each periodic report: what is counted per report begins anew.
+        Called after each periodic report. It can reset counters per report.
     stamp : callable, optional
-        Returns the time of a report; the node's clock if left out.
+        Returns the stamp of a report. Default: the time of the node's clock.
     """
 
     def __init__(
@@ -78,11 +85,11 @@ class Diagnostics:
         self._timer = node.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
 
     def publish(self) -> None:
-        """Publish now, between two reports."""
+        """Publish immediately, in addition to the periodic reports."""
         self._tell(self._find(time.monotonic()))
 
     def destroy(self) -> None:
-        """Publish no more; for nodes that are configured anew."""
+        """Stop publishing, for nodes that are configured again."""
         self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 
@@ -93,7 +100,7 @@ class Diagnostics:
             if finding.level.rank > self._level.rank:
                 self._tell(finding)
             return
-        # After a standstill the next report is a whole period away, not at once.
+        # After a stall the next report follows after about one period, not immediately.
         self._due = max(self._due, now - DIAGNOSTICS_PERIOD_S / 2) + DIAGNOSTICS_PERIOD_S
         self._tell(finding)
         self._reported()

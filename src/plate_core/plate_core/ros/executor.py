@@ -1,4 +1,4 @@
-"""The executor of nodes that have many topics."""
+"""An executor that saves CPU time for nodes with many topics."""
 
 import math
 import time
@@ -7,21 +7,21 @@ from rclpy.event_handler import EventHandler
 from rclpy.executors import SingleThreadedExecutor
 
 EVENTS_S = 1.0
-"""Between two looks for events [s]."""
+"""Period of the checks for middleware events [s]."""
 
 
 class NodeExecutor(SingleThreadedExecutor):
-    """A `SingleThreadedExecutor` that looks for events of the middleware, as of partners whose
-    quality of service does not fit, once a second and not in every round: an idle graph takes a
-    fifth less time.
+    """A `SingleThreadedExecutor` that checks for middleware events only once per second.
 
-    Each publisher and each subscription has two; they wait until they are looked for.
+    Such an event is, for example, an incompatible quality of service. Each publisher and each
+    subscription has two event handlers. Events stay queued until they are checked. Without the
+    check in every round, an idle graph needs 20 % less CPU time.
     """
 
     _next_look, _looking = -math.inf, False
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Do one thing that is to be done, or wait so long [s] for it."""
+        """Execute one callback that is ready, or wait for one up to this timeout [s]."""
         now = time.monotonic()
         self._looking = now >= self._next_look
         if self._looking:
@@ -29,7 +29,7 @@ class NodeExecutor(SingleThreadedExecutor):
         super().spin_once(timeout_sec)
 
     def can_execute(self, entity: object) -> bool:
-        """Tell whether an entity is to be waited for."""
+        """Return whether to wait for an entity in this round."""
         return (self._looking or not isinstance(entity, EventHandler)) and super().can_execute(
             entity
         )

@@ -1,4 +1,4 @@
-"""The frames' names, and their poses for tf2."""
+"""Names of the frames, and their poses as messages for tf2."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 FRAME, PLATE_FRAME, CAMERA_FRAME = FRAMES = ("plate_home", "plate", "camera_optical_frame")
-"""Fixed in the room; the moving plate; the camera (x to the right, y down, z ahead: REP 103)."""
+"""World-fixed frame; frame of the moving plate; camera frame (x right, y down, z forward, as in
+REP 103)."""
 
 
 def transform_to_msg(
     child: str, rotation: np.ndarray, translation: np.ndarray, stamp: Time
 ) -> TFMessage:
-    """Return where a frame is in plate_home: columns of rotation (3, 3) are its axes, translation
-    (3,) [m] is its origin."""
-    from scipy.spatial.transform import Rotation  # here: programs that publish none need no scipy
+    """Return the pose of a frame in plate_home as a message. The columns of rotation (3, 3) are the
+    frame's axes, translation (3,) [m] is its origin."""
+    # imported here, because programs that publish no transforms need no scipy
+    from scipy.spatial.transform import Rotation
 
     msg = TransformStamped(header=Header(stamp=stamp, frame_id=FRAME), child_frame_id=child)
     place, turn = msg.transform.translation, msg.transform.rotation
@@ -29,19 +31,20 @@ def transform_to_msg(
 
 
 def plate_to_msg(pose: np.ndarray, stamp: Time) -> TFMessage:
-    """Return where the plate is, pose (3,) [m, m, rad] in plate_home."""
+    """Return the pose of the plate (3,) [m, m, rad] in plate_home as a message."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     return transform_to_msg(PLATE_FRAME, turn, np.append(pose[:2], 0.0), stamp)
 
 
 def camera_to_msg(rotation: np.ndarray, translation: np.ndarray, stamp: Time) -> TFMessage:
-    """Return where the camera is, from where plate_home is in its frame (`rig.home_pose`)."""
+    """Return the pose of the camera in plate_home as a message. The arguments are the pose of
+    plate_home in the camera frame, as `rig.home_pose` returns it."""
     return transform_to_msg(CAMERA_FRAME, rotation.T, -rotation.T @ translation, stamp)
 
 
 def add_prefix(msg: Any, prefix: str) -> None:
-    """Put a prefix before the names of our frames in a message, where it is not there yet."""
+    """Add a prefix to the names of this project's frames in a message, if it is not yet there."""
     for part in (msg, *getattr(msg, "markers", ()), *getattr(msg, "transforms", ())):
         header = getattr(part, "header", None)
         if header is not None and header.frame_id in FRAMES:

@@ -1,4 +1,4 @@
-"""Scenarios as goals of actions, and back. A goal is checked as a scenario file is."""
+"""Conversion between scenarios and action goals. A goal gets the same checks as a scenario file."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from ..yaml_fields import Fields
 from .convert import target_to_msg
 
 REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
-"""Reasons for which a task does not begin."""
+"""Reasons for which the planner refuses to start a task."""
 
 ACTIONS: Mapping[str, Any] = {
     "sort_parts": SortParts,
@@ -60,12 +60,12 @@ NOWHERE = float("nan")
 
 
 def new_goal_id() -> UUID:
-    """Return an id for a goal that may be sent again: by the same id it is begun once."""
+    """Return a new goal id. A goal that is sent again with the same id is started only once."""
     return UUID(uuid=list(uuid4().bytes))
 
 
 def scenario_to_goal(scenario: Scenario) -> tuple[str, Any]:
-    """Return the name of the action that does a scenario, and the goal to send."""
+    """Return the name of the action for a scenario, and its goal."""
     for name, (kind, write, _) in KINDS.items():
         if isinstance(scenario.task, kind):
             limit = scenario.time_limit_s
@@ -79,13 +79,13 @@ def scenario_to_goal(scenario: Scenario) -> tuple[str, Any]:
 
 
 def goal_to_scenario(goal: Any) -> Scenario:
-    """Return the scenario of a goal, named by the kind of its task.
+    """Return the scenario of a goal. Its name is the kind of its task.
 
     Raises
     ------
     ScenarioError
-        As `load_scenario` does: names the key of a scenario file that the goal's field stands for,
-        its value and what is allowed.
+        For the same errors as in `load_scenario`. The message states the key of a scenario file
+        that corresponds to the goal's field, its value and the allowed values.
     """
     name = next(name for name, action in ACTIONS.items() if isinstance(goal, action.Goal))
     kind = name.rpartition("_")[0]
@@ -262,7 +262,7 @@ def _read_feed(goal: Any) -> dict[str, Any]:
 
 
 def pick_to_msg(pick: Pick) -> FeedPick:
-    """Return a pick as a message."""
+    """Convert a pick to a message."""
     return FeedPick(
         type=pick.label,
         ready=pick.ready,
@@ -274,7 +274,7 @@ def pick_to_msg(pick: Pick) -> FeedPick:
 
 
 def msg_to_pick(msg: FeedPick) -> Pick:
-    """Return a pick as data. A window of zeros is that of the plate; unchecked otherwise."""
+    """Convert a message to a pick, without checks. A window of zeros means the whole plate."""
     low, high = (msg.x_min, msg.y_min), (msg.x_max, msg.y_max)
     if not any((*low, *high)):
         low, high = (-math.inf, -math.inf), (math.inf, math.inf)
@@ -283,7 +283,7 @@ def msg_to_pick(msg: FeedPick) -> Pick:
 
 
 def order_to_msg(order: FeedOrder, stamp: Time) -> FeedOrderMsg:
-    """Return what a feed is to do, as a message; `stamp`: now."""
+    """Convert the order for a feed task to a message. `stamp` is the present time."""
     return FeedOrderMsg(
         header=Header(stamp=stamp),
         mode=int(order.mode),
@@ -293,12 +293,12 @@ def order_to_msg(order: FeedOrder, stamp: Time) -> FeedOrderMsg:
 
 
 def msg_to_order(msg: FeedOrderMsg) -> FeedOrder:
-    """Return what a feed is to do, as data.
+    """Convert a message to the order for a feed task.
 
     Raises
     ------
     PlateError
-        If there is no such mode.
+        If the mode is unknown.
     """
     if msg.mode not in tuple(FeedMode):
         known = ", ".join(f"{mode.value} ({mode.name})" for mode in FeedMode)
@@ -314,7 +314,7 @@ KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict
     "move_parts": (MoveTask, _write_move, _read_move),
     "feed_parts": (FeedTask, _write_feed, _read_feed),
 }
-"""By action: the task, and how it becomes a goal and back."""
+"""By action: the task class, and the conversions to a goal and back."""
 
 
 def _point(at: tuple[float, float]) -> Point:

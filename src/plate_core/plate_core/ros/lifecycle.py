@@ -1,4 +1,8 @@
-"""Lifecycle nodes: they start themselves, rest before they end, and leave nothing behind."""
+"""Base class and start function of this project's lifecycle nodes.
+
+A `SafeLifecycleNode` brings its hardware to rest before it leaves the active state, however it
+ends, and destroys all that it has created. `start_nodes` configures and activates nodes.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +31,7 @@ from .qos import CALLS
 from .rclpy_workarounds import RclpyLifecycleNode, logged
 
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
-"""What ROS calls a node of which it knows no more yet than a topic."""
+"""Name that ROS gives to a node if it has discovered only one of its topics so far."""
 
 WARN_S = 2.0
 """Minimum time between two warnings of the same kind [s]."""
@@ -53,26 +57,26 @@ Options = TypeVar("Options", bound=NodeOptions)
 
 
 class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
-    """A lifecycle node that rests before it stops being active, however it ends.
+    """A lifecycle node that always calls `rest` before it stops being active.
 
-    A subclass makes things in `configure`, by the methods `managed_...` or handed to `keep`, and
-    says what `begin`, `rest`, `release` and `retune` do. What is managed works only while the node
-    is active, and is gone after clean-up. `start_nodes`, which `run_node` calls unless the
-    parameter `autostart` is false, configures and activates it.
+    A subclass creates its objects in `configure`, by the methods `managed_...` or with `keep`. It
+    implements `begin`, `rest`, `release` and `retune` if needed. Managed objects work only while
+    the node is active and are destroyed at clean-up. `run_node` calls `start_nodes`, which
+    configures and activates the node unless its parameter `autostart` is false.
 
     Parameters
     ----------
     name : str
     kind : type
-        Dataclass of its parameters, of which `options` are those in force: read when it is
-        configured, live ones at any time.
+        Dataclass of the parameters. `options` are the values in use: they are read when the node is
+        configured, and live ones at any time.
 
     Attributes
     ----------
     options : Options
     active : bool
     configuring : bool
-        Whether it is being configured, which may take long.
+        Whether the node is being configured. This may take long.
     """
 
     def __init__(self, name: str, kind: type[Options]) -> None:
@@ -83,35 +87,37 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
-        self.add_on_set_parameters_callback(self._keep_clock)  # called first: the last one added is
+        self.add_on_set_parameters_callback(self._keep_clock)  # the last one added is called first
 
-    # What a subclass says
+    # Methods that a subclass implements
 
     def configure(self) -> None:
-        """Make everything that the node needs, from `options`."""
+        """Create all objects that the node needs, according to `options`."""
 
     def begin(self) -> None:
-        """Make ready for work: `active` is set next."""
+        """Prepare for work. `active` becomes true immediately afterwards."""
 
     def rest(self) -> None:
-        """Leave nothing moving."""
+        """Stop all motion."""
 
     def release(self) -> None:
-        """Let go of what ROS does not know of."""
+        """Release resources that do not belong to ROS."""
 
     def retune(self) -> None:
-        """Take over `options` of which a live one has changed; called once configured. What does
-        not fit together is refused by a `PlateError`: then the options before stay."""
+        """Apply `options` after a live one has changed. Called only while the node is configured.
 
-    # What a subclass makes
+        Raise a `PlateError` if the options are inconsistent. The previous options are then kept.
+        """
+
+    # Methods by which a subclass creates objects
 
     def keep(self, destroy: Callable[[Any], Any], *things: Any) -> None:
-        """Have things destroyed at clean-up."""
+        """Register objects: clean-up calls `destroy` with each of them."""
         self._kept += [(destroy, thing) for thing in things]
 
     def managed_publisher(self, kind: type, topic: str, qos: QoSProfile) -> Any:
-        """Return a publisher that is silent unless the node is active; to the names of our frames
-        it adds the prefix."""
+        """Return a publisher that publishes only while the node is active. It adds the parameter
+        `frame_prefix` to the names of this project's frames."""
         publisher = self.create_lifecycle_publisher(kind, topic, qos)
         prefix, publish = self.options.frame_prefix, publisher.publish
 
@@ -132,8 +138,10 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         qos: QoSProfile,
         in_turn: bool = False,
     ) -> None:
-        """Have `heard` called with what comes while the node is active; `in_turn`: but for single
-        messages of strangers, as `Turns.came` tells them."""
+        """Call `heard` with each message that arrives while the node is active.
+
+        If `in_turn` is true, messages of a second publisher are ignored, see `Turns.came`.
+        """
         turns = self._turns[topic] = Turns()
 
         def callback(msg: Any, info: dict[str, Any]) -> None:
@@ -145,7 +153,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self.keep(self.destroy_subscription, subscription)
 
     def managed_service(self, kind: type, name: str, answer: Callable[[Any, Any], Any]) -> None:
-        """Answer by `answer` while the node is active, and refuse while it is not."""
+        """Offer a service. `answer` replies while the node is active, otherwise calls are
+        refused."""
 
         def callback(request: Any, response: Any) -> Any:
             if self.active:
@@ -160,8 +169,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     def managed_timer(
         self, period_s: float, tick: Callable[[], Any], clock: Clock | None = None
     ) -> Timer:
-        """Have `tick` called every so often while the node is active, by the steady clock if no
-        other one is given."""
+        """Call `tick` every `period_s` [s] while the node is active. The default clock is the
+        steady clock."""
 
         def callback() -> None:
             if self.active:
@@ -173,13 +182,13 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         return timer
 
     def rivals(self, topic: str) -> str:
-        """Say that several nodes publish what only one may; "" if they do not."""
+        """Return a message if several nodes publish a topic that only one may publish, else ""."""
         full = self.resolve_topic_name(topic)
         if self.count_publishers(full) < 2:
             return ""
         found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
-        # By name: of a node that was killed and started again there are two for a while, and the
-        # new one has no name yet.
+        # Count names, not publishers: after a node was killed and restarted, both are listed for a
+        # while, and the new one has no name yet.
         names = {
             f"{each.node_namespace}/{each.node_name}".removeprefix(own)
             for each in found
@@ -200,10 +209,10 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         reported: Callable[[], None] = lambda: None,
         stamp: Callable[[], Time] | None = None,
     ) -> Diagnostics:
-        """Publish diagnostics, also while the node is not active: that, and why it is not.
+        """Publish diagnostics. While the node is not active, they contain its state and the reason.
 
-        Call it in the constructor. The parameters are those of `Diagnostics`, except `hardware_id`:
-        a name, by default the rig's.
+        Call it in the constructor. The parameters are those of `Diagnostics`, but `hardware_id` is
+        a name. By default it is the name of the rig.
         """
 
         def idle() -> Finding:
@@ -239,7 +248,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         )
 
     def _keep_clock(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse another clock in mid-task; rclpy's own callback changes it at once."""
+        """Refuse to change the clock during a task, since rclpy's callback would do it at once."""
         if not self.active or all(item.name != USE_SIM_TIME_NAME for item in parameters):
             return SetParametersResult(successful=True)
         reason = (
@@ -267,7 +276,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make everything, or nothing if that fails."""
+        """Call `configure`. If it fails, release everything that it has created."""
         self.failure, self.options = None, self._given
         self.configuring = True
         try:
@@ -282,7 +291,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to listen and to publish."""
+        """Call `begin`, then start to process and to publish messages."""
         self.failure = None
         result = super().on_activate(state)
         try:
@@ -296,26 +305,26 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
     @logged
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Rest, then fall silent."""
+        """Call `rest`, then stop publishing."""
         self._stop()
         return super().on_deactivate(state)
 
     @logged
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything that on_configure made."""
+        """Release everything that `on_configure` has created."""
         self._release()
         return super().on_cleanup(state)
 
     @logged
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Rest and release everything."""
+        """Call `rest` and release everything."""
         self._stop()
         self._release()
         return super().on_shutdown(state)
 
     @logged
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Rest if that still works, and begin anew from unconfigured."""
+        """Call `rest` if possible, release everything, and return to the state unconfigured."""
         try:
             self._stop()
         finally:
@@ -323,20 +332,21 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
-        """Rest, and release everything, also when the process has to stop."""
+        """Call `rest`, release everything, and destroy the node. Also called when the process
+        stops."""
         try:
             self.close()
-        finally:  # whatever that has raised
+        finally:  # also after an exception
             super().destroy_node()
 
     def close(self) -> None:
-        """Do so once, but leave the node itself to `destroy_node`."""
+        """Call `rest` and release everything, at most once. The node itself is not destroyed."""
         if self._closed:
             return
         self._closed = True
         try:
             if self.context.ok():
-                self._stop()  # not by a transition: the signal may have come within one
+                self._stop()  # no transition, because the signal may have arrived during one
         finally:
             self.active = False
             self._release()
@@ -355,13 +365,13 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
 
 def start_nodes(*nodes: SafeLifecycleNode[Any]) -> None:
-    """Configure nodes, then activate them, in this order; but not those whose parameter `autostart`
-    is false.
+    """Configure all nodes, then activate all nodes, in this order. Nodes whose parameter
+    `autostart` is false are skipped.
 
     Raises
     ------
     Exception
-        What a transition has raised: a `PlateError` for wrong input.
+        The exception of the transition that failed, a `PlateError` for wrong input.
     """
     own = [node for node in nodes if node.options.autostart]
     for trigger in ("trigger_configure", "trigger_activate"):

@@ -1,4 +1,8 @@
-"""The same clean start and stop for every node."""
+"""Main functions of all node programs: start, spin and clean stop of one or several nodes.
+
+`run_node` runs one node, `run_nodes` several in one process. Both handle signals, wrong parameters
+and a parent process that has ended. They destroy the nodes within a time limit.
+"""
 
 from __future__ import annotations
 
@@ -25,31 +29,33 @@ from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered, check_parameter_files
 
 LAST_ROUNDS = 5
-"""Rounds of the executor in which what was said at the end is sent."""
+"""Number of executor rounds after the nodes are deactivated, to send their last messages."""
 
 POLL_S = 0.1
-"""A signal waits at most this long: Python sees it only when the executor returns."""
+"""Maximum delay of the reaction to a signal [s]: Python handles it only when the executor
+returns."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a node. SIGHUP, from a closed terminal, does so unless it is ignored."""
+"""Signals that end a node. SIGHUP, sent when the terminal closes, ends it unless the process
+ignores this signal."""
 
 
 def run_node(
     make: Callable[[], Node], options: type | None = None, args: Sequence[str] | None = None
 ) -> None:
-    """Make a node, start it, spin it until it has to stop, and leave nothing behind.
+    """Create a node, start it, spin it until it must stop, and destroy it.
 
-    With `--help` on the command line it only prints what the node's docstring says, and the
-    parameters of `options`, the dataclass that the node gives to `declare`.
+    With `--help` on the command line, only the node's docstring and its parameters are printed.
+    `options` is the dataclass that the node passes to `declare`.
 
-    The node's `destroy_node` runs while ROS still works, so a node can say its last words there:
-    rclpy's own handlers would have shut the context down at the signal.
+    The node's `destroy_node` runs while ROS still works, so the node can publish its last messages
+    there. The signal handlers of rclpy would shut the context down first, so they are not used.
 
-    The node also ends when the process that started it has ended, such as `ros2 launch` after
-    SIGTERM, unless its parameter `end_with_parent` is false.
+    The node also ends when its parent process has ended, such as `ros2 launch` after SIGTERM,
+    unless its parameter `end_with_parent` is false.
 
-    Exit code 0 after SIGINT, SIGTERM, SIGHUP or a shutdown; 2, with one line, if the node refuses
-    its parameters or files; 1, with a traceback, after a defect.
+    The exit code is 0 after SIGINT, SIGTERM, SIGHUP or a shutdown. It is 2, with a one-line
+    message, if the node refuses its parameters or files. It is 1, with a traceback, after a defect.
     """
     try:
         with piped():
@@ -62,15 +68,17 @@ def run_node(
 
 
 def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | None = None) -> None:
-    """Do the same for several nodes in one process and one executor, given by name: all are made,
-    then configured, then activated, in this order. What one refuses begins with its name.
+    """Run several nodes in one process and one executor, like `run_node`.
+
+    `makes` maps names to node constructors. First all nodes are created, then all are configured,
+    then all are activated, each time in this order. An error message starts with the node's name.
     """
     nodes: list[Any] = []
-    code = 1  # of a defect
+    code = 1  # exit code after a defect
     try:
         with never_held():
             code = _run(makes, nodes, args)
-    finally:  # all that was logged is written out by now
+    finally:  # the log has been written completely at this point
         with ends(code), contextlib.ExitStack() as stack:
             stack.callback(rclpy.try_shutdown)
             for node in nodes:
@@ -82,7 +90,8 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
 def _run(
     makes: Mapping[str, Callable[[], Node]], nodes: list[Any], args: Sequence[str] | None
 ) -> int:
-    """Do so, but leave the nodes to be destroyed, and return the exit code."""
+    """Run the nodes until they must stop. Return the exit code. The caller destroys the nodes,
+    which are appended to `nodes`."""
     stopped, spinning = False, False
     code = 0
 
@@ -97,11 +106,12 @@ def _run(
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, on_signal)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
-    # A program notes its parent before it loads code, because the parent may end meanwhile.
+    # A program stores its parent's id before it loads code, because the parent may end meanwhile.
     parent = getattr(sys.modules["__main__"], "PARENT", os.getppid())
     try:
         _init(args)
-        # EventsExecutor takes half the time, but a node ends or crashes by a transition under load.
+        # EventsExecutor needs half the CPU time, but under load a lifecycle transition can end or
+        # crash a node.
         executor = NodeExecutor()
         for make in makes.values():
             nodes.append(make())
@@ -112,14 +122,14 @@ def _run(
         spinning = True
         while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
             executor.spin_once(timeout_sec=POLL_S)
-        for node in nodes:  # while messages still go out: results of goals that end with it
+        for node in nodes:  # messages can still be sent: the results of goals that end here
             if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
                 node.trigger_deactivate()
         for _ in range(LAST_ROUNDS if rclpy.ok() else 0):
             executor.spin_once(timeout_sec=0.01)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (PlateError, InvalidParameterTypeException) as error:  # the latter: of rclpy's own
+    except (PlateError, InvalidParameterTypeException) as error:  # rclpy raises the latter
         if len(makes) > 1:
             failed = (n.get_name() for n in nodes if getattr(n, "failure", None) is error)
             being_made = [*makes, ""][len(nodes)]
@@ -137,7 +147,8 @@ def _run(
 
 
 def _init(args: Sequence[str] | None) -> None:
-    """Start ROS; a wrong command line or parameter file is the user's error, not a defect."""
+    """Start ROS. A wrong command line or parameter file raises a PlateError, since it is an error
+    of the user and not a defect."""
     if opened := choose_network(os.environ):
         print(f"warning: {opened}", file=sys.stderr, flush=True)
     check_parameter_files(args)
@@ -147,5 +158,5 @@ def _init(args: Sequence[str] | None) -> None:
             args=list(args) if args is not None else None,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-    except RuntimeError as error:  # RCLError, which has no public name
+    except RuntimeError as error:  # the class is RCLError, which has no public name
         raise PlateError(str(error).splitlines()[0]) from None

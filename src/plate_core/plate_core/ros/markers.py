@@ -1,4 +1,4 @@
-"""What RViz and Foxglove draw, in metres in plate_home. Nothing of it is needed to run."""
+"""Markers for RViz and Foxglove, in metres in plate_home. They are only for display."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from .convert import pose_to_msg
 from .frames import FRAME
 
 LIFETIME_S = 1.0
-"""What is not drawn again goes after this time [s]."""
+"""Lifetime of a marker that is not published again [s]."""
 
 THICK_M = 0.004
-"""Of plate, parts [m]."""
+"""Thickness of the plate and the parts [m]."""
 
 LINE_M = 0.002
 """Width of lines and arrows [m]."""
 
 AHEAD_S = 1.0
-"""A velocity's arrow ends where the part will be after this time [s]."""
+"""Prediction time of velocity arrows [s]: an arrow ends at the part's position after this time."""
 
 FORCE_M = 0.1
-"""Length of the arrow of a force as large as a part's sliding friction [m]."""
+"""Length of the arrow of a force equal to a part's sliding friction [m]."""
 
 CENTRES = 200
-"""Times of a cycle at which its centre of rotation is drawn."""
+"""Number of times in a cycle at which the centre of rotation is drawn."""
 
 FAR_HALVES = 4.0
-"""How far centres are drawn [half lengths of the plate]."""
+"""Maximum coordinate of a drawn centre of rotation [half lengths of the plate]."""
 
 
 def scene_to_msg(
@@ -47,16 +47,16 @@ def scene_to_msg(
     pose: np.ndarray,
     stamp: Time,
 ) -> MarkerArray:
-    """Return plate, parts with names, velocities and trails.
+    """Return markers of the plate and of the parts with names, velocities and trails.
 
     Parameters
     ----------
     rig : Rig
     parts : Parts
     trails : mapping of str to sequence of (x, y)
-        By part where it was [m, plate_home], oldest first.
+        Past positions of each part [m, plate_home], oldest first.
     pose : (3,)
-        Of the plate [m, m, rad].
+        Pose of the plate [m, m, rad].
     stamp : Time
     """
     plate = _marker("plate", 0, Marker.CUBE, PLATE, stamp)
@@ -85,7 +85,8 @@ def scene_to_msg(
 
 
 def forces_to_msg(rig: Rig, wanted: Wanted, stamp: Time) -> MarkerArray:
-    """Return the forces of a request as arrows; with targets, those that lead there."""
+    """Return the forces of a request as arrows. If the request has targets, they are the forces
+    that lead the parts there."""
     starts = wanted.parts.position
     ends = starts + FORCE_M / rig.force_unit * wanted.forces.force
     pairs = enumerate(zip(starts, ends, strict=True))
@@ -95,10 +96,11 @@ def forces_to_msg(rig: Rig, wanted: Wanted, stamp: Time) -> MarkerArray:
 
 
 def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
-    """Return the centres about which the plate turns during a cycle, as points.
+    """Return the plate's instantaneous centres of rotation during a cycle, as points.
 
-    At equally spaced times, so where there are many points it turns long; a colour for each sense.
-    Where the plate hardly turns the centre is far away and not drawn.
+    The points belong to equally spaced times, so a dense region means a long rotation there. The
+    colour shows the sense of rotation. When the plate hardly rotates, the centre is far away and is
+    not drawn.
     """
     time = np.linspace(0, cycle.period, CENTRES, endpoint=False)
     pose, twist = cycle.pose(time), cycle.twist(time)
@@ -136,7 +138,7 @@ def _arrow(
     stamp: Time,
 ) -> Marker:
     arrow = _marker(kind, number, Marker.ARROW, colour, stamp)
-    arrow.scale.x, arrow.scale.y = LINE_M, 2 * LINE_M  # of the shaft, of the head
+    arrow.scale.x, arrow.scale.y = LINE_M, 2 * LINE_M  # diameters of shaft and head
     arrow.points = [_point(start), _point(end)]
     return arrow
 

@@ -1,4 +1,9 @@
-"""Parameters as data: a frozen dataclass whose fields say type, range, unit and description."""
+"""ROS parameters of a node, defined by a frozen dataclass.
+
+Each field, made by `parameter`, defines the default, type, range and description of one parameter.
+`declare` declares the parameters of a node and returns their values. `follow` checks and applies
+later changes.
+"""
 
 from __future__ import annotations
 
@@ -25,14 +30,17 @@ from ..errors import PlateError, did_you_mean
 Options = TypeVar("Options")
 
 OF_RCLPY = ("qos_overrides.", "use_sim_time", "start_type_description_service")
-"""What rclpy declares by itself, some of it late."""
+"""Beginnings of the names of parameters that rclpy declares, some of them after the constructor."""
 
 
 @dataclass(frozen=True)
 class Spec:
-    """What is allowed for one parameter, and when it may change: live at any time, fixed never
-    while the process lives, else while the node is not active (and never if it has no lifecycle).
-    The help only names the parameters of a group, after its heading."""
+    """Allowed values of one parameter, and when it may change.
+
+    A live parameter may change at any time. A fixed one never changes while the process runs. Any
+    other one may change while the node is not active, or never if the node has no lifecycle. The
+    help text lists the parameters of a `group` by name only, after its heading.
+    """
 
     description: str
     low: float | None = None
@@ -44,7 +52,7 @@ class Spec:
 
     @property
     def allowed(self) -> str:
-        """What is allowed, in words; empty where everything of the right type is."""
+        """Description of the allowed values. Empty if all values of the right type are allowed."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.low is not None and self.high is not None:
@@ -52,7 +60,7 @@ class Spec:
         return ""
 
     def problem(self, name: str, value: Any) -> str | None:
-        """Return why a value is refused, or None."""
+        """Return the reason why a value is refused, or None if it is allowed."""
         if self.choices is not None and value not in self.choices:
             return f"parameter {name} is {value!r}, allowed: one of {', '.join(self.choices)}"
         numeric = isinstance(value, int | float) and not isinstance(value, bool)
@@ -79,15 +87,15 @@ def parameter(
 def declare(node: Node, kind: type[Options]) -> Options:
     """Declare the fields of `kind` as parameters of `node` and return their values.
 
-    What may not change any more is read-only from here on: ROS refuses changes.
+    Parameters that may not change are declared read-only, so ROS refuses changes.
 
     Raises
     ------
     PlateError
-        If a value given at start has the wrong type or is out of range, or is of a parameter that
-        the node does not have: names the parameter, the value and what is allowed.
+        If a value given at start has the wrong type or is out of range, or if the node has no such
+        parameter. The message states the parameter, its value and the allowed values.
     """
-    values, given = {}, node._parameter_overrides  # rclpy has no public name for what was given
+    values, given = {}, node._parameter_overrides  # rclpy has no public name for the overrides
     for item in fields(kind):  # type: ignore[arg-type]  # mypy has no bound for "a dataclass"
         spec: Spec = item.metadata["spec"]
         assert item.default is not MISSING
@@ -101,9 +109,12 @@ def declare(node: Node, kind: type[Options]) -> Options:
 
 
 def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) -> None:
-    """Refuse parameters that were given at start but are not declared: spelling mistakes, and
-    parameters of earlier versions. `moved` gives the replacement of the latter, by name. If only a
-    wildcard section of a parameter file gives one, it is for other nodes: only warn."""
+    """Refuse parameters that were given at start but are not declared.
+
+    They are spelling mistakes, or parameters of earlier versions. For the latter, `moved` maps the
+    name to its replacement. If only a wildcard section of a parameter file gives a parameter, it
+    may be for other nodes, so only a warning is logged.
+    """
     names = [
         name
         for name in node._parameter_overrides
@@ -129,8 +140,7 @@ def _unknown(node: Node, name: str, known: Sequence[str]) -> str:
 
 
 def for_others(words: Sequence[str], node: str) -> set[str]:
-    """Return the parameters that only sections with a wildcard in place of the node's name give,
-    such as `/**`.
+    """Return the parameters that are given only in wildcard sections, such as `/**`.
 
     Parameters
     ----------
@@ -156,7 +166,7 @@ def for_others(words: Sequence[str], node: str) -> set[str]:
 
 
 def _given(read: Any, section: str) -> Iterator[tuple[str, str]]:
-    """Yield the section and the name of each parameter in a file; both may be nested."""
+    """Yield the section and the name of each parameter in a file. Both may be nested."""
     for key, value in read.items() if isinstance(read, dict) else ():
         if key == "ros__parameters":
             yield from ((section, name) for name in _flat(value, ""))
@@ -204,8 +214,10 @@ def follow(
     changed: Callable[[Options], None],
     problem: Callable[[str, Spec], str] = lambda name, spec: "",
 ) -> Callable[[list[Parameter]], SetParametersResult]:
-    """Call `changed` with new options whenever a parameter is set; refuse wrong values, what
-    `problem` has a reason to refuse now, and that for which `changed` raises a `PlateError`.
+    """Call `changed` with the new options whenever a parameter is set.
+
+    A change is refused if a value is not allowed, if `problem` returns a reason, or if `changed`
+    raises a `PlateError`. Returns the callback that is registered for this.
     """
     current = [options]
     specs = {item.name: item for item in fields(options)}  # type: ignore[arg-type]
@@ -238,7 +250,7 @@ def follow(
 
 
 def _widened(node: Node, item: Parameter) -> Parameter:
-    """Return a whole number for a parameter that is none as the number with a point that it is."""
+    """Convert a whole number to a float if the parameter is declared as a float."""
     whole = item.type_ is Parameter.Type.INTEGER
     if whole and node.get_parameter_or(item.name).type_ is Parameter.Type.DOUBLE:
         return Parameter(item.name, value=float(item.value))

@@ -1,4 +1,4 @@
-"""The QoS profiles of the graph, each with its reason."""
+"""The QoS profiles of all topics and services, and the reason for each."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -8,7 +8,8 @@ IMAGE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Images we publish: any subscriber can connect; only the newest ones matter."""
+"""For images that this project publishes. Every subscriber can connect. Only the newest images
+matter."""
 
 CAMERA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -16,7 +17,7 @@ CAMERA = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Images we subscribe to: connects to every camera driver, reliable or not."""
+"""For subscriptions to images. They connect to every camera driver, reliable or best effort."""
 
 DATA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -24,7 +25,7 @@ DATA = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Parts, forces, cycles, setpoints: none may be lost, old ones are of no use."""
+"""For parts, forces, cycles and setpoints. No message may be lost, and old messages are useless."""
 
 NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -32,7 +33,8 @@ NEWEST = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""What takes long to answer: a slow receiver goes on with the newest, so that no queue stays."""
+"""For messages that take long to process. A slow receiver continues with the newest message, so no
+queue builds up."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -40,7 +42,7 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""State that a late subscriber must still see."""
+"""For states that a late subscriber must still receive."""
 
 CALLS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -48,8 +50,9 @@ CALLS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Services and their clients: with ROS's own depth of 10, of 100 stops at once 90 get no answer. A
-client needs it too, for the answers to all of them pass through its queue."""
+"""For services and their clients. With the default depth of 10 of ROS, 90 of 100 simultaneous stop
+requests get no reply. Clients need this depth too, because the replies to all clients pass through
+the queue of each."""
 
 TRANSFORMS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -57,7 +60,8 @@ TRANSFORMS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""/tf, as tf2_ros has it; /tf_static is latched."""
+"""For /tf, equal to the profile of tf2_ros. /tf_static uses `LATCHED`."""
 
 RESULT_S = 60
-"""So long an action keeps its results, 4 kB each, for those who ask late [s]: by default 900."""
+"""Time for which an action server keeps a result, 4 kB each, for late requests [s]. The default of
+ROS is 900 s."""

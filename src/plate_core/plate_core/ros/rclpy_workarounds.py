@@ -1,6 +1,6 @@
-"""All code that works around limitations of rclpy: the only place for its private names.
+"""Workarounds for limitations of rclpy. Only this module uses private names of rclpy.
 
-Each piece names the issue at github.com/ros2/rclpy, and can go once stock Jazzy has the fix.
+Each workaround names the issue at github.com/ros2/rclpy. Remove it when stock Jazzy has the fix.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
 def logged(transition: Transition) -> Transition:
-    """Log the exception of a transition of a `RclpyLifecycleNode`, and keep it as its `failure`.
+    """Decorate a transition of a `RclpyLifecycleNode`: log its exception and store it as `failure`.
 
-    rclpy enters the error state without a message: pull request 1673, open.
+    rclpy enters the error state without a message (pull request 1673, open).
     """
 
     @functools.wraps(transition)
     def wrapper(self: Any, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             return transition(self, state)
-        except Exception as error:  # any: without a message the error state has no reason
+        except Exception as error:  # all exceptions, so that the error state always has a reason
             self.failure = error
             wrong_input = isinstance(error, PlateError)
             if not self.starting:  # `start_nodes` raises this error, so do not log it twice
@@ -48,12 +48,12 @@ def logged(transition: Transition) -> Transition:
 
 
 class RclpyLifecycleNode(LifecycleNode):
-    """A `LifecycleNode` that survives wrong requests, and leaves the graph when it is destroyed.
+    """A `LifecycleNode` that survives wrong requests and leaves the graph when it is destroyed.
 
     Attributes
     ----------
     failure : Exception, optional
-        Why the last transition failed.
+        Exception of the last transition that failed.
     starting : bool
         Whether the caller of a transition raises its `failure`.
     """
@@ -64,15 +64,15 @@ class RclpyLifecycleNode(LifecycleNode):
         self.starting = False
 
     def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
-        """Answer a request for a transition that the state does not have with `success: false`.
+        """Reply `success: false` to a request for a transition that the present state lacks.
 
-        rclpy lets the error of its state machine end the process: issue 1209, mended in Rolling by
-        pull request 1319. There is no public place for this.
+        In rclpy the error of the state machine ends the process (issue 1209, fixed in Rolling by
+        pull request 1319). There is no public method to override.
         """
         try:
-            # mypy does not know names that Python has mangled.
+            # mypy does not know mangled names.
             return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
-        except RuntimeError as error:  # RCLError, which has no public name
+        except RuntimeError as error:  # the class is RCLError, which has no public name
             wanted = request.transition.label or request.transition.id
             self.get_logger().error(f"transition {wanted} refused: {error}")
             response.success = False
@@ -81,26 +81,26 @@ class RclpyLifecycleNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Destroy the node with its state machine.
 
-        rclpy leaves this to the garbage collector, and until then the node is in the graph. No
-        issue of this is known; issue 1710 is the same of another object.
+        rclpy leaves this to the garbage collector, and until then the node stays in the graph. No
+        issue about this is known. Issue 1710 reports the same defect of another object.
         """
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()
 
 
 def end_executor(executor: MultiThreadedExecutor, timeout_s: float) -> None:
-    """Wait for the callbacks that run, then shut an executor down that no thread spins any more, in
-    `timeout_s` [s].
+    """Wait for the running callbacks, then shut down an executor within `timeout_s` [s]. No thread
+    may spin it any more.
 
-    rclpy's own shutdown destroys objects that these callbacks still use: issue 893, mended in
-    Jazzy since 7.1.11 by pull request 1670; issue 1724, open, is the rest of it.
+    The shutdown of rclpy destroys objects that these callbacks still use (issue 893, fixed in Jazzy
+    since 7.1.11 by pull request 1670; issue 1724, open, covers the remaining cases).
     """
     executor._executor.shutdown()
     executor.shutdown(timeout_sec=timeout_s)
 
 
 class _Allocator(ctypes.Structure):
-    """rcutils_allocator_t."""
+    """The C struct rcutils_allocator_t."""
 
     _fields_ = [
         (name, ctypes.c_void_p)
@@ -109,7 +109,7 @@ class _Allocator(ctypes.Structure):
 
 
 class _Bytes(ctypes.Structure):
-    """rcutils_uint8_array_t, which is rcl_serialized_message_t."""
+    """The C struct rcutils_uint8_array_t, also named rcl_serialized_message_t."""
 
     _fields_ = [
         ("buffer", ctypes.c_void_p),
@@ -120,7 +120,7 @@ class _Bytes(ctypes.Structure):
 
 
 class _Info(ctypes.Structure):
-    """rmw_message_info_t."""
+    """The C struct rmw_message_info_t."""
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in ("source_timestamp", "received_timestamp")),
@@ -141,36 +141,36 @@ _END.argtypes = [ctypes.c_void_p]
 
 
 def deserialized(data: bytes, kind: type) -> Any:
-    """Return the message that these bytes are.
+    """Deserialize a message.
 
     Raises
     ------
     PlateError
-        If they are none of this kind: rclpy itself only drops such a message.
+        If the bytes are no message of this kind. rclpy would drop such a message without an error.
     """
     try:
         return deserialize_message(data, kind)
-    except Exception:  # also of conversions
+    except Exception:  # includes errors of conversions
         raise PlateError(f"{kind.__name__}: {len(data)} bytes that are none") from None
 
 
 class UnlockedSubscription:
-    """A subscription whose messages, however large, are taken while Python's other threads run on.
+    """A subscription that takes messages of any size without blocking the other Python threads.
 
-    rclpy takes a message with the interpreter's lock held: a message of a million points stops all
-    threads of the process for 0.1 s and more, also one that has to stop motors. Here
-    `rcl_take_serialized_message` is called through ctypes, which releases the lock: issue 1025,
-    open. No executor knows this subscription: its owner calls `take`.
+    rclpy holds the global interpreter lock while it takes a message (issue 1025, open). A message
+    with a million points blocks all threads of the process for 0.1 s or more, including a thread
+    that must stop the motors. This class calls `rcl_take_serialized_message` through ctypes, which
+    releases the lock. No executor handles this subscription, so its owner must call `take`.
 
     Parameters
     ----------
     node : Node
     kind : type
-        Of the messages.
+        Message class.
     topic : str
     qos : QoSProfile
     keep : int
-        Bytes of a message that are handed over: of a longer one the beginning.
+        Maximum number of bytes to return. Longer messages are truncated.
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, keep: int) -> None:
@@ -183,10 +183,10 @@ class UnlockedSubscription:
         self.kind, self.topic_name, self._keep = kind, name, keep
 
     def take(self) -> tuple[bytes, int, bytes] | None:
-        """Return the next message as it came, its length, and a key of who published it; None if
-        none waits.
+        """Return the serialized next message, its full length [bytes], and an id of the publisher.
 
-        None after `destroy` too: an executor may call a timer that has just been destroyed.
+        Returns None if no message is available, and after `destroy`: an executor may still call a
+        timer that has just been destroyed.
         """
         if self._handle is None:
             return None
@@ -204,7 +204,7 @@ class UnlockedSubscription:
             _END(ctypes.addressof(message))
 
     def destroy(self) -> None:
-        """Leave the topic."""
+        """Destroy the subscription."""
         handle, self._handle = self._handle, None
         if handle is not None:
             handle.destroy_when_not_in_use()

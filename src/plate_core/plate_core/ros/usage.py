@@ -1,4 +1,5 @@
-"""What `--help` of a node prints: what it does, what it is connected to, its parameters."""
+"""The `--help` text of a node: its purpose, topics and services (from its docstring), and its
+parameters."""
 
 from __future__ import annotations
 
@@ -17,22 +18,22 @@ from ..errors import PlateError
 from ..files import YAML_BYTES, check_file
 
 WIDTH = 100
-"""Columns of the text."""
+"""Width of the text [characters]."""
 
 
 def answered(node: Any, options: type | None, args: Sequence[str] | None) -> bool:
-    """Print the help if it was asked for; returns whether it was.
+    """Print the help text if the command line contains `-h` or `--help`. Return whether it does.
 
     Raises
     ------
     PlateError
-        If a node with options is given words that are neither ROS arguments nor a wish for help,
-        or one a file that is none of parameters.
+        If `options` is given and the command line contains other arguments than `--help` and those
+        of ROS, or if a parameter file cannot be read.
     """
     check_parameter_files(args)
     try:
         words = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
-    except RuntimeError:  # a wrong command line or parameter file: starting ROS tells what is wrong
+    except RuntimeError:  # wrong command line or parameter file: the start of ROS reports it
         return False
     if {"-h", "--help"} & set(words):
         print(usage(command(sys.argv[0]), node, options))
@@ -45,14 +46,15 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
 
 
 def check_parameter_files(args: Sequence[str] | None) -> None:
-    """Refuse files that would keep ROS waiting, or fill the memory."""
+    """Refuse parameter files that would block ROS or fill the memory."""
     for word, file in itertools.pairwise(sys.argv if args is None else args):
         if word == "--params-file":
             check_file(file, YAML_BYTES)
 
 
 def command(path: str) -> str:
-    """Return the command that starts a program: of the workspace by its package."""
+    """Return the command that starts a program: `ros2 run` for an installed one, otherwise
+    `python`."""
     program = Path(path)
     if program.parent.parent.name == "lib":
         return f"ros2 run {program.parent.name} {program.name}"
@@ -60,16 +62,16 @@ def command(path: str) -> str:
 
 
 def usage(start: str, node: Any, options: type | None) -> str:
-    """Return the text.
+    """Return the help text.
 
     Parameters
     ----------
     start : str
-        What starts it.
+        Command that starts the program.
     node : class
-        Its docstring says what it does, and names topics and services.
+        Node class. Its docstring describes the node, its topics and its services.
     options : class, optional
-        The dataclass of its parameters, see `declare`.
+        Dataclass of the parameters, see `declare`.
     """
     lines = [f"usage: {start} [--ros-args -p NAME:=VALUE ...]", ""]
     lines += (inspect.getdoc(node) or "").splitlines()
