@@ -1,6 +1,6 @@
-"""What brings a motor table to the motors: the interface `Transport`, and `sim` and `serial`.
-
-A package of one's own makes a transport of a `TransportContext`, see docs/transports.md.
+"""Transports that send motor tables to the motors: the interface `Transport` and its
+implementations `sim` and `serial`. Another package can add a transport, made from a
+`TransportContext`; see docs/transports.md.
 """
 
 from .line import upload_s

@@ -1,10 +1,10 @@
-"""Where the device's clock stands on the host's, and whether it can be true. Pure; times are
-arguments.
+"""Estimated offset between the host clock and the device clock, and check of the device clock.
+Inputs are pulses and telemetry with their times; outputs are the offset and possible faults.
 
-No wait on the way can make a true clock look wrong: the device reads its clock for a pulse after
-the heartbeat was sent and before the pulse came, and for telemetry before that came. So host time
-less device time lies between two bounds, which grow apart as fast as two true clocks may. Bounds
-that cross are a proof.
+The device reads its clock for a pulse after the heartbeat was sent and before the pulse arrived,
+and for telemetry before the telemetry arrived. These times bound host time minus device time. With
+time the bounds grow apart at the rate `DRIFT`. If the bounds cross, the device clock is wrong.
+Delays on the line cannot cause this. Times are arguments; the module reads no clock.
 """
 
 from __future__ import annotations
@@ -16,45 +16,48 @@ from plate_core.serial_protocol import Pulse
 __all__ = ["DRIFT", "DeviceClock"]
 
 DRIFT = 2e-3
-"""By how much the device's clock may run faster or slower than the host's: a quartz is right to
-1e-4, the system may slew the host's by 5e-4, and limits of motion are kept to 2e-3, no better."""
+"""Maximum relative rate error between the device's and the host's clock [s/s]. A quartz is accurate
+to 1e-4, the operating system may slew the host's clock by 5e-4, and motion limits are kept only to
+2e-3."""
 
 TICK_S = 1e-3
-"""A device may tell the time of its tick, not of the very instant [s]."""
+"""Period of the device's tick [s]. A device may report the time of its last tick."""
 
 DOUBT_S = 2.0
-"""Time for which a clock that was wrong is not believed [s]."""
+"""Time for which a clock is not trusted after an error [s]."""
 
 STRIKES = 5
-"""Times that a clock runs too fast or back within `DOUBT_S` and twenty round trips, and it is no
-clock. One that was set is wrong once; one that is slow, or stands still, passes no limit: so does a
-simulated device without a processor."""
+"""If the clock runs too fast or backwards this often within `DOUBT_S` plus twenty round trips, it
+counts as broken. A clock that was set is wrong once. A slow or stopped clock does not count,
+because it cannot cause motion beyond a limit. A simulated device that gets no processor time is
+slow too."""
 
 PULSE_AGE_S = 5.0
-"""A clock that no pulse has told for so long is not believed [s]: true ones may be 20 ms apart."""
+"""Maximum age of the last pulse [s]. An older clock estimate is rejected. By then two correct
+clocks may differ by 20 ms."""
 
 
 @dataclass(frozen=True)
 class DeviceClock:
-    """Where the device's clock stands on the host's.
+    """Estimated offset between the host clock and the device clock.
 
     Attributes
     ----------
     earliest, latest : float
-        Bounds of host time less device time, when the last message came [s]; infinite before the
-        first pulse, and after telemetry that cannot be.
+        Bounds of host time minus device time at the last message [s]. Infinite before the first
+        pulse and after implausible telemetry.
     at, pulse_at : float
-        When the last message came, and the last pulse [s].
+        Arrival times of the last message and of the last pulse [s].
     since : tuple of float
-        Host's and device's time when the bounds began [s].
+        Host time and device time at which the current bounds start [s].
     told_us : int
-        Last time that the device told, whatever the message [us].
+        Latest device time received, in any message [us].
     wrong_at : float
-        When it was wrong last [s].
+        Host time of the last clock error [s].
     problem : str
-        What was wrong then.
+        Description of this error.
     strikes : tuple of float
-        When it ran too fast or back, the last few times [s].
+        Host times at which the device clock last ran too fast or backwards [s].
     """
 
     earliest: float = float("-inf")
@@ -69,20 +72,21 @@ class DeviceClock:
 
     @property
     def known(self) -> bool:
-        """Whether a pulse has told where it stands."""
+        """Whether a pulse has arrived, so that the offset is known."""
         return self.earliest > float("-inf")
 
     @property
     def offset_s(self) -> float:
-        """Host time less device time [s], right to half the shortest round trip; 0: not known."""
+        """Host time minus device time [s], accurate to half the shortest round trip. 0 if not
+        known."""
         return (self.earliest + self.latest) / 2 if self.known else 0.0
 
     def host_time(self, device_us: int) -> float:
-        """Return the host's time [s] of a time of the device."""
+        """Convert a device time [us] to host time [s]."""
         return device_us * 1e-6 + self.offset_s
 
     def heard(self, pulse: Pulse, now: float) -> DeviceClock:
-        """Return the clock after a pulse that came at `now` [s]."""
+        """Return the clock after a pulse that arrived at `now` [s]."""
         sent, device = pulse.host_ns * 1e-9, pulse.device_us * 1e-6
         if sent > now:
             return self
@@ -91,16 +95,17 @@ class DeviceClock:
         return replace(clock, pulse_at=now)
 
     def stamped(self, device_us: int, now: float) -> DeviceClock:
-        """Return the clock after telemetry of a time of the device, which came at `now` [s]."""
+        """Return the clock after telemetry with device time `device_us` that arrived at `now`
+        [s]."""
         return self._bounded(float("-inf"), now - device_us * 1e-6, device_us, now)
 
     def _bounded(self, earliest: float, latest: float, device_us: int, now: float) -> DeviceClock:
-        """Return the clock after a message that sets bounds."""
+        """Return the clock after a message that limits the offset to `earliest`, `latest` [s]."""
         own, back = device_us * 1e-6, self.told_us - device_us
         begun = replace(
             self, earliest=earliest, latest=latest, at=now, since=(now, own), told_us=device_us
         )
-        if back > 0:  # whatever a device says, it says in order
+        if back > 0:  # messages arrive in order
             return begun._found(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
         if not self.known:
             return begun
@@ -110,7 +115,7 @@ class DeviceClock:
         if earliest > latest + TICK_S:
             ran, passed = own - self.since[1], now - self.since[0]
             return begun._found(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
-        middle = (earliest + latest) / 2  # they may cross by a tick
+        middle = (earliest + latest) / 2  # the bounds may cross by up to a tick
         bounds = min(earliest, middle), max(latest, middle)
         return replace(begun, earliest=bounds[0], latest=bounds[1], since=self.since)
 
@@ -119,12 +124,15 @@ class DeviceClock:
         return replace(self, wrong_at=now, problem=f"the device's clock {problem}", strikes=new)
 
     def suspect(self, now: float) -> bool:
-        """Tell whether it was wrong of late."""
+        """Return whether an error occurred within the last `DOUBT_S`."""
         return now - self.wrong_at < DOUBT_S
 
     def doubt(self, now: float) -> str:
-        """Say why times of the device are not believed at `now` [s]; empty if they are, as those of
-        a slow clock: each pulse that shows it slow tells where it stands."""
+        """Return why device times are rejected at `now` [s], or "" if they are accepted.
+
+        The times of a slow clock are accepted, because each pulse that shows its delay also gives
+        the correct offset.
+        """
         if self.strikes and now - self.strikes[-1] < DOUBT_S:
             return self.problem
         if now - self.pulse_at > PULSE_AGE_S:
@@ -132,6 +140,6 @@ class DeviceClock:
         return ""
 
     def broken(self, now: float, round_s: float) -> bool:
-        """Tell whether it is no clock, over a line of this round trip [s]."""
+        """Return whether the clock is broken, for a line with the round trip `round_s` [s]."""
         longest = DOUBT_S + 20 * round_s
         return len(self.strikes) == STRIKES and now - self.strikes[0] < longest

@@ -1,4 +1,6 @@
-"""What a serial line is like, as the host sees it: how fast, how far, how much of it is lost."""
+"""Model of a serial line: baud rate, round-trip time and fraction of lost bytes. Heartbeats and
+their pulses are the input; the round trip is smoothed as in RFC 6298. Outputs are timeouts, the
+heartbeat interval, and the number of copies and the length of messages."""
 
 from __future__ import annotations
 
@@ -23,56 +25,60 @@ from plate_core.serial_protocol import (
 )
 
 FRAME_BYTES = 6
-"""Of a frame beside its packet: CRC, one byte of COBS, the end."""
+"""Overhead of a frame [bytes]: CRC, one byte of COBS, and the end byte."""
 
 ANSWER_S = 0.03
-"""What a device may take for an answer beside the round trip [s]: a whole table is checked."""
+"""Maximum response time of the device, in addition to the round trip [s]. It checks a whole
+table."""
 
 UNKNOWN_S = 0.25
-"""Wait for an answer while the round trip is not known [s]."""
+"""Assumed round trip until one is measured [s]."""
 
 MOST_ROUND_S = 0.5
-"""Longest that a round trip is taken for [s], whatever was measured while this host stood still."""
+"""Upper limit of the round-trip estimate [s]. A stall of the host can make measured values
+larger."""
 
 HEARTBEAT_S, QUICK_HEARTBEAT_S = 0.025, 0.01
-"""Time between heartbeats, and where they are lost [s]: of ten or 25 one must reach the device, or
-its watchdog (0.25 s) bites. Where 5 % of the bytes are lost four heartbeats in ten come whole: ten
-are all lost once in 13 s, 25 once in hours."""
+"""Heartbeat interval on a good line and on a lossy line [s]. The device's watchdog (0.25 s)
+requires that one of 10 (good line) or 25 (lossy line) heartbeats arrives. If 5 % of the bytes are
+lost, 40 % of the heartbeats arrive complete: then 10 in a row are lost every 13 s, 25 in a row once
+in hours."""
 
 HEARTBEAT_SHARE = 0.2
-"""Of the line that quick heartbeats may take, at most."""
+"""Maximum fraction of the line's capacity for quick heartbeats."""
 
 LOSSY = 0.9
-"""Fraction of heartbeats that are answered below which the line counts as one that loses."""
+"""If a smaller fraction of heartbeats is answered, the line counts as lossy."""
 
 MEMORY = 1 / 32
-"""Weight of the newest heartbeat in that fraction."""
+"""Weight of the newest heartbeat in the exponential average of that fraction."""
 
 ROUNDING_S = 1e-6
-"""A pulse that comes earlier than its heartbeat by less than this comes at once [s]."""
+"""Tolerance for a negative round trip [s]. Within it, the round trip counts as 0."""
 
 MOST_FRAME_S = 0.02
-"""Longest that knots may keep the line [s]: a stop and heartbeats wait behind them."""
+"""Maximum transmission time of a message of knots [s]. A stop and heartbeats wait until it is
+sent."""
 
 UNANSWERED = 0.05
-"""Share of commands that may come to nothing: a round trip more each."""
+"""Maximum probability that all copies of a command are lost. A lost command costs a round trip."""
 
 TELEMETRY_S = 0.01
-"""Time between two telemetries [s]."""
+"""Interval between two telemetry messages [s]."""
 
 CHANCE = 1e-9
-"""Probability that the line loses all telemetries of a time, below which their absence is an error.
-Its losses are known roughly."""
+"""If the line loses all telemetry of an interval with less than this probability, the absence is an
+error. The loss rate is known only roughly."""
 
 MOST_PATIENCE_S = 3.0
-"""Maximum time without any telemetry, whatever the line loses [s]."""
+"""Maximum time without telemetry, independent of the loss rate [s]."""
 
 MOST_COPIES = 8
-"""Times that a message is sent at once, at most, on a line that loses nearly all."""
+"""Maximum number of copies of a message sent at once on a very lossy line."""
 
 
 def frame_bytes(message: Message) -> int:
-    """Return the length of a message's frame."""
+    """Return the length of a message's frame [bytes]."""
     knots = len(message.knots) * LAYOUTS[Knot].size if isinstance(message, Knots) else 0
     return HEADER.size + LAYOUTS[type(message)].size + knots + FRAME_BYTES
 
@@ -83,18 +89,19 @@ def _full(count: int) -> Knots:
 
 
 ROUND_BYTES = frame_bytes(Heartbeat(0)) + frame_bytes(Pulse(0, 0))
-"""Of a heartbeat and its pulse."""
+"""Length of a heartbeat's frame plus that of its pulse [bytes]."""
 
 ANSWER_BYTES = frame_bytes(Acknowledgement(0, Status.DONE))
 
 TELEMETRY_BYTES = HEADER.size + LAYOUTS[Telemetry].size + FRAME_BYTES
 
 FULL_BYTES = frame_bytes(_full(KNOTS_PER_MESSAGE))
-"""Of the longest message of knots: a device's window is so many of them."""
+"""Length of the longest message of knots [bytes]. A device's window counts such messages."""
 
 
 def upload_s(pieces: int, baud: float) -> float:
-    """Return how long a table takes on a line [s], beside the heartbeats."""
+    """Return the upload time of a table with `pieces` pieces [s], on a line that also carries
+    heartbeats."""
     count = LineModel(baud).knots_per_message
     messages, knots = divmod(pieces + 1, count)
     size = messages * frame_bytes(_full(count)) + (frame_bytes(_full(knots)) if knots else 0)
@@ -105,20 +112,21 @@ def upload_s(pieces: int, baud: float) -> float:
 
 @dataclass(frozen=True)
 class LineModel:
-    """What heartbeats and pulses show of a line.
+    """State of a serial line, estimated from heartbeats and pulses.
 
     Attributes
     ----------
     baud : float
-        Bits a second; infinite: as fast as it goes.
+        [bit/s]. Infinity means no transmission time.
     trip_s, deviation_s : float or None
-        Smoothed round trip, and its mean deviation (RFC 6298) [s]; None: nothing known.
+        Smoothed round trip and its mean deviation (RFC 6298) [s]. `trip_s` is None until measured.
     answered : float
-        Fraction of heartbeats that are answered, of late.
+        Recent fraction of answered heartbeats (exponential average).
     beats : tuple of (int, float)
-        Heartbeats that are not answered yet: their time [ns], and when they count for lost [s].
+        Unanswered heartbeats: their host time [ns], and the time after which each counts as lost
+        [s].
     free_at : float
-        When all that was sent has left [s].
+        Time when all sent bytes have left the host [s].
     """
 
     baud: float = 921_600.0
@@ -130,29 +138,30 @@ class LineModel:
 
     @property
     def byte_s(self) -> float:
-        """Time that a byte takes [s]."""
+        """Transmission time of a byte [s]."""
         return BITS_PER_BYTE / self.baud
 
     @property
     def round_s(self) -> float:
-        """A round trip, long enough for nearly all [s]."""
+        """Upper estimate of the round trip: mean plus four deviations, at most `MOST_ROUND_S`
+        [s]."""
         if self.trip_s is None:
             return UNKNOWN_S
         return min(self.trip_s + 4 * self.deviation_s, MOST_ROUND_S)
 
     @property
     def retry_s(self) -> float:
-        """Time after which a command that is not answered is sent again [s]."""
+        """Time after which an unanswered command is sent again [s]."""
         return self.round_s + (0.0 if self.trip_s is None else ANSWER_S)
 
     @property
     def lossy(self) -> bool:
-        """Whether the line loses so much that it takes measures."""
+        """Whether the line loses so many bytes that messages are sent in several copies."""
         return self.answered < LOSSY
 
     @property
     def heartbeat_s(self) -> float:
-        """Time from one heartbeat to the next [s]."""
+        """Heartbeat interval [s]."""
         if not self.lossy:
             return HEARTBEAT_S
         least = frame_bytes(Heartbeat(0)) * self.byte_s / HEARTBEAT_SHARE
@@ -163,13 +172,14 @@ class LineModel:
         return float(max(self.answered, 1e-6) ** (size / ROUND_BYTES))
 
     def copies(self, size: int) -> int:
-        """Return how often a frame is to be sent at once, so that one is likely to arrive."""
+        """Return the number of copies of a frame, so that about one arrives on average."""
         if not self.lossy:
             return 1
         return min(MOST_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))
 
     def command_copies(self, size: int) -> int:
-        """Return how often a command is to be sent at once, so that it is most likely answered."""
+        """Return the number of copies of a command, so that it is answered with a probability of at
+        least 1 - `UNANSWERED`."""
         if not self.lossy:
             return 1
         none = log1p(-self.arriving(size + ANSWER_BYTES))
@@ -177,13 +187,13 @@ class LineModel:
 
     @property
     def telemetry_timeout_s(self) -> float:
-        """Time after which it is not the line that has kept all telemetry back [s]."""
+        """Time without telemetry that losses on the line no longer explain [s]."""
         lost = log1p(-self.arriving(TELEMETRY_BYTES)) if self.lossy else float("-inf")
         return min(MOST_PATIENCE_S, TELEMETRY_S * log(CHANCE) / lost)
 
     @property
     def knots_per_message(self) -> int:
-        """As many as bring most knots whole over the line in a time."""
+        """Number of knots per message that maximises the rate of knots that arrive."""
 
         def yielded(count: int) -> float:
             size = frame_bytes(_full(count))
@@ -197,11 +207,11 @@ class LineModel:
         return max([1, *counts], key=yielded)
 
     def sent(self, size: int, now: float) -> LineModel:
-        """Return the line with so many bytes more on it."""
+        """Return the line after `size` more bytes were sent at `now` [s]."""
         return replace(self, free_at=max(now, self.free_at) + size * self.byte_s)
 
     def beaten(self, host_ns: int, now: float) -> LineModel:
-        """Return the line after a heartbeat; those that were not answered in time count."""
+        """Return the line after a heartbeat at `now` [s]. Overdue heartbeats count as lost."""
         late = sum(1 for _, until in self.beats if until <= now)
         kept = tuple(beat for beat in self.beats if beat[1] > now)
         until = max(now, self.free_at) + self.retry_s
@@ -209,7 +219,7 @@ class LineModel:
         return replace(self, answered=lost, beats=(*kept, (host_ns, until)))
 
     def heard(self, pulse: Pulse, now: float) -> LineModel:
-        """Return the line after a pulse."""
+        """Return the line after a pulse that arrived at `now` [s]."""
         trip = now - pulse.host_ns * 1e-9
         if trip < -ROUNDING_S:
             return self

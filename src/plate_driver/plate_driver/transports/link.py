@@ -1,4 +1,6 @@
-"""The host's side of the serial protocol as a state machine: no port, no clock of its own."""
+"""Host side of the serial protocol (docs/protocol.md) as an immutable state machine. Inputs are
+requests (tables, stop, enable, home), received packets and the time. Outputs are the packets to
+send and the device's reported state. It uses no port and no clock."""
 
 from __future__ import annotations
 
@@ -37,52 +39,65 @@ from .line import ANSWER_S, FULL_BYTES, LineModel, frame_bytes
 from .transport import Condition, Report
 
 SILENCE_S = 1.0
-"""So long, and a round trip, without a message, and the device is gone [s]: the link is begun anew.
-The device itself brakes after a quarter of that. A link that is begun anew costs a stop, so a line
-that loses nearly everything must not seem silent: where 5 % of the bytes are lost one message in
-seven comes whole, of some two hundred in this time."""
+"""If no message arrives for this time plus a round trip, the device counts as disconnected and the
+link is restarted [s]. The device itself brakes after a quarter of this time. A restarted link costs
+a stop, so a very lossy line must not appear disconnected. If 5 % of the bytes are lost, one in
+seven of the about 200 messages in this time arrives complete."""
 
 GREETING_S = 5.0
-"""Time after which a Hello that is not answered is given up [s]."""
+"""Maximum time without an answer to Hello [s]."""
 
 GREETING_TRIES = 30
-"""Number of the first Hellos, one each `ANSWER_S`."""
+"""Number of Hellos that are sent at intervals of `ANSWER_S`."""
 
 LATER_GREETING_S = 0.1
-"""Time between Hellos after these [s]."""
+"""Interval between later Hellos [s]."""
 
 GIVE_UP_S = 5.0
-"""Time, and twenty round trips, after which a command that is not answered is given up [s]. Knots
-are not, as long as the device is heard: they only come late."""
+"""Maximum time without an answer to a command, in addition to twenty round trips [s]. For knots
+there is no maximum while the device sends messages: they only arrive late."""
 
 QUEUE_S = 0.008
-"""What may wait on the line when more is sent [s]: the next look is 5 ms later, and a stop must not
-wait for long behind what was sent before."""
+"""Maximum transmission time of bytes already on the line when more are sent [s]. The next poll
+follows 5 ms later, and a stop must not wait long behind earlier bytes."""
 
 KNOTS_ANSWER_S = 0.01
-"""What a device may take to answer knots, beside the round trip [s]."""
+"""Maximum response time of the device to knots, in addition to the round trip [s]."""
 
 MOST_TRIP_S = 1.0
-"""A pulse that took longer says nothing of the line [s]."""
+"""Maximum round trip of a pulse that is used for the line model [s]."""
 
 SCATTER = 40_503
-"""Sessions that follow each other begin so far apart (Knuth's multiplicative hashing)."""
+"""Difference between the first sequence numbers of successive sessions (Knuth's multiplicative
+hashing)."""
 
 MOVABLE = (State.READY, State.PLAYING)
-"""States in which the device takes a table."""
+"""States in which the device accepts a table."""
 
 LATER = (Status.INCOMPLETE, Status.TOO_LONG)
-"""Answers to setpoints of a stream that come before others, or find no room."""
+"""Answers to setpoints of a stream that arrived before earlier ones, or when the buffer was
+full."""
 
 
 LATE_IN_MOTION = "a cycle in motion came too late: the plate comes to rest"
-"""Of a table that the device refuses as it begins elsewhere."""
+"""Refusal of a table that does not begin in the state of the motors."""
 
 
 @dataclass(frozen=True)
 class Pending:
-    """A command that is not answered yet: when it was sent first and last, and when what was sent
-    last has left the line [s]; and how often."""
+    """A command that is not answered yet.
+
+    Attributes
+    ----------
+    sequence : int
+    message : Message
+    first_at : float
+        Time when it was first sent [s].
+    sent_at : float
+        Time when its last copy has left the line [s].
+    tries : int
+        Number of times that it was sent.
+    """
 
     sequence: int
     message: Message
@@ -93,7 +108,7 @@ class Pending:
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of the last Stop, Enable or Home: None as long as it is not answered."""
+    """Result of the last Stop, Enable or Home. `status` is None until it is answered."""
 
     sequence: int
     message: Message
@@ -102,44 +117,45 @@ class Answer:
 
 @dataclass(frozen=True)
 class Link:
-    """What the host knows of the device, and what it has yet to send.
+    """State of the link: the host's knowledge of the device, and the commands to send.
 
     Attributes
     ----------
     session : int
-        Number of this session; another one for each link.
+        Number of this session. Each link has a different one.
     heard_at : float
-        When the last message came, or the link was made [s].
+        Arrival time of the last message. Before it, the time when the link was made [s].
     line : LineModel
-        How fast it is, and how good.
+        Speed and losses of the line.
     queue : tuple of Pending
-        Commands in order.
+        Unanswered commands in order.
     next_table : tuple of Message
-        The newest table, while another one is still on its way.
+        Messages of the newest table, while another table is still being sent.
     follows : int
-        The table that it goes on from in motion; 0: it begins at rest.
+        Number of the table that `next_table` continues in motion. 0 if it begins at rest.
     device : Capabilities or None
-        None until it has answered.
+        Answer to Hello. None until it arrives.
     telemetry : Telemetry or None
-        The last one.
+        Last telemetry.
     telemetry_at : float
-        When it came [s].
+        Its arrival time [s].
     fresh_telemetry : Telemetry or None
-        The same, but None after each command that changes what it says, until the next one.
+        The same, but None from each command that changes the reported state until the next
+        telemetry.
     trouble : DriveTrouble or None
-        What the device has said of a drive since the motors were enabled.
+        Last drive fault that the device reported since the motors were enabled.
     answer : Answer or None
-        What became of the last Stop, Enable or Home.
+        Result of the last Stop, Enable or Home.
     flight : tuple of (float, int)
-        Knots on their way to the device: when they have come [s], and their bytes.
+        Knots in transit to the device: their arrival times [s] and lengths [bytes].
     failed : Report or None
-        Why the link is of no use any more; None while it is.
+        Report of a link that has failed. None while it works.
     refusal : str
-        What the device refused since the last `without_refusal`.
+        Text of a refusal by the device since the last `without_refusal`.
     retries : int
-        Messages repeated so far.
+        Number of messages repeated so far.
     in_turn : bool
-        Whether knots count only in their order: of a stream, not of a table.
+        Whether the device accepts knots only in order: true for a stream, false for a table.
     """
 
     session: int
@@ -167,9 +183,12 @@ class Link:
     def begun(
         cls, session: int, now: float, baud: float = float("inf"), trigger: Trigger | None = None
     ) -> Link:
-        """Return a link that is about to say hello, over a line of so many bits a second, and then
-        when the camera is to be triggered."""
-        # Numbers begin elsewhere in each session, so that no answer to an older one fits.
+        """Return a link that is ready to send Hello and then the camera trigger, if one is given.
+
+        `baud` is the speed of the line [bit/s].
+        """
+        # Each session starts at a different number, so that answers to an older session do not
+        # match.
         number = session * SCATTER % 2**16
         link = cls(session, now, LineModel(baud), sequence=number)
         link = link._asked(Hello(VERSION, session))
@@ -177,15 +196,15 @@ class Link:
 
     @property
     def busy(self) -> bool:
-        """Whether a command is still to be sent, or not answered yet."""
+        """Whether a command is not sent or not answered yet."""
         return bool(self.queue or self.next_table)
 
     @property
     def movable(self) -> bool:
-        """Whether the device takes tables."""
+        """Whether the device accepts tables."""
         return self.telemetry is not None and self.telemetry.state in MOVABLE
 
-    # What the host wants
+    # Requests of the host
 
     def uploading(
         self,
@@ -195,13 +214,14 @@ class Link:
         splice_ticks: int = 0,
         follows: int = 0,
     ) -> Link:
-        """Return the link that sends a table, to be played so often unless another one comes.
+        """Return the link that sends a table, to be played `repeats` times unless another one
+        arrives.
 
-        It has a tail from `splice_ticks` on, unless that is 0. Where it goes on in motion from a
-        table with the number `follows`, it is held back until that one plays.
+        The table has a tail from `splice_ticks` [TICK_S] on; 0 means no tail. If it continues the
+        table with the number `follows` in motion, it is held back until that table plays.
 
-        An upload that is under way is finished first, or a quick planner would never see one
-        through; of those that wait, the newest counts.
+        A running upload is finished first. Otherwise a planner with a high rate would interrupt
+        every upload. If several tables wait, only the newest is kept.
         """
         begin = Begin(table, len(knots), table_crc(knots), splice_ticks)
         parts = _parts(table, 0, knots, self.line.knots_per_message)
@@ -215,14 +235,16 @@ class Link:
         return replace(self, next_table=next_table, follows=0, in_turn=True)
 
     def adding(self, table: int, first: int, knots: Sequence[Knot]) -> Link:
-        """Return the link that adds setpoints, from number `first` on, to the stream that plays."""
+        """Return the link that adds setpoints, starting with number `first`, to the current
+        stream."""
         return self._asked(*_parts(table, first, knots, self.line.knots_per_message))
 
     def stopping(self, now: bool = False) -> Link:
-        """Return the link that wants the plate to brake, or to lose its current `now`.
+        """Return the link that requests a stop: brake, or switch off the current at once if `now`.
 
-        Whatever else was to be said is forgotten but the greeting, an Enable above all. A stop that
-        is on its way already is sent again at once; a stronger one is not replaced by a weaker.
+        All other commands except the greeting are dropped, including an Enable. If a stop is
+        already in transit, it is sent again at once. A stop with `now` is not replaced by one
+        without.
         """
         greeting = tuple(p for p in self.queue if isinstance(p.message, Hello | Trigger))
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
@@ -233,18 +255,18 @@ class Link:
         return replace(link, queue=(link.queue[-1], *link.queue[:-1]))
 
     def enabling(self, stop: int) -> Link:
-        """Return the link that asks, once, for current after the stop with a number."""
+        """Return the link that requests current once, for the device's stop number `stop`."""
         return self._ordered(Enable(stop))
 
     def homing(self) -> Link:
-        """Return the link that has the device, which must be off, forget where home is."""
+        """Return the link that requests a new search for home. The device must be off."""
         return self._ordered(Home())
 
     def _failing(self, reason: DriverReason, text: str) -> Link:
         return replace(self, failed=Report(Condition.GONE, reason, text))
 
     def without_refusal(self) -> Link:
-        """Return the link without its refusal, which was reported."""
+        """Return the link after its refusal was reported."""
         return replace(self, refusal="")
 
     def _ordered(self, message: Message) -> Link:
@@ -256,10 +278,10 @@ class Link:
         new = [Pending(n, m) for n, m in zip(numbers, messages, strict=False)]
         return replace(self, queue=(*self.queue, *new), sequence=numbers[-1])
 
-    # What the device says
+    # Messages of the device
 
     def heard(self, packet: Packet, now: float) -> Link:
-        """Return the link after a message that came at `now` [s]."""
+        """Return the link after a message that arrived at `now` [s]."""
         link, message = replace(self, heard_at=now), packet.message
         if isinstance(message, Telemetry):
             return link._reported(message)
@@ -267,7 +289,7 @@ class Link:
             return replace(link, trouble=message)
         if isinstance(message, Pulse):
             if now - message.host_ns * 1e-9 > MOST_TRIP_S:
-                return link  # it waited while we stood still, or answers no heartbeat of ours
+                return link  # after a stall of the host, or for another host's heartbeat
             clock, line = link.clock.heard(message, now), link.line.heard(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
@@ -283,7 +305,7 @@ class Link:
         )  # fmt: skip
         if telemetry.state in MOVABLE:
             return replace(link, trouble=None)
-        # A device that has stopped takes no table, and must not find one when it is enabled.
+        # Drop the tables: a stopped device refuses them and must not receive one when enabled.
         queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
         return replace(link, queue=queue, next_table=())
 
@@ -293,7 +315,7 @@ class Link:
             why += f"version {VERSION} for {MOTORS}"
             return self._failing(DriverReason.WRONG_DEVICE, why)
         if device.session != self.session:
-            return self  # an answer to someone before us
+            return self  # an answer to an earlier session
         if self.device is not None and device.boot != self.device.boot:
             return self._failing(DriverReason.DEVICE_RESET, "device was reset")
         queue = tuple(p for p in self.queue if not isinstance(p.message, Hello))
@@ -313,7 +335,7 @@ class Link:
         if self.answer is not None and self.answer.sequence == answer.sequence:
             link = replace(link, answer=replace(self.answer, status=answer.status))
         if answer.status is Status.DONE:
-            # State and waiting table are known by the next telemetry: the last is from before.
+            # The last telemetry is older than this command, so wait for the next one.
             changed = isinstance(message, Commit | Home | Enable | Stop)
             return replace(link, fresh_telemetry=None if changed else self.fresh_telemetry)
         if isinstance(message, Stop | Enable | Home):
@@ -326,9 +348,9 @@ class Link:
         return replace(link, queue=queue, refusal=reason)
 
     def _missed(self, early: Pending) -> Link:
-        """Return the link that sends setpoints again, up to those that came before their turn.
+        """Return the link that sends setpoints again, up to those that arrived too early.
 
-        The line keeps the order: what was sent before them and is not answered was lost.
+        The line keeps the order. Therefore unanswered setpoints sent before them were lost.
         """
         end = self.queue.index(early) + 1
         queue = tuple(
@@ -339,10 +361,11 @@ class Link:
         )
         return replace(self, queue=queue + self.queue[end:])
 
-    # What is to be sent
+    # Packets to send
 
     def due(self, now: float) -> tuple[Link, list[Packet]]:
-        """Return the link after sending, and the packets to send at `now` [s], a stop first."""
+        """Return the link after sending, and the packets to send at `now` [s]. A stop comes
+        first."""
         if self.failed:
             return self, []
         silence = SILENCE_S + self.line.round_s
@@ -367,7 +390,7 @@ class Link:
         return link, packets
 
     def _longest(self, message: Message) -> float:
-        """Longest time to try a command [s]."""
+        """Return the maximum time to repeat a command [s]."""
         if isinstance(message, Hello):
             return GREETING_S
         if isinstance(message, Knots):
@@ -384,8 +407,11 @@ class Link:
         return replace(self, line=line, heartbeat_at=now)
 
     def _copies(self, message: Message, abreast: int = 1) -> int:
-        """How often to send a command at once; of a table's knots, which come again and again as
-        long as they are not answered, those that are sent `abreast` share the copies."""
+        """Return the number of copies of a command.
+
+        Unanswered knots of a table are repeated continuously, so the copies are divided among the
+        `abreast` messages that are sent together.
+        """
         size = frame_bytes(message)
         if not isinstance(message, Knots):
             return self.line.command_copies(size)
@@ -413,11 +439,11 @@ class Link:
             return self
         telemetry = self.fresh_telemetry
         if self.follows and (telemetry is None or telemetry.waiting == self.follows):
-            return self  # begun any earlier it would be refused
+            return self  # the device would refuse it before that table plays
         return replace(self, next_table=())._asked(*self.next_table)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:
-        """Tell whether the answer to a command may still come."""
+        """Return whether the answer to a command may still arrive."""
         if not pending.tries:
             return False
         wait = self.line.retry_s
@@ -428,9 +454,9 @@ class Link:
         return now - pending.sent_at < wait
 
     def _split(self, now: float) -> Link:
-        """Return the link with knots that are not answered in messages of one knot each.
+        """Return the link with unanswered messages of knots split into messages of one knot each.
 
-        On a line that spoils bytes long messages hardly ever arrive whole.
+        On a line that corrupts bytes, long messages rarely arrive complete.
         """
         queue: list[Pending] = []
         sequence = self.sequence
@@ -451,22 +477,22 @@ class Link:
         return replace(self, queue=tuple(queue), sequence=sequence)
 
     def _stops(self, now: float) -> list[Pending]:
-        """The stop to send now: before all else, whatever is on the line."""
+        """Return the stop to send now, if any. It does not wait until the line is free."""
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
         return [p for p in stops if not self._in_flight(p, now)]
 
     def _sendable(self, now: float) -> list[Pending]:
-        """Commands to send now: one, or as many knots as there are in a row."""
+        """Return the commands to send now: one command, or all knots if knots come first."""
         queue = [p for p in self.queue if not isinstance(p.message, Stop)]
         if self.device is None or not queue or not isinstance(queue[0].message, Knots):
             return [p for p in queue[:1] if not self._in_flight(p, now)]
         knots = [p for p in queue if isinstance(p.message, Knots)]
-        if self.line.lossy and not self.in_turn:  # the line is never idle: most must come again
+        if self.line.lossy and not self.in_turn:  # resend all: most are lost
             return sorted(knots, key=lambda p: p.sent_at)
         return [p for p in knots if not self._in_flight(p, now)]
 
     def _room(self, message: Message, copies: int, now: float) -> bool:
-        """Tell whether the line, and for knots the device, has room for a message."""
+        """Return whether the line and, for knots, the device's window have room for a message."""
         if self.line.free_at - now >= QUEUE_S:
             return False
         if not isinstance(message, Knots) or self.device is None or not self.flight:
@@ -477,6 +503,6 @@ class Link:
 
 
 def _parts(table: int, first: int, knots: Sequence[Knot], count: int) -> list[Message]:
-    """Knots from number `first` on, `count` to a message."""
+    """Return messages of `count` knots each; the first knot has the number `first`."""
     starts = range(0, len(knots), count)
     return [Knots(table, (first + k) % 2**16, tuple(knots[k : k + count])) for k in starts]

@@ -1,4 +1,6 @@
-"""The transport to a motor controller on a serial port, which it reopens when the link fails."""
+"""Transport to a motor controller on a serial port (docs/protocol.md). Inputs are motor tables and
+the orders stop, enable and home; outputs are sensor values and the reported state. Tables are
+uploaded or streamed as setpoints. If the link fails, the port is reopened."""
 
 from __future__ import annotations
 
@@ -42,38 +44,39 @@ from .transport import Condition, Measured, Order, Report, TransportContext
 BAUD = 921_600
 
 PIECES = 64
-"""Of the table by which a line is judged."""
+"""Number of pieces of the table that is used to check the line's speed."""
 
 REOPEN_S = (0.1, 0.2, 0.4, 0.8)
-"""Waits between attempts to begin anew [s]; the last one from then on."""
+"""Delays between attempts to reopen the port [s]. The last one is repeated."""
 
 SENT_KEPT = 8
-"""Tables that were sent and may play, or wait: a few."""
+"""Number of sent tables that are kept, because they may play or wait."""
 
 NEAR = ((1e-6,), (1e-3,), (0.1,))
-"""Rounding of a state is at most this: travel [m], speed [m/s], acceleration [m/s2]."""
+"""Maximum rounding error of a state: travel [m], speed [m/s], acceleration [m/s2]."""
 
 LEAD_S = 0.3
-"""How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
+"""Time by which a stream is sent ahead of the device's playback [s]. The device brakes if only 0.1
+s are left."""
 
 QUIET_S = 0.5
-"""So long, and a round trip, without a word, and the device does not answer [s]."""
+"""If no message arrives for this time plus a round trip, the device counts as not answering [s]."""
 
 STOP_ANSWER_S = 0.5
-"""Maximum wait for the answer to a stop, besides four round trips [s]."""
+"""Maximum wait for the answer to a stop, in addition to four round trips [s]."""
 
 HOME_ANSWER_S = 1.0
-"""The same for the answer to a home [s]."""
+"""Maximum wait for the answer to a home, in addition to four round trips [s]."""
 
 READY_S = 8.0
-"""Maximum wait until the motors are ready, besides four round trips: 5 s for the search of home,
-0.5 s for the way there [s]."""
+"""Maximum wait until the motors are ready, in addition to four round trips [s]: 5 s for the search
+for home, 0.5 s for the motion to it, and a margin."""
 
 ROUNDING = 1e-5
-"""Fraction by which limits may differ: they come in single precision."""
+"""Maximum relative difference of equal limits. The device sends them in single precision."""
 
 READ_BYTES = 65_536
-"""Most bytes read at once: a second of what the device can say at 921,600 baud is less."""
+"""Maximum number of bytes per read. The device sends fewer in a second at 921,600 baud."""
 
 UNANSWERED = "the device does not answer"
 NO_ANSWER = Report(Condition.GONE, DriverReason.NO_ANSWER, UNANSWERED)
@@ -95,17 +98,17 @@ REASONS = {
     Fault.HOST_SILENT: DriverReason.HOST_SILENT,
     Fault.STOPPED: DriverReason.EARLIER_STOP,
 }
-"""Of several faults the first one here is the reason; where home is not known the next enable finds
-it, which is no reason to look at the rig."""
+"""Reason of each fault. If there are several, the first one in this order counts. An unknown home
+is not in the list, because the next enable finds home and nobody has to look at the rig."""
 
 OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
-"""What a drive's words explain."""
+"""Faults to which the report of a drive adds a description."""
 
 REFUSED = {
     Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
     Status.WRONG_STATE: "wrong state: it brakes, or a fault of the board is still there",
 }
-"""Why a device does not enable, or find home."""
+"""Text for refused enable and home commands."""
 
 
 A_PORT = "allowed: the device of a serial port, such as /dev/ttyACM0"
@@ -117,11 +120,11 @@ PORT_ERRORS = {
     errno.EBUSY: "is used by another program",
     errno.ENOTTY: f"is a device, but no serial port, {A_PORT}",
 }
-"""Why a port does not open, where that is known."""
+"""Text for known errors when a port is opened."""
 
 
 class Port(Protocol):
-    """What is used of `serial.Serial`: reading and writing return at once."""
+    """Subset of `serial.Serial` that the transport uses. `read` and `write` return at once."""
 
     def read(self, size: int) -> bytes: ...
 
@@ -131,10 +134,10 @@ class Port(Protocol):
 
 
 class _Serial(serial.Serial):
-    """A port whose writing returns at once too; pyserial's waits, or turns in circles."""
+    """Port with a `write` that returns at once. The one of pyserial waits or polls in a loop."""
 
     def write(self, data: bytes) -> int:
-        """Write what fits; returns how many bytes that is."""
+        """Write as many bytes as the buffer accepts, and return their number."""
         try:
             return os.write(self.fileno(), data)
         except BlockingIOError:
@@ -142,12 +145,12 @@ class _Serial(serial.Serial):
 
 
 def open_port(name: str, baud: int = BAUD) -> Port:
-    """Open a serial port, for nobody else.
+    """Open a serial port with exclusive access.
 
     Raises
     ------
     PlateError
-        If it is not there or cannot be used: why.
+        If the port does not exist or cannot be used. The message gives the reason.
     """
     kind = kind_of(name)
     if kind not in ("a device", ""):
@@ -162,7 +165,7 @@ def open_port(name: str, baud: int = BAUD) -> Port:
 
 
 def check_line(baud: int, longest_upload_s: float) -> None:
-    """Refuse a line on which a cycle takes too long."""
+    """Refuse a line on which the upload of a cycle takes too long."""
     seconds = upload_s(PIECES, baud)
     if seconds > longest_upload_s:
         raise PlateError(
@@ -183,17 +186,17 @@ def make_serial(context: TransportContext) -> SerialTransport:
 
 
 def trigger_message(trigger: CameraTrigger | None) -> Trigger | None:
-    """Return what to send to the device about the camera's trigger; None: nothing."""
+    """Return the message that sets the camera's trigger, or None if there is no trigger."""
     if trigger is None:
         return None
     return Trigger(int(trigger.phase * 2**16), round(trigger.pulse_s * 1e3))
 
 
 class SerialTransport:
-    """To a motor controller that speaks docs/protocol.md.
+    """Transport to a motor controller with the protocol of docs/protocol.md.
 
-    It never enables by itself: not when the link has failed and is begun anew, not when the device
-    was reset or has not heard it for a while.
+    It never enables the motors without a call of `enable`. This also holds after the link was
+    restarted, the device was reset, or the device received nothing for some time.
 
     Parameters
     ----------
@@ -202,15 +205,15 @@ class SerialTransport:
     clock : callable
         Time that never runs back [s].
     seed : int
-        Where session numbers begin: another one for each run.
+        First session number. It must differ between runs.
     streams : bool
-        Whether setpoints are streamed, not sent ahead cycle by cycle.
+        Whether setpoints are streamed. If False, each cycle is uploaded as a whole.
     baud : float
-        Of the line [bit/s].
+        Speed of the line [bit/s].
     limits : Limits, optional
-        Of the rig: a device that keeps other ones is not enabled.
+        Limits of the rig. A device with different limits is not enabled.
     trigger : Trigger, optional
-        When the device is to trigger the camera; missing: never.
+        When the device triggers the camera. Default: never.
     """
 
     motors = True
@@ -228,13 +231,13 @@ class SerialTransport:
         self._limits, self._trigger = limits, trigger
         self._unfit: Report | None = None
         self._boot: int | None = None
-        self._reset = False  # and not enabled since
-        self._clock_fault = ""  # why it was stopped, and not enabled since
+        self._reset = False  # the device was reset and not enabled since
+        self._clock_fault = ""  # reason of a stop, until the next enable
         self._closed = False
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
         self._stream_began: float | None = None  # on the device's clock [s]
-        self._next: SetpointStream | None = None  # begins once that has ended
+        self._next: SetpointStream | None = None  # begins when the current stream has ended
         self.least_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
@@ -256,40 +259,39 @@ class SerialTransport:
 
     @property
     def sent(self) -> Mapping[int, MotorTable]:
-        """The last tables that were sent, by their numbers on the wire."""
+        """Last sent tables by their numbers in the protocol."""
         return self._sent
 
     @property
     def calibrates(self) -> bool:
-        """Whether whole cycles are played."""
+        """Whether the device plays whole cycles, which a calibration requires."""
         return not self._streams
 
     @property
     def max_knots(self) -> int:
-        """Most knots that the device takes."""
+        """Maximum number of knots that the device accepts."""
         device = self._link.device
         return MAX_KNOTS if device is None or self._streams else min(device.max_knots, MAX_KNOTS)
 
     @property
     def hold_s(self) -> float:
-        """Longest time for which the device plays a table again [s]."""
+        """Maximum time for which the device repeats a table [s]."""
         device = self._link.device
         return float("inf") if device is None else device.hold_ms * 1e-3
 
     def open(self) -> None:
-        """Open the port and say hello; one that does not open is waited for like one that is
-        lost."""
+        """Open the port and send Hello. If the port does not open, `poll` tries again."""
         self._closed = False
         self._reopen(self._clock())
         self.poll()
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Upload a table: the device takes it at its next cycle boundary.
+        """Upload or stream a table. The device plays it from its next cycle boundary on.
 
         Raises
         ------
         CycleError
-            If the device is not ready, or cannot hold so many knots.
+            If the device is not ready or cannot store the table's knots.
         """
         report = self.report()
         if report.condition is not Condition.READY:
@@ -313,7 +315,8 @@ class SerialTransport:
         self.poll()
 
     def poll(self) -> list[Measured]:
-        """Read, answer and repeat; call it every few milliseconds. Returns what was measured."""
+        """Read messages, send due packets, and return the new measurements. Call it every few
+        milliseconds."""
         if self._port is None:
             self._reopen(self._clock())
             return []
@@ -322,7 +325,7 @@ class SerialTransport:
         self.least_lead_s = min(self.least_lead_s, self._lead(now))
         try:
             data = self._port.read(READ_BYTES)
-            now = self._clock()  # nothing of that came later, however long reading took
+            now = self._clock()  # no byte arrived later than this
             reader, packets = self._reader.fed(data)
             self.refused += reader.refused - self._reader.refused
             self._reader = reader
@@ -347,11 +350,11 @@ class SerialTransport:
         elif self._link.refusal:
             self._note(self._link.refusal)
             self._link = self._link.without_refusal()
-            self._streamed = None  # the device would miss what follows, and brakes
+            self._streamed = None  # later setpoints would leave a gap, and the device brakes
         return measured
 
     def report(self) -> Report:
-        """Say what the device says that the motors do."""
+        """Return the state of the motors as the device reports it."""
         telemetry, now = self._link.telemetry, self._clock()
         if self._port is None or self._link.device is None or telemetry is None:
             return self._gone
@@ -366,7 +369,7 @@ class SerialTransport:
         condition = CONDITIONS[telemetry.state]
         if self._clock_fault:
             halting = condition in (Condition.OFF, Condition.BRAKING)
-            condition = condition if halting else Condition.GONE  # the stop is on its way
+            condition = condition if halting else Condition.GONE  # the stop is in transit
             return Report(condition, DriverReason.DEVICE_CLOCK, self._clock_fault)
         if telemetry.state is State.OFF and self._reset:
             return Report(condition, DriverReason.DEVICE_RESET, "the device was reset")
@@ -380,21 +383,22 @@ class SerialTransport:
 
     @property
     def busy(self) -> bool:
-        """Whether something is still on its way to the device."""
+        """Whether a command is not sent or not answered yet."""
         return self._link.busy
 
     @property
     def load(self) -> float:
-        """The longest tick of the device since the last `values`, as a share of a tick's period."""
+        """Maximum computing time of a device tick since the last `values`, as a fraction of its
+        period."""
         return self._load
 
     def troubles(self) -> list[str]:
-        """Return what went wrong since the last call."""
+        """Return the problems since the last call."""
         troubles, self._troubles = self._troubles, []
         return troubles
 
     def values(self) -> dict[str, str]:
-        """Return what is to be reported since the last call, name to value."""
+        """Return diagnostic values since the last call, by name."""
         link, lead, self.least_lead_s = self._link, self.least_lead_s, float("inf")
         values = {
             "retries": str(self.retries),
@@ -418,10 +422,11 @@ class SerialTransport:
             values["least_lead_ms"] = f"{1e3 * lead:.1f}"
         return values
 
-    # What a person asks for
+    # Orders of a person
 
     def stop(self, cut: bool = False) -> Order:
-        """Have the device brake, or take the current away at once; all else is forgotten."""
+        """Make the device brake, or switch off the current at once if `cut`. All else is
+        dropped."""
         self._streamed = self._next = None
         self._settle_request("another stop has come since; call enable again")
         order = self._ordered(STOP_ANSWER_S)
@@ -434,7 +439,7 @@ class SerialTransport:
         return order
 
     def enable(self) -> Order:
-        """Ask for current, once, after the stop that the device tells now."""
+        """Request current once, for the stop number that the device reports now."""
         telemetry = self._link.telemetry
         order = self._ordered(READY_S)
         if self._unfit:
@@ -442,7 +447,7 @@ class SerialTransport:
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
             return order.settle(report.text)
-        if self._stops or self._link.fresh_telemetry is None:  # which stop would it clear?
+        if self._stops or self._link.fresh_telemetry is None:  # which stop it clears is unknown
             return order.settle("the device has not reported the last stop yet; call enable again")
         if self._request is not None:
             return order.settle("another enable or home is not answered yet")
@@ -454,7 +459,7 @@ class SerialTransport:
         return order
 
     def home(self) -> Order:
-        """Have the device forget where home is; it refuses unless its motors are off."""
+        """Request a new search for home. The device refuses unless its motors are off."""
         order = self._ordered(HOME_ANSWER_S)
         if self.report().condition is Condition.GONE:
             return order.settle(UNANSWERED)
@@ -465,7 +470,7 @@ class SerialTransport:
         return order
 
     def close(self) -> None:
-        """Have the device brake unless its motors are off, and release the port."""
+        """Make the device brake unless its motors are off, and release the port."""
         telemetry = self._link.telemetry
         off = telemetry is not None and telemetry.state is State.OFF
         if self._port is not None and not self._stops and not off:
@@ -478,7 +483,7 @@ class SerialTransport:
         return Order(longest_s + 4 * self._link.line.round_s)
 
     def _settle_orders(self) -> None:
-        """Tell those who wait what has become of their order."""
+        """Settle the orders that the device has answered."""
         answer = self._link.answer
         if answer is None or answer.status is None:
             return
@@ -501,7 +506,7 @@ class SerialTransport:
                 self._settle_request(f"it has stopped again: {reason}")
 
     def _settle_request(self, failure: str = "") -> None:
-        """Say what has become of the enable or home that somebody waits for."""
+        """Settle the pending enable or home, if any."""
         request, self._request = self._request, None
         if request is not None:
             request.settle(failure)
@@ -509,7 +514,7 @@ class SerialTransport:
     # The line
 
     def _write(self, port: Port, due: list[Packet]) -> None:
-        # A zero first ends whatever noise has left on the line.
+        # The leading zero ends a partial frame that noise may have left on the line.
         data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
         if port.write(data) != len(data):
             self._note("serial line is full: what is lost is repeated")
@@ -541,11 +546,11 @@ class SerialTransport:
             self._note(f"device has stopped: {named(message.faults)}{self._following(message)}")
         if message.state not in (State.READY, State.PLAYING):
             self._streamed = self._next = None
-        # Until a pulse has come nobody knows when it was.
+        # Before the first pulse the time of the telemetry is unknown.
         return message if self._link.clock.known else None
 
     def _greeted(self, device: Capabilities) -> None:
-        """Look at a device that has answered: is it the same, and is it for this rig?"""
+        """Check whether a device that has answered is the same one and fits this rig."""
         self._reset = self._reset or self._boot not in (None, device.boot)
         self._boot = device.boot
         why = "" if self._limits is None else differing(device, self._limits)
@@ -557,7 +562,7 @@ class SerialTransport:
         return self._link.clock.broken(now, self._link.line.round_s)
 
     def _check_clock(self, now: float) -> None:
-        """Stop a device whose clock is none: its plate may be faster than the limits allow."""
+        """Stop a device with a broken clock, because its plate may exceed the limits."""
         telemetry = self._link.fresh_telemetry
         if telemetry is None or telemetry.state in (State.OFF, State.BRAKING):
             return
@@ -569,7 +574,8 @@ class SerialTransport:
         self._link = self._link.stopping()
 
     def _measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
-        """Return what the sensors said at a time of ours [s]; a brake plays no whole cycle."""
+        """Return the measurement at the host time `time` [s]. While the device brakes, no table
+        plays."""
         braking = telemetry.state is State.BRAKING
         playing = None if braking else self._sent.get(telemetry.table)
         ticks = telemetry.ticks
@@ -591,13 +597,17 @@ class SerialTransport:
         return f" (a motor was {most:.2g} mm from its setpoint, allowed: {allowed:.2g})"
 
     def _lead(self, now: float) -> float:
-        """How far the stream is ahead of the device [s]; infinite if none plays, or it ends."""
+        """Return the time by which the stream is ahead of the device [s].
+
+        Infinite if no stream plays or if it was sent to its end.
+        """
         if self._streamed is None or self._stream_began is None or self._streamed.ended:
             return float("inf")
         return self._streamed.time - (now - self._link.clock.offset_s - self._stream_began)
 
     def _feed_stream(self, now: float) -> None:
-        """Add to the stream what keeps it `LEAD_S` ahead of the device, or begin the next one."""
+        """Send setpoints so that the stream stays `LEAD_S` ahead of the device, or start the
+        next."""
         stream, telemetry = self._streamed, self._link.fresh_telemetry
         if telemetry is None:
             return
@@ -613,7 +623,7 @@ class SerialTransport:
                 self._link = self._link.streaming(self._table, first)
             return
         if telemetry.table != self._table or not self._link.clock.known:
-            return  # it does not play yet, or nobody knows what the time is there
+            return  # it does not play yet, or the device's clock is unknown
         if self._stream_began is None:
             self._stream_began = telemetry.device_us * 1e-6
         if stream.ended:
@@ -626,7 +636,7 @@ class SerialTransport:
         self._port, self._reader = port, Reader()
         self._session = (self._session + 1) % 2**32
         self._link = Link.begun(self._session, self._clock(), self._baud, self._trigger)
-        if self._stops:  # they are still wanted
+        if self._stops:  # send unanswered stops again
             self._link = self._link.stopping(self._cut)
 
     def _reopen(self, now: float) -> None:
@@ -639,7 +649,7 @@ class SerialTransport:
             self._give_up(Report(Condition.GONE, DriverReason.PORT, why), now)
 
     def _give_up(self, why: Report, now: float) -> None:
-        if why != self._gone:  # once, however long it is waited for
+        if why != self._gone:  # note each reason once
             self._note(why.text)
         self._gone = why
         self._streamed = self._next = None
@@ -658,11 +668,13 @@ class SerialTransport:
 
 
 def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Knot, ...], int, int]:
-    """Return a table's knots as they are sent, when it is spliced [TICK_S], 0 if it has no tail,
-    and the number of the table that it goes on from in motion, 0 if it begins at rest.
+    """Return a table as it is sent: its knots, the splice time and the table before.
 
-    Its first knot is, to the last bit, the knot in which one of the tables sent before, the last
-    one first, is spliced, if they are alike but for rounding.
+    The splice time [TICK_S] is 0 without a tail. The third value is the number of the table that
+    this one continues in motion, 0 if it begins at rest.
+
+    If the first knot equals the splice knot of a table in `before` up to rounding, it is replaced
+    by that knot, so that both are bitwise equal. The latest such table is used.
     """
     first, *rest = knots(table)
     follows = 0
@@ -676,17 +688,17 @@ def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Kn
             break
     if table.cycle.tail is None:
         return (first, *rest), 0, follows
-    end = len(table.cycle.times) - 1  # of this knot there are two
+    end = len(table.cycle.times) - 1  # this knot occurs twice
     return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks, follows
 
 
 def named(faults: Fault) -> str:
-    """Return faults in words."""
+    """Return the names of faults."""
     return ", ".join(fault.name.lower().replace("_", " ") for fault in faults if fault.name)
 
 
 def differing(device: Capabilities, limits: Limits) -> str:
-    """Say which limits of a device are not those of the rig file; empty if all are."""
+    """Return a text about device limits that differ from the rig file. Empty if all are equal."""
     pairs = {
         "stroke [m]": (device.stroke_m, limits.stroke_m),
         "speed [m/s]": (device.speed, limits.speed),

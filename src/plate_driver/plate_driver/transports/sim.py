@@ -1,4 +1,4 @@
-"""The transport to the simulator, which has no motors."""
+"""Transport to the simulator. It publishes motor tables; there are no motors to enable."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from .transport import Condition, Measured, Order, Report, TransportContext
 
 
 class SimTransport:
-    """To the simulator, which listens to the published setpoints, and repeats them as often as its
-    own parameter says. There are no motors: it is ready until it is stopped.
+    """Transport to the simulator, which subscribes to the published setpoints.
+
+    The simulator repeats a table as often as its own parameter states. There are no motors, so the
+    state is READY until a stop.
 
     Parameters
     ----------
     rig : Rig
     publish : callable
-        Publishes a table; the node gives it, so that no ROS is needed here.
+        Publishes a table. The node provides it, so this module needs no ROS.
     """
 
     motors = False
@@ -32,14 +34,14 @@ class SimTransport:
         self._stopped = False
 
     def open(self) -> None:
-        """Nothing to open."""
+        """Do nothing."""
 
     def poll(self) -> list[Measured]:
-        """Nothing to measure."""
+        """Return no measurements."""
         return []
 
     def report(self) -> Report:
-        """Say whether it was stopped."""
+        """Return READY, or OFF after a stop."""
         return Report(Condition.OFF if self._stopped else Condition.READY)
 
     def send(self, table: MotorTable, repeats: int) -> None:
@@ -48,27 +50,27 @@ class SimTransport:
         self._publish(table)
 
     def stop(self, cut: bool = False) -> Order:
-        """Publish rest, if anything was sent: the simulator takes it at the end of its cycle."""
+        """Publish rest if a table was sent. The simulator plays it from the end of its cycle on."""
         last, self._last, self._stopped = self._last, None, True
         if last is not None:
             self._publish(MotorTable.rest(self._rig, last.cycle.period, last.stamp_ns))
         return Order().settle()
 
     def enable(self) -> Order:
-        """Go on."""
+        """Set the state to READY."""
         self._stopped = False
         return Order().settle()
 
     def home(self) -> Order:
-        """Nothing: it never loses home."""
+        """Do nothing, because the simulator always knows home."""
         return Order().settle()
 
     def troubles(self) -> list[str]:
-        """Nothing goes wrong."""
+        """Return no problems."""
         return []
 
     def values(self) -> dict[str, str]:
-        """Nothing to report."""
+        """Return no values."""
         return {}
 
     def close(self) -> None:

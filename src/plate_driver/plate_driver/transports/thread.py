@@ -1,4 +1,5 @@
-"""A transport in a thread of its own, so that no message can delay a stop; and the latch."""
+"""Transport thread and latch. The transport is polled in a separate thread, so that no message can
+delay a stop. The latch counts stops and blocks cycles after a stop until an enable succeeds."""
 
 from __future__ import annotations
 
@@ -20,34 +21,34 @@ from .transport import Condition, Measured, Order, Report, Transport
 T = TypeVar("T")
 
 POLL_PERIOD_S = 0.002
-"""Time between two polls of the transport [s]: an upload takes some twenty of them."""
+"""Time between two polls of the transport [s]. An upload takes about twenty polls."""
 
 STOPPED_SINCE = "another stop has come since; call enable again"
 BUSY = "the transport is busy"
 
 BUSY_S = 0.3
-"""Maximum wait for a transport that is in the middle of something [s]."""
+"""Maximum wait for a transport that another thread uses [s]."""
 
 CLOSE_S = 2.0
 """Maximum wait for the end of a transport's thread [s]."""
 
 ANSWER_S = 0.3
-"""Longest wait for what becomes of an order [s]: who has called gets an answer within 0.5 s."""
+"""Maximum wait for the result of an order [s], so that the caller gets a reply within 0.5 s."""
 
 SHOWN_S = 0.1
-"""What was measured so shortly before the last moment for an answer, or later, shows that the
-motors have stopped [s]: whatever was on the line before the stop has long arrived by then."""
+"""A measurement at most this long before the deadline of a stop shows whether the motors have
+stopped [s]. All messages sent before the stop have arrived by then."""
 
 REMEMBERED = 2000
-"""Measurements that are kept until somebody asks for them: 20 s of them."""
+"""Maximum number of measurements that are kept until `measured` is called: 20 s."""
 
 URGENT = -15
-"""Niceness of the threads that stop motors, where the system allows it (CAP_SYS_NICE)."""
+"""Niceness of the threads that stop motors, if the system allows it (CAP_SYS_NICE)."""
 
 
 @contextlib.contextmanager
 def urgent() -> Iterator[None]:
-    """Give this thread, and those that it begins meanwhile, precedence over all that is no stop."""
+    """Give this thread, and threads started in the context, priority over threads without stops."""
     own = threading.get_native_id()
     before = os.getpriority(os.PRIO_PROCESS, own)
     with contextlib.suppress(OSError):
@@ -60,58 +61,59 @@ def urgent() -> Iterator[None]:
 
 
 class Latch:
-    """Why no cycle is let through; it outlives transports. Threads may share it.
+    """Block for cycles after a stop, with its reason. It outlives transports and is thread-safe.
 
-    Each stop has a number, so that what was prepared before one is never sent after it.
+    Each stop has a number, so that a table prepared before a stop is never sent after it.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._reason, self._number = DriverReason.NONE, 0
-        self._enabling: list[int] = []  # the numbers of stops that are being cleared
+        self._enabling: list[int] = []  # numbers of the stops that running enables clear
         self.late: Order | None = None  # the last stop, if it was not acknowledged in time
-        self.enabled_ns = 0  # wall clock when it was opened last [ns]; another one each time
+        self.enabled_ns = 0  # wall time of the last opening [ns], different each time
 
     @property
     def reason(self) -> DriverReason:
-        """What has closed it; NONE: it is open."""
+        """Reason why it is closed. NONE if it is open."""
         return self._reason
 
     @property
     def number(self) -> int:
-        """Stops so far."""
+        """Number of stops so far."""
         return self._number
 
     @property
     def enabling(self) -> bool:
-        """Whether an enable is under way, and no stop has come since."""
+        """Whether an enable runs and no stop was requested since."""
         return self._number in self._enabling
 
     @property
     def unanswered(self) -> bool:
-        """Whether the last stop was not acknowledged in time, nor since."""
+        """Whether the last stop was not acknowledged in time and is still not."""
         late = self.late
         return late is not None and not late.done
 
     def close(
         self, reason: DriverReason, over: tuple[DriverReason, ...] = (DriverReason.NONE,)
     ) -> None:
-        """Count a stop; its reason replaces one of those in `over` only, unless that is empty."""
+        """Count a stop. Its reason replaces the current one if that is in `over` or `over` is
+        empty."""
         with self._lock:
             self._number += 1
             if not over or self._reason in over:
                 self._reason = reason
 
     def enable_began(self, number: int) -> None:
-        """Take note of an enable that is under way, for the stop with a number."""
+        """Record the start of an enable for the stop with this number."""
         self._enabling.append(number)
 
     def enable_ended(self, number: int) -> None:
-        """Take note that it is over, whatever has become of it."""
+        """Record the end of an enable, successful or not."""
         self._enabling.remove(number)
 
     def open(self, number: int) -> bool:
-        """Let cycles through again, unless there was a stop since the one with a number."""
+        """Open it, unless there was a stop since the stop `number`. Return whether it is open."""
         with self._lock:
             if number != self._number:
                 return False
@@ -122,8 +124,8 @@ class Latch:
 
 @dataclass(frozen=True)
 class _Enable:
-    """An enable that is under way: for which stop, what becomes of it, what its caller is told, and
-    when it is too late (steady clock [s])."""
+    """A running enable: its stop number, the transport's order, the caller's order, and its
+    deadline (steady clock [s])."""
 
     number: int
     order: Order
@@ -132,7 +134,8 @@ class _Enable:
 
 
 class TransportThread:
-    """Polls a transport every few milliseconds; everyone else speaks to it through here.
+    """Polls a transport every few milliseconds. All other calls of the transport go through this
+    class.
 
     Parameters
     ----------
@@ -140,7 +143,8 @@ class TransportThread:
         Already open.
     latch : Latch
     on_defect : callable
-        Gets what a defect of the transport raises: the motors are stopped then, and count as gone.
+        Called with an unexpected exception of the transport. The motors are stopped then, and their
+        state is GONE.
     """
 
     def __init__(
@@ -152,12 +156,12 @@ class TransportThread:
         self._measured: deque[Measured] = deque(maxlen=REMEMBERED)
         self._measured_at = float("-inf")
         self._enables: list[_Enable] = []
-        self._stop = Order().settle()  # the last one
-        self._owed: list[bool] = []  # stops for which there was no time yet: whether to cut
+        self._stop = Order().settle()  # last stop
+        self._owed: list[bool] = []  # postponed stops: whether to cut the power
         self._troubles: list[str] = []
         self._thread = threading.Thread(target=self._run, name="transport", daemon=True)
         self.report: Report = transport.report()
-        self.met = self.report.condition is not Condition.GONE  # whether the device ever was there
+        self.met = self.report.condition is not Condition.GONE  # device ever connected
 
     @property
     def motors(self) -> bool:
@@ -177,7 +181,7 @@ class TransportThread:
         return self._transport.hold_s
 
     def start(self) -> None:
-        """Begin to poll."""
+        """Start the polling thread."""
         self._thread.start()
 
     def poll(self) -> None:
@@ -199,10 +203,10 @@ class TransportThread:
         if measured:
             self._measured_at = measured[-1].time
             if self.report.condition is Condition.OFF:
-                self._latch.late = None  # whatever became of the answer
+                self._latch.late = None  # the motors are off, even if no answer arrived
 
     def _follow(self) -> None:
-        """Open the latch once the motors that somebody enables are ready."""
+        """Open the latch when the motors of a running enable are ready."""
         for each in list(self._enables):
             settled, failure = each.order.settled, each.order.failure
             if not settled and time.monotonic() < each.end:
@@ -216,13 +220,13 @@ class TransportThread:
             self._latch.enable_ended(each.number)
             each.told.settle(failure)
             if not opened and (not settled or each.order.done):
-                self._tried(self._transport.stop)  # nobody wants them to be ready any more
+                self._tried(self._transport.stop)  # the enable is void: no motor may stay on
 
     def _tried(self, ask: Callable[[], T]) -> T | None:
-        """Ask the transport, with the lock held; None if that shows a defect.
+        """Call `ask` with the lock held. Return None if it raises an unexpected exception.
 
-        A transport may be anybody's code. Whatever it raises, but a refusal, stops the motors and
-        lets no cycle through; it must end neither this thread nor the one that answers stops.
+        A transport may be third-party code. Any exception except a PlateError stops the motors and
+        blocks all cycles. It must end neither this thread nor the thread that replies to stops.
         """
         try:
             return ask()
@@ -242,7 +246,7 @@ class TransportThread:
                 self.poll()
 
     def _ordered(self, ask: Callable[[], Order]) -> Order:
-        """Ask the transport for something that a person wants."""
+        """Call a method of the transport for a person's order."""
         if not self._lock.acquire(timeout=BUSY_S):
             return Order().settle(BUSY)
         try:
@@ -259,15 +263,15 @@ class TransportThread:
         self.report = self._transport.report()
         self.met |= self.report.condition is not Condition.GONE
 
-    # What threads ask
+    # Calls from other threads
 
     def send(self, table: MotorTable, repeats: int, number: int) -> None:
-        """Send a table that was made when the latch had counted so many stops.
+        """Send a table that was made when the latch had counted `number` stops.
 
         Raises
         ------
         CycleError
-            If there was a stop since, or the transport does not take it.
+            If there was a stop since, or if the transport refuses the table.
         """
         with self._lock:
             if self._latch.reason or self._latch.number != number:
@@ -283,7 +287,7 @@ class TransportThread:
                 raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
-        """Stop, see `Transport.stop`; a transport that is busy does so as soon as it can."""
+        """Stop, see `Transport.stop`. If the transport is busy, it stops as soon as possible."""
         order = self._stop = self._ordered(lambda: self._transport.stop(cut))
         if order.failure == BUSY:
             self._owed.append(cut)
@@ -291,12 +295,14 @@ class TransportThread:
 
     @property
     def stopping(self) -> bool:
-        """Whether a stop is still tried."""
+        """Whether a stop is not settled yet."""
         return bool(self._owed) or not self._stop.settled
 
     def stopped(self, order: Order, cut: bool, end: float) -> bool:
-        """Wait for a stop, until `end` at most (steady clock [s]); returns whether it is done, or
-        what was measured since shows that the motors have no current, or brake if they may."""
+        """Wait for a stop until `end` (steady clock [s]), and return whether it is done.
+
+        A recent measurement without current also counts as done, and so does braking unless `cut`.
+        """
         stopped = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
 
         def shown() -> bool:
@@ -307,9 +313,12 @@ class TransportThread:
         return order.done if order.settled else shown()
 
     def enable(self, number: int) -> Order:
-        """Enable, see `Transport.enable`: for whom the latch had counted so many stops. It opens
-        when the motors are ready; the order is settled then, or with the reason why they are not,
-        whether somebody waits for it or not."""
+        """Enable, see `Transport.enable`, for a caller at whose call the latch had counted `number`
+        stops.
+
+        When the motors are ready, the latch opens and the order is settled. If they do not become
+        ready, it is settled with the reason. This does not depend on whether a caller waits.
+        """
 
         def ask() -> Order:
             if self._latch.number != number:
@@ -328,20 +337,20 @@ class TransportThread:
         return self._ordered(self._transport.home)
 
     def measured(self) -> list[Measured]:
-        """Return what was measured since the last call."""
+        """Return the measurements since the last call."""
         with self._lock:
             measured = list(self._measured)
             self._measured.clear()
             return measured
 
     def troubles(self) -> list[str]:
-        """Return what went wrong since the last call."""
+        """Return the problems since the last call."""
         with self._lock:
             troubles, self._troubles = self._troubles, []
             return troubles
 
     def values(self) -> dict[str, str]:
-        """Return what is to be reported since the last call."""
+        """Return diagnostic values since the last call."""
         with self._lock:
             return self._tried(self._transport.values) or {}
 

@@ -1,15 +1,17 @@
-"""Where motor tables go: one interface, so that the node does not know what moves the plate.
+"""Interface `Transport` between the driver node and the hardware that moves the plate.
 
-Another package adds a transport without touching this one. It writes a class with the methods of
-`Transport`, and a function that makes one of a `TransportContext`; its setup.py names the function:
+Another package can add a transport. It defines a class with the methods of `Transport` and a
+function that makes an instance from a `TransportContext`. Its setup.py names the function:
 
     entry_points={"plate_driver.transports": ["ethercat = my_package.plate:make"]}
 
-The driver then takes `transport:=ethercat`. `make` raises a PlateError if a parameter does not fit,
-in one line that names the parameter, its value and what is allowed; `open` if something is missing.
+The driver then accepts `transport:=ethercat`. `make` raises a PlateError if a parameter is invalid;
+the message has one line with the parameter, its value and the allowed values. `open` raises one if
+something is missing.
 
-All methods return at once. The driver calls them from several threads, but one at a time; `poll`
-every few milliseconds. Times are of `TransportContext.clock`, so that a test can be the clock.
+All methods return at once. The driver calls them from several threads, but never two at the same
+time. It calls `poll` every few milliseconds. Times are on `TransportContext.clock`, so that a test
+can replace the clock.
 """
 
 from __future__ import annotations
@@ -27,33 +29,33 @@ from plate_core.driver_status import DriverReason
 from ..setpoints import MotorTable
 
 GROUP = "plate_driver.transports"
-"""Entry points of this group are transports."""
+"""Entry-point group of transports."""
 
 
 class Condition(Enum):
-    """What the motors are doing."""
+    """State of the motors."""
 
-    GONE = "gone"  # nobody knows: what drives them does not answer
+    GONE = "gone"  # unknown: the motor controller does not answer
     OFF = "off"  # without current
-    ENABLING = "enabling"  # on their way home
-    READY = "ready"  # held at home, or playing: a table is welcome
+    ENABLING = "enabling"  # moving home
+    READY = "ready"  # held at home, or playing: a table is accepted
     BRAKING = "braking"
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a transport knows of the motors: what they report, not what was commanded.
+    """State of the motors as reported by their controller, not as commanded.
 
     Attributes
     ----------
     condition : Condition
     reason : DriverReason
-        Why they are off, brake or do not answer. A stop that was asked for is EARLIER_STOP: whether
-        this driver asked for it, the driver knows. What is in no list is OTHER.
+        Why they are off, brake or do not answer. A requested stop is EARLIER_STOP, because only the
+        driver knows whether it requested the stop itself. A reason without its own value is OTHER.
     text : str
-        The same in words.
+        The reason as text.
     values : mapping of str to str
-        Whatever is worth a line in the diagnostics.
+        Values for the diagnostics.
     """
 
     condition: Condition
@@ -64,24 +66,24 @@ class Report:
 
 @dataclass(frozen=True)
 class Measured:
-    """What sensors say of the motors.
+    """Measurement of the motors' sensors.
 
     Attributes
     ----------
     time : float
-        When it was measured, on the context's clock [s].
+        Time of the measurement on the context's clock [s].
     device_s : float
-        The same on the device's clock [s]: without the jitter of the host's idea of it.
+        The same time on the device's clock [s], without the jitter of the clock conversion.
     table : int
-        Number of the table that plays; 0: none.
+        Number of the table that plays. 0 if no table plays.
     position, acceleration : tuple of 4 float
         [m], [m/s2].
     playing : MotorTable or None
-        The table that plays, where it is known; where its tail plays, that alone.
+        Table that plays, if known. If its tail plays, only the tail.
     began : float
-        When this play of it began, on the context's clock [s].
+        Start of this play on the context's clock [s].
     doubt : str
-        Why these times are not believed; empty if they are.
+        Why these times are rejected. Empty if they are accepted.
     """
 
     time: float
@@ -95,12 +97,12 @@ class Measured:
 
 
 class Order:
-    """A stop, an enable or a home that was asked for, and what becomes of it.
+    """A requested stop, enable or home, and its result.
 
     Parameters
     ----------
     longest_s : float
-        Time within which there is an answer, if one comes at all [s].
+        Maximum time until an answer arrives [s].
     """
 
     def __init__(self, longest_s: float = 0.0) -> None:
@@ -110,42 +112,44 @@ class Order:
 
     @property
     def settled(self) -> bool:
-        """Whether it is done, or has failed."""
+        """Whether it is done or has failed."""
         return self._settled.is_set()
 
     @property
     def done(self) -> bool:
-        """Whether the motors' controller has said that it is done."""
+        """Whether the motor controller has confirmed it."""
         return self.settled and not self.failure
 
     def settle(self, failure: str = "") -> Order:
-        """Say that it is done, or why not; only the first word counts."""
+        """Mark it as done, or as failed if `failure` is not empty. Only the first call counts."""
         if not self.settled:
             self.failure = failure
             self._settled.set()
         return self
 
     def wait(self, longest_s: float | None = None) -> bool:
-        """Wait until it is settled, at most so long [s], or `longest_s` of its own; returns whether
-        it is done."""
+        """Wait until it is settled, and return whether it is done.
+
+        The wait takes at most `longest_s` [s]. None means the value from the constructor.
+        """
         self._settled.wait(self.longest_s if longest_s is None else max(0.0, longest_s))
         return self.done
 
 
 class Transport(Protocol):
-    """The way to the motors.
+    """Interface to the motors.
 
     Attributes
     ----------
     motors : bool
-        Whether there are motors that need an enable. If not, the setpoints that the driver
-        publishes are all there is: `send` publishes them, and nobody has to enable anything.
+        Whether there are motors that need an enable. If False, `send` only publishes setpoints, and
+        no enable is needed.
     calibrates : bool
-        Whether what it measures is good for a calibration.
+        Whether its measurements can be used for a calibration.
     max_knots : int
-        Most knots of a table.
+        Maximum number of knots of a table.
     hold_s : float
-        Longest time for which a table is played again [s].
+        Maximum time for which a table is repeated [s].
     """
 
     motors: bool
@@ -158,59 +162,65 @@ class Transport(Protocol):
     def hold_s(self) -> float: ...
 
     def open(self) -> None:
-        """Make it ready to be asked; nothing moves by this. A PlateError ends the configuration:
-        what may come later, such as a port, is no error, but waited for by `poll`; until it is
-        there the report is GONE, and says for what."""
+        """Prepare it for calls of the other methods. This moves nothing.
+
+        A PlateError ends the configuration of the driver. Anything that may become available later,
+        such as a port, is not an error: `poll` waits for it, and until then the report is GONE and
+        names it.
+        """
 
     def poll(self) -> list[Measured]:
-        """Do what is due; returns what was measured since the last call."""
+        """Perform due work, and return the measurements since the last call."""
 
     def report(self) -> Report:
-        """Say what the motors do."""
+        """Return the state of the motors."""
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Hand over a table, which ends at rest at home, and begins there or where another one is
-        spliced.
+        """Send a table. It ends at rest at home, and begins there or at the splice of another
+        table.
 
-        The motors take the newest at their next cycle boundary, play it `repeats` times unless
-        another one comes, and rest by themselves then. One with a tail is played once: at its
-        splice they take the newest if that begins there, and else play the tail.
+        At their next cycle boundary the motors start the newest table. They play it `repeats` times
+        if no other one arrives, and then rest. A table with a tail is played once: at its splice
+        the motors continue with the newest table if that begins there, and otherwise with the tail.
 
         Raises
         ------
         CycleError
-            If they take none now, or not this one: why.
+            If the motors accept no table now, or not this one. The message gives the reason.
         """
 
     def stop(self, cut: bool = False) -> Order:
-        """Have them brake along their path, go home and lose their current, or lose it at once.
+        """Make the motors brake along their path, go home and switch off, or switch off at once if
+        `cut`.
 
-        Done when their controller has said so. Whatever was sent or asked before is forgotten.
+        The order is done when the controller has confirmed it. Earlier tables and orders are
+        dropped.
         """
 
     def enable(self) -> Order:
-        """Give them current once: a person has asked for it. Done when they are ready.
+        """Switch on the motors' current once, on a person's request. Done when the motors are
+        ready.
 
-        A stop that comes later, and one that this was not given for, must win. Nothing else gives
-        them current: not `open`, `send`, or a controller that comes back.
+        A later stop has priority, and so has a stop that this enable does not refer to. Nothing
+        else may switch on the current: not `open`, `send`, or a controller that restarts.
         """
 
     def home(self) -> Order:
-        """Have them find home anew at the next enable; only while they are off."""
+        """Make the motors search for home at the next enable. Allowed only while they are off."""
 
     def troubles(self) -> list[str]:
-        """Return what went wrong since the last call, each in a line."""
+        """Return the problems since the last call, one line each."""
 
     def values(self) -> dict[str, str]:
-        """Return what is to be reported since the last call, name to value."""
+        """Return diagnostic values since the last call, by name."""
 
     def close(self) -> None:
-        """Have them stop, and release everything."""
+        """Stop the motors and release all resources."""
 
 
 @dataclass(frozen=True)
 class TransportContext:
-    """What a transport is made of.
+    """Inputs of a transport's constructor.
 
     Attributes
     ----------
@@ -218,11 +228,11 @@ class TransportContext:
     publish : callable
         Publishes a table on motor_setpoints.
     clock : callable
-        Time that never runs back [s].
+        Monotonic time [s].
     parameters : mapping of str to value
-        Of the driver: `port`, `baud`, and all others.
+        All parameters of the driver, such as `port` and `baud`.
     seed : int
-        Another number in each process.
+        Number that differs between processes.
     """
 
     rig: Rig
@@ -233,12 +243,12 @@ class TransportContext:
 
 
 def installed() -> dict[str, EntryPoint]:
-    """Return the transports that are installed, by name."""
+    """Return the installed transports by name."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def make_transport(name: str, context: TransportContext) -> Transport:
-    """Return the transport with a name.
+    """Return the transport with the given name.
 
     Raises
     ------
