@@ -8,9 +8,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from plate_core import PlateError, RigError, config_path, load_rig
-from plate_core.rig import PartType, load_part_types
+from plate_core.rig import PART_TYPE, PartType, load_part_types
 from plate_vision import make_vision
 from plate_vision.errors import TeachError
 from plate_vision.recognition import calibrate_by_scale, find_parts
@@ -174,6 +175,20 @@ def test_types_that_look_alike_are_refused_and_may_be_merged(draw_types):
     assert one.name == "nut"
     assert one.symmetry == 6
     assert max(apart(one, other, 1000.0)[0] for other in (nut, again)) < 0.15
+
+
+def test_no_key_of_a_type_is_lost_where_types_are_written(tmp_path):
+    known = {"mass_kg": 0.02, "mu": 0.3, "scatter_m": 1e-4, "height_m": 0.004}
+    disc = PartType("disc", radius_m=0.01, symmetry=0, picture="disc.png", **known)
+    nut = replace(TYPES["nut"], colour_lab=(40.0, 1.0, -2.0), picture="nut.png", **known)
+    path = tmp_path / "parts.yaml"
+    save_part_types(path, {"disc": disc, "nut": nut})
+    written = yaml.safe_load(path.read_text())
+    assert {*written["disc"], *written["nut"]} == {key.name for key in PART_TYPE.keys}
+    again = load_part_types(path)
+    for part in (disc, nut):
+        for field in ("radius_m", "symmetry", "colour_lab", "picture", *known):
+            assert getattr(again[part.name], field) == getattr(part, field), field
 
 
 def test_a_file_of_types_is_read_as_it_was_written(tmp_path):
