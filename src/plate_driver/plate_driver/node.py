@@ -1,4 +1,6 @@
-"""The driver node: plate cycles in, motor tables out, within the limits and never left moving."""
+"""Driver node. It receives plate cycles, converts them to motor tables within the rig's limits, and
+sends the tables to a transport. If cycles are missing, invalid or too old, the plate comes to
+rest."""
 
 from __future__ import annotations
 
@@ -65,49 +67,51 @@ from .transports import (
 )
 
 CYCLE_PERIOD_S = 0.002
-"""Time between polls for a cycle [s]: the take is ours, see `UnlockedSubscription`."""
+"""Time between polls for a cycle [s]. A separate thread polls, see `UnlockedSubscription`."""
 
 MOST_WAITING = 5
-"""Messages that wait for the executor: a few, so that a flood leaves time for all else."""
+"""Maximum number of messages that wait for the executor, so that a flood leaves time for other
+work."""
 
 STATUS_BYTES = 100_000
-"""A longer task_status is none of the planner's."""
+"""Maximum size of a task_status [bytes]. A longer one is not from the planner."""
 
 WATCH_PERIOD_S = 0.02
 STALLED_S = 0.05
-"""A process that has not run for so long has stalled [s]."""
+"""If the process does not run for longer than this, it counts as stalled [s]."""
 
 SETTLE_S = 0.01
-"""Time that a stalled process gets to receive what was sent to it meanwhile [s]: otherwise the end
-of a task would arrive after a cycle that came later."""
+"""Time in which a stalled process receives waiting messages [s]. Otherwise the end of a task could
+be processed after a later cycle."""
 
 REST_S = 3.0
-"""Longest wait for motors that brake, go home and lose their current [s]."""
+"""Maximum wait for motors to brake, go home and switch off [s]."""
 
 UNPLAYED_S = 0.5
-"""Something is wrong with motors that have played nothing for longer since a table failed [s]."""
+"""If the motors play no table for longer than this after a failed table, a problem is reported
+[s]."""
 
 NO_START = "starts of cycles are not told where the device's ticks cannot be"
-"""What is said of a device that is wrong of how long a table has played."""
+"""Warning about a device that reports an impossible playing time of a table."""
 
 CORRECTED = (
     "the plate is corrected by its calibration: cycles that begin in motion are refused, those "
     "from rest are played with their tails"
 )
-"""What is said when the driver is activated with a calibration."""
+"""Message on activation with a calibration."""
 
 REST_CYCLE_S = 0.1
-"""Length of a cycle while the motors rest [s]."""
+"""Period of the reported cycle while the motors rest [s]."""
 
 MOTIONS_KEPT = 8
-"""Cycles that were sent and may run, or wait: a few."""
+"""Number of sent cycles that are kept, because they may play or wait."""
 
 WORTH_A_WARNING = 0.99
-"""A cycle scaled by less than this much is counted, but no cause for a warning."""
+"""If the scaling factor of a cycle is smaller than this, a warning is logged."""
 
 
 Take = Callable[[bytes, int, bytes], None]
-"""Takes a message as it came, its length and a key of its publisher."""
+"""Callback for a serialized message, its length [bytes] and a key of its publisher."""
 
 
 @dataclass(frozen=True)
@@ -136,25 +140,25 @@ class Options(NodeOptions):
 class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
-    Subscribes plate_cycle, and task_status: what a task has asked for moves nothing after its end.
-    Publishes motor_setpoints, motor_states and, for motors that play whole cycles, cycle_started
-    while active, driver_status and diagnostics always.
-    Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate;
-    measure_friction and write_friction, which subscribe to parts and publish friction.
+    Subscribes to plate_cycle and task_status. Cycles that a task requested are refused after its
+    end. Publishes motor_setpoints, motor_states and, for motors that play whole cycles,
+    cycle_started while active, driver_status and diagnostics always. Services enable (gives the
+    motors current), emergency_stop, cut_power, home, calibrate; measure_friction and
+    write_friction, which subscribe to parts and publish friction.
 
-    What must work whatever messages do has its own participant, node (`driver_safety`) and threads,
-    in every lifecycle state: emergency_stop, cut_power, enable, home and driver_status. Nothing but
-    `enable` gives the motors current.
+    emergency_stop, cut_power, enable, home and driver_status must work under any message load and
+    in every lifecycle state. They have their own participant, node (`driver_safety`) and threads.
+    Only `enable` switches on the motors' current.
 
-    Measured motor_states have position [m], and in `effort`, since JointState has no field for it,
-    acceleration [m/s2]."""
+    Measured motor_states have position [m] and, in `effort`, acceleration [m/s2], because
+    JointState has no field for it."""
 
     def __init__(self) -> None:
         super().__init__("driver", Options)
         self._guard = Guard(load_rig())
         self._latch = Latch()
         self._transport: TransportThread | None = None
-        self._lent: TransportThread | None = None  # opened for a stop, where there is no other one
+        self._lent: TransportThread | None = None  # opened for a stop while no other one is open
         self._making = threading.Lock()
         self._experiment: Experiment | None = None
         self._outcome, self._failed = "", False  # of the last calibration
@@ -162,43 +166,43 @@ class DriverNode(SafeLifecycleNode[Options]):
         self.task_runs = False
         self._measured: Measured | None = None
         self._ready_since = 0.0
-        self._unplayed: tuple[float, str] | None = None  # since when [s, steady], and why
+        self._unplayed: tuple[float, str] | None = None  # start [s, steady] and reason
         self._freshness, self._refusal = Freshness(), ""
         self.heard: tuple[tuple[UnlockedSubscription, Take], ...] = ()  # tasks, and cycles
-        self._heard_at = 0.0  # when it was last looked whether a task has ended [s, steady]
-        self._came: deque[tuple[bytes, int, bytes]] = deque()  # cycles, as they came
+        self._heard_at = 0.0  # last poll of task_status [s, steady]
+        self._came: deque[tuple[bytes, int, bytes]] = deque()  # received cycles in order
         self._reported: dict[str, str] = {}  # values of the last diagnostics
-        self._warned: dict[str, float] = {}  # troubles of the transport, when they were logged [s]
-        self._again = 0  # messages repeated between the last two
-        # Ticks also while simulated time stands.
+        self._warned: dict[str, float] = {}  # time of the last log of each transport problem [s]
+        self._again = 0  # messages repeated between the last two diagnostics
+        # It also advances while simulated time stands still.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(
             self, self._find, self._values, lambda: "plate", self._begin_report
         )
-        with urgent():  # for the participant's own threads too
+        with urgent():  # also for the threads of the DDS participant
             self._safety = SafetyNode(self)
 
     def close(self) -> None:
-        """Stop the motors, whatever state this is in."""
+        """Stop the motors in any lifecycle state."""
         try:
             super().close()
         finally:
             self._safety.close()
-            self._close_transport()  # what a stop has opened meanwhile
+            self._close_transport()  # a stop may have opened one
 
     def destroy_node(self) -> None:
-        """Do so, and destroy the node and that of its stops."""
+        """Destroy this node and the safety node."""
         super().destroy_node()
         self._safety.destroy()
 
     def retune(self) -> None:
-        """Play cycles that do not start at rest more often, or less."""
+        """Apply the changed parameter `repeats`."""
         self._guard = replace(self._guard, repeats=self.options.repeats)
 
     # Transitions
 
     def configure(self) -> None:
-        """Read the rig, open the transport, make publishers, subscription and timers."""
+        """Read the rig, open the transport, and create publishers, subscriptions and timers."""
         options, learned = self.options, None
         self._rig = rig = load_rig(options.rig_file)
         if options.calibration_file and Path(options.calibration_file).exists():
@@ -217,7 +221,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self.heard = (tasks, self.take_task), (cycles, self.take_cycle)
         self._came.clear()
         over = threading.Event()
-        # A thread that looks each 2 ms takes a tenth of the time of a timer of the executor.
+        # A thread that polls every 2 ms needs a tenth of the CPU time of an executor timer.
         thread = threading.Thread(target=self._listen, args=(cycles, over), daemon=True)
         thread.start()
         self.keep(lambda event: event.set(), over)
@@ -233,12 +237,12 @@ class DriverNode(SafeLifecycleNode[Options]):
             self.keep(self.destroy_timer, self.create_timer(t, tick, clock=self._steady))
 
     def begin(self) -> None:
-        """Let cycles through once the motors are ready. Where there are none they are: nobody has
-        to enable them, unless they were stopped."""
+        """Accept cycles when the motors are ready. A transport without motors is ready at once,
+        unless it was stopped."""
         self._ready_since = self._now()
         self._freshness, self._refusal = Freshness(), ""
         self._cycle_starts = CycleStarts(time.monotonic())
-        self._motions: dict[int, PlateCycle] = {}  # of corrected tables, by their stamps
+        self._motions: dict[int, PlateCycle] = {}  # motions of corrected tables by stamp
         if self._guard.correction is not None:
             self.get_logger().info(CORRECTED)
         transport = self._transport
@@ -249,13 +253,13 @@ class DriverNode(SafeLifecycleNode[Options]):
                 transport.enable(self._latch.number)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to pass cycles on, and say so before the first one."""
+        """Activate the node, and publish driver_status before the first cycle."""
         result = super().on_activate(state)
         self._safety.publish_status()
         return result
 
     def rest(self) -> None:
-        """Have the motors stop, and wait until they are off."""
+        """Stop the motors and wait until they are off."""
         transport = self._transport
         if transport is None:
             return
@@ -265,7 +269,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         order, end = transport.stop(), time.monotonic() + ANSWER_S
         done = transport.stopped(order, cut=False, end=end)
         self._latch.late = order if transport.met and not done else None
-        if not done and transport.met:  # else there is no current to cut
+        if not done and transport.met:  # if no device was ever met, there is no current
             self.get_logger().error(UNANSWERED)
         if done:
             end = time.monotonic() + REST_S
@@ -279,7 +283,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._safety.publish_status()
 
     def release(self) -> None:
-        """Let go of the transport."""
+        """Close the transport."""
         self._close_transport()
         self._measured, self._experiment = None, None
         self._safety.publish_status()
@@ -287,7 +291,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     # The transport
 
     def _start_transport(self) -> TransportThread:
-        """Open the transport, in a thread of its own."""
+        """Open the transport and start its thread."""
         check_transport(self.options.transport, self.options.port)
         context = TransportContext(
             self._rig, self._play, time.monotonic, asdict(self.options), time.time_ns() % 2**32
@@ -299,7 +303,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         return thread
 
     def _close_transport(self) -> None:
-        """Stop and release what is open; a stop that comes meanwhile still reaches it."""
+        """Stop and close the open transports. A concurrent stop still reaches them."""
         transport = getattr(self, "_transport", None)
         if transport is not None:
             transport.close()
@@ -308,13 +312,13 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._return_lent()
 
     def _return_lent(self) -> None:
-        """Close what was opened for a stop."""
+        """Close the transport that was opened for a stop."""
         lent, self._lent = getattr(self, "_lent", None), None
         if lent is not None:
             lent.close()
 
     def _keep_lent(self) -> None:
-        """Keep what was opened for a stop until that is settled."""
+        """Keep the transport that was opened for a stop until the stop is settled."""
         while self._lent is not None:
             time.sleep(WATCH_PERIOD_S)
             with self._making:
@@ -322,7 +326,7 @@ class DriverNode(SafeLifecycleNode[Options]):
                     self._return_lent()
 
     def _stop_lent(self, cut: bool) -> tuple[TransportThread, Order]:
-        """Stop, by a transport that is opened for it if there is none."""
+        """Stop by the open transport, or by one that is opened for this stop."""
         if not self._making.acquire(timeout=BUSY_S):
             raise PlateError("the driver opens or closes its transport")
         try:
@@ -340,10 +344,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         self.get_logger().error(f"transport: {error!r}", throttle_duration_sec=WARN_S)
 
     def stop_motors(self, cut: bool) -> bool:
-        """Stop, in any state: where no transport is open one is opened for it.
+        """Stop the motors in any state. If no transport is open, one is opened for the stop.
 
-        Returns within `ANSWER_S` whether the motors do, as far as is known then; if they are not
-        known to, the order goes on being tried.
+        Return within `ANSWER_S` whether the motors are known to stop. If they are not, the stop is
+        still tried afterwards.
         """
         end = time.monotonic() + ANSWER_S
         try:
@@ -355,7 +359,7 @@ class DriverNode(SafeLifecycleNode[Options]):
                     transport, order = self._stop_lent(cut)
                 done = transport.stopped(order, cut, end)
                 if done or transport in (self._transport, self._lent):
-                    break  # else it was closed meanwhile
+                    break  # otherwise it was closed during the wait
         except PlateError as error:
             done, order = False, Order().settle(str(error))
         self._latch.late = None if done else order
@@ -368,12 +372,12 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     @property
     def latch(self) -> Latch:
-        """Why no cycle is let through."""
+        """Latch that blocks cycles after a stop."""
         return self._latch
 
     @property
     def status(self) -> DriverStatus:
-        """What the motors do, and why they are not ready."""
+        """State of the motors and, if they are not ready, the reason."""
         transport = self._transport
         report = None if transport is None else transport.report
         busy = self._experiment is not None or self._friction.running
@@ -383,19 +387,20 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     @property
     def _simulated(self) -> bool:
-        """Whether time is the simulator's: true motors get warm in true time."""
+        """Whether simulated time is used. With real motors it never is, because they heat in real
+        time."""
         transport = self._transport
         plain = transport is not None and not transport.motors
         return plain and bool(self.get_parameter("use_sim_time").value)
 
     def _now(self) -> float:
-        """Time in which cycles are played, and motors get warm [s]."""
+        """Return the time [s] used for playback and for the motors' temperature."""
         if self._simulated:
             return 1e-9 * self.get_clock().now().nanoseconds
         return time.monotonic()
 
     def _listen(self, cycles: UnlockedSubscription, over: threading.Event) -> None:
-        """Hand cycles to the executor as they come, until it is over."""
+        """Pass received cycles to the executor until `over` is set."""
         while not over.wait(CYCLE_PERIOD_S):
             executor = self.executor
             while executor is not None and len(self._came) < MOST_WAITING:
@@ -406,16 +411,16 @@ class DriverNode(SafeLifecycleNode[Options]):
                 executor.create_task(self._take)
 
     def _take(self) -> None:
-        """Take the cycle that has come first, unless the node was cleaned up since."""
+        """Process the oldest received cycle, unless the node was cleaned up since."""
         if self._came:
             self.take_cycle(*self._came.popleft())
 
     def _hear_tasks(self) -> None:
-        """Take in whether a task has ended; to be called every 20 ms or so."""
+        """Receive task_status. Call this about every 20 ms."""
         if time.monotonic() - self._heard_at > STALLED_S:
             time.sleep(SETTLE_S)
         self._heard_at = time.monotonic()
-        for subscription, take in self.heard[:1]:  # none before configure
+        for subscription, take in self.heard[:1]:  # empty before configure
             for _ in range(MOST_WAITING):
                 taken = subscription.take()
                 if taken is None:
@@ -423,10 +428,10 @@ class DriverNode(SafeLifecycleNode[Options]):
                 take(*taken)
 
     def take_task(self, data: bytes, size: int, _: bytes) -> None:
-        """Take in a task_status that came as `size` bytes, the first of which are `data`."""
+        """Process a task_status of `size` bytes; `data` is its beginning."""
         try:
             msg = deserialized(data, TaskStatus)
-        except PlateError as error:  # a longer one was cut off: neither is the planner's
+        except PlateError as error:  # invalid or truncated: not from the planner
             self.get_logger().warning(f"task_status: {error}", throttle_duration_sec=WARN_S)
             return
         self.task_runs = msg.state == TaskStatus.RUNNING
@@ -434,8 +439,10 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
 
     def _look(self) -> DriverStatus:
-        """Return the status, and notice that the motors have become ready, or that this process
-        has stood still; in simulated time it does not."""
+        """Return the status, and record when the motors became ready or this process stalled.
+
+        In simulated time stalls are not recorded.
+        """
         status = self.status
         number = self._latch.number if status.state is DriverState.READY else None
         now = 0.0 if self._simulated else time.monotonic()
@@ -443,7 +450,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         return status
 
     def _left_s(self, cycle: PlateCycle, stamp_ns: int) -> float:
-        """Return for how long a cycle that moves the plate may still be sent [s], or refuse it."""
+        """Return the remaining time in which a moving cycle may be sent [s], or refuse it."""
         if rivals := self.rivals("plate_cycle"):
             raise CycleError(rivals)
         clock_ns = self.get_clock().now().nanoseconds
@@ -453,8 +460,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         return math.inf if self._simulated else left
 
     def take_cycle(self, data: bytes, size: int, source: bytes = b"") -> None:
-        """Send on a cycle that came as `size` bytes, the first of which are `data`, from a
-        publisher with this key."""
+        """Check a cycle of `size` bytes and send it to the motors.
+
+        `data` is its beginning, and `source` identifies its publisher.
+        """
         transport = self._transport
         if not self.active or transport is None:
             return
@@ -462,7 +471,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._freshness = self._freshness.came(source, time.monotonic())
         if status.state is not DriverState.READY:
             self._guard = self._guard.refused()
-            text = f"cycle refused: the driver is {status.text}"  # never hidden by another reason
+            text = f"cycle refused: the driver is {status.text}"  # reported before any other reason
             self.get_logger().warning(text, throttle_duration_sec=WARN_S)
             return
         try:
@@ -475,7 +484,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             cycle = msg_to_cycle(msg)
             guard, fit = self._guarded(transport).accepted(cycle, stamp_ns, now)
             if cycle.moves:
-                self._hear_tasks()  # last, for one may have ended that has asked for this cycle
+                self._hear_tasks()  # last: the task of this cycle may have ended by now
                 guard = guard.lasting(time.monotonic() + self._left_s(cycle, stamp_ns))
             self._send(transport, guard, number)
             if guard.correction is not None:
@@ -490,11 +499,11 @@ class DriverNode(SafeLifecycleNode[Options]):
             self.get_logger().warning(fit.summary, throttle_duration_sec=WARN_S)
 
     def _guarded(self, transport: TransportThread) -> Guard:
-        """The guard, with what the device is now known to hold."""
+        """Return the guard with the device's current `hold_s`."""
         return replace(self._guard, hold_s=transport.hold_s)
 
     def _send(self, transport: TransportThread, guard: Guard, number: int) -> None:
-        """Send the table of a guard, and take the guard for ours."""
+        """Send the table of a guard, and make this the current guard."""
         assert guard.table is not None
         transport.send(guard.table, guard.plays, number)
         if transport.motors:
@@ -502,7 +511,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._guard = guard
 
     def _play(self, table: MotorTable) -> None:
-        """Publish a table for the simulator, unless it has become too old meanwhile."""
+        """Publish a table for the simulator, unless it is too old by now."""
         msg = self._message(table)
         table.check_age(time.monotonic())
         self._setpoints.publish(msg)
@@ -513,13 +522,12 @@ class DriverNode(SafeLifecycleNode[Options]):
         return trajectory_to_msg(joints, table.times, table.q, table.qd, table.qdd, stamp)
 
     def _halted(self) -> None:
-        """Take note that the plate rests, and that an experiment is over."""
+        """Record that the plate rests, and end an experiment."""
         self._experiment = None
         self._guard = self._guard.resting(self._now())
 
     def _note_start(self, measured: Measured) -> None:
-        """Say that the motors have begun a cycle, or its tail; again and again that they rest,
-        while they do."""
+        """Publish the start of each cycle or tail. While the motors rest, publish rest cycles."""
         transport = self._transport
         if not self.active or transport is None or not transport.calibrates:
             return
@@ -538,7 +546,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._starts.publish(cycle_to_msg(cycle, stamp))
 
     def _watch(self) -> None:
-        """Take note of what the motors do, and what goes wrong."""
+        """Process measurements and problems of the transport, and detect missing cycles."""
         transport = self._transport
         if transport is None:
             return
@@ -558,12 +566,12 @@ class DriverNode(SafeLifecycleNode[Options]):
                 self._warned[trouble] = time.monotonic()
                 self.get_logger().warning(trouble)
         self._hear_tasks()
-        if self._guard.table is None:  # nothing is to be played
+        if self._guard.table is None:  # no table is expected to play
             self._unplayed = None
         if not self.active:
             return
         status, now = self._look(), self._now()
-        self._ready_since = min(self._ready_since, now)  # a simulated clock may be put back
+        self._ready_since = min(self._ready_since, now)  # a simulated clock may be set back
         if status.state not in (DriverState.READY, DriverState.CALIBRATING):
             self._ready_since = now
             if self._experiment is not None:
@@ -584,7 +592,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             text = f"no plate_cycle for {hold_s:.3g} s: the plate rests"
             if self.task_runs:
                 self.get_logger().warning(text, throttle_duration_sec=WARN_S)
-            else:  # nobody sends one
+            else:  # no task, so no cycles are expected
                 self.get_logger().debug(text, throttle_duration_sec=WARN_S)
 
     # Calibration
@@ -613,7 +621,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     def _begin_experiment(
         self, transport: TransportThread, calibration: Calibration, now: float
     ) -> None:
-        """Begin the next experiment of a calibration."""
+        """Start the next experiment of a calibration."""
         experiment = Experiment(calibration)
         number = self._latch.number
         before = self._guarded(transport)
@@ -624,7 +632,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self.get_logger().info(f"calibration: {experiment.calibration.progress}")
 
     def _calibrate(self, transport: TransportThread, now: float) -> None:
-        """Go on with the calibration when an experiment is over."""
+        """Continue the calibration when an experiment is over."""
         experiment = self._experiment
         assert experiment is not None
         try:
@@ -655,16 +663,16 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     @property
     def rig(self) -> Rig:
-        """The rig, as its file describes it."""
+        """Rig from the rig file."""
         return self._rig
 
     @property
     def guard(self) -> Guard:
-        """The last commanded motion, and when the plate rests."""
+        """Guard with the last commanded table and the time at which the plate rests."""
         return self._guard
 
     def play_time(self) -> float:
-        """Time in which cycles are played [s]."""
+        """Return the time used for playback [s]."""
         return self._now()
 
     def send_push(self, cycle: PlateCycle, now: float) -> float:
@@ -689,10 +697,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Note that the plate rests."""
         self._guard = self._guard.resting(self._now())
 
-    # What it reports
+    # Reports
 
     def _publish_state(self) -> None:
-        """Publish what was measured, or else what is commanded now."""
+        """Publish the measured state of the motors or, without motors, the commanded one."""
         transport = self._transport
         if not self.active or transport is None:
             return
@@ -713,7 +721,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._states.publish(msg)
 
     def _commanded(self) -> tuple[list[float], list[float]]:
-        """Travel [m] and speed [m/s] that are commanded now."""
+        """Return the currently commanded travel [m] and speed [m/s]."""
         table = self._guard.table
         if table is None:
             return [0.0] * len(self._rig.motors), [0.0] * len(self._rig.motors)
@@ -726,7 +734,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         return q[0].tolist(), qd[0].tolist()
 
     def _find(self, now: float) -> Finding:
-        """Return how well the driver is, and why."""
+        """Return the severity level of the driver's state, and its reason."""
         lasting = [str(self.failure)] if self.failure is not None else []
         if self._failed:
             lasting.append(f"calibration {self._outcome}")
@@ -745,7 +753,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         )
 
     def _values(self) -> dict[str, str]:
-        """Return what diagnostics tell, name to value."""
+        """Return the values for the diagnostics by name."""
         experiment, transport = self._experiment, self._transport
         values = self._guard.values(DIAGNOSTICS_PERIOD_S, self._now())
         values["state"] = self.status.text
@@ -760,11 +768,11 @@ class DriverNode(SafeLifecycleNode[Options]):
         return values
 
     def _begin_report(self) -> None:
-        """Begin to count for the next diagnostics."""
+        """Reset the counts for the next diagnostics."""
         self._guard = self._guard.reported()
 
     def _quiet_s(self, now: float) -> float | None:
-        """Time for which no cycle has come [s], if the plate rests because of that."""
+        """Return the time without cycles [s] if the plate rests because of that. Otherwise None."""
         if self._guard.table is not None:
             return None
         quiet = now - max(self._guard.sent_at, self._ready_since)

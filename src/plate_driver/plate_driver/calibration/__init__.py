@@ -1,6 +1,6 @@
-"""Learning the plate: what it makes of a command at each frequency, from three known motions.
+"""Calibration of the plate: its frequency response, measured with three known motions.
 
-`Calibration` and `Experiment` are the procedure, `Response` is what it finds and keeps in a file.
+`Calibration` and `Experiment` are the procedure. `Response` is the result and is stored in a file.
 """
 
 from .calibration import (

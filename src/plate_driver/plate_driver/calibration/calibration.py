@@ -1,4 +1,6 @@
-"""The procedure that learns the plate: three known motions, one by one, and what they do."""
+"""Calibration procedure: it plays a known motion along each of x, y and theta, and computes the
+plate's frequency response from the motors' sensors. Inputs are sensor samples, outputs are the
+cycles to play and a `Response`, which is stored in a .npz file."""
 
 from __future__ import annotations
 
@@ -26,32 +28,36 @@ from .response import (
 )
 
 PERIOD_S = 1.033
-"""Of the motions [s]: harmonics are then 1 Hz apart, finer than a resonance is wide; and samples
-every 10 ms fall on other places of each cycle, so that they resolve more than 50 harmonics."""
+"""Period of the motions [s]. The harmonics are 1 Hz apart, less than the width of a resonance.
+Samples every 10 ms have different phases in each cycle, so that they resolve more than 50
+harmonics."""
 
 COUNT = 150
-"""Harmonics: up to 145 Hz. Well beyond what motions consist of, to begin and end them at rest."""
+"""Number of harmonics, up to 145 Hz. This is far above the frequencies of motions, so that
+corrected motions can begin and end at rest."""
 
 ACCEL = 10.0
-"""Root mean square of the commanded acceleration [m/s2]: a resonance of 3 % makes some 20 of it."""
+"""Root mean square of the commanded acceleration [m/s2]. A resonance with 3 % damping raises it to
+about 20."""
 
 SETTLE = 2
-"""Cycles until the plate has found its rhythm."""
+"""Number of cycles until the motion is periodic."""
 
 MEASURE = 6
-"""Cycles that are measured then."""
+"""Number of cycles measured after that."""
 
 SLOWEST = 4
-"""Harmonics that show when a cycle began: up to 3.9 Hz."""
+"""Number of harmonics that determine the start of a cycle, up to 3.9 Hz."""
 
 FOLLOWED = 0.2
-"""Least fraction of the slow motion that the plate must do; else motors are off, or miswired."""
+"""Minimum fraction of the slow motion that the plate must follow. If it is less, motors are off or
+wired wrongly."""
 
 RESPONSE_BYTES = 32_768
-"""Length of a response's file, and more [bytes]."""
+"""Upper estimate of the size of a response's file [bytes]."""
 
 MOST_BYTES = 1_000_000
-"""Of such a file, if its cycles had many times as many harmonics [bytes]."""
+"""Maximum size of a response's file that is read [bytes], for many times as many harmonics."""
 
 AXES = ("x", "y", "theta")
 
@@ -59,20 +65,20 @@ FILE_ERRORS = (
     OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, BadZipFile, zlib.error,
     PlateError,
 )  # fmt: skip
-"""What reading a damaged file may raise."""
+"""Exceptions when a damaged file is read."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A calibration under way.
+    """A running calibration.
 
     Attributes
     ----------
     rig : Rig
     cycles : tuple of PlateCycle
-        One for each axis.
+        One cycle per axis.
     commanded, measured : tuple of (n, 3)
-        Amplitudes of the experiments so far.
+        Amplitudes of the acceleration in the experiments so far.
     """
 
     rig: Rig
@@ -84,7 +90,7 @@ class Calibration:
 
     @classmethod
     def start(cls, rig: Rig, seed: int = 0) -> Calibration:
-        """Return the calibration at its beginning."""
+        """Return a new calibration."""
         rng = np.random.default_rng(seed)
         axes = range(len(AXES))
         return cls(rig, tuple(excitation(rig, k, PERIOD_S, COUNT, ACCEL, rng) for k in axes))
@@ -102,7 +108,7 @@ class Calibration:
 
     @property
     def progress(self) -> str:
-        """How far it is, in words."""
+        """Progress as text."""
         done = len(self.measured)
         if done == len(self.cycles):
             return "done"
@@ -118,9 +124,9 @@ class Calibration:
         t : (n,)
             Times since a cycle's start [s].
         q, qdd : (n, 4)
-            Travel [m] and acceleration [m/s2] that the motors' sensors measured then.
+            Travel [m] and acceleration [m/s2] measured by the motors' sensors.
         played : PlateCycle, optional
-            What was commanded, if the rig's limits made it less than `cycle`.
+            Commanded cycle, if the rig's limits scaled it down.
 
         Raises
         ------
@@ -134,24 +140,25 @@ class Calibration:
 
     @property
     def response(self) -> Response:
-        """What was learned, at the end."""
+        """Result, at the end of the calibration."""
         frequency = np.arange(1, COUNT + 1) / PERIOD_S
         return identified(self.rig, frequency, np.array(self.commanded), np.array(self.measured))
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment under way, and what the sensors have measured.
+    """A running experiment, and its sensor samples.
 
     Attributes
     ----------
     calibration : Calibration
     played : PlateCycle or None
-        What was sent: the cycle within the rig's limits.
+        Sent cycle, scaled to the rig's limits.
     table : int
         Number of the device's table that plays.
     samples : tuple of (time [s], q (4,), qdd (4,))
-        Since it began, by the device's clock: the host's idea of that shifts by milliseconds.
+        Samples since its start, with times on the device's clock. The conversion to host time
+        varies by milliseconds.
     """
 
     calibration: Calibration
@@ -166,7 +173,7 @@ class Experiment:
         return self.calibration.cycle
 
     def with_sample(self, new: Measured) -> Experiment:
-        """Return it with a sample; it begins anew where another table does, or none plays."""
+        """Return it with one more sample. It restarts if another table plays or none does."""
         sample = new.device_s, new.position, new.acceleration
         if new.table == 0 or new.table != self.table:
             return replace(self, table=new.table, samples=())
@@ -196,16 +203,16 @@ class Experiment:
 
 
 def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return times (n,) since a calibration cycle's start from those of another origin [s].
+    """Convert times (n,) with another origin to times since the start of a calibration cycle [s].
 
-    The slowest harmonics are followed at once: their phase tells when the cycle began. What the
-    motors' own lag delays them by (0.8 ms at 200 Hz) is taken for part of that, so the plate makes
-    its motion as much later; its shape is not touched.
+    The plate follows the slowest harmonics almost without delay, so their phase gives the start of
+    the cycle. The motors' own delay (0.8 ms at 200 Hz) is included in this estimate. Therefore
+    corrected motions are late by this delay, but their shape is not changed.
 
     Raises
     ------
     PlateError
-        If the plate did something else.
+        If the plate did not follow the cycle.
     """
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
@@ -226,24 +233,24 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
 
 
 def check_writable(path: str | Path) -> None:
-    """Check that a response can be written to a file, before the plate is shaken for it.
+    """Check that a response can be written to a file, before the experiments start.
 
     Raises
     ------
     PlateError
-        If it cannot.
+        If it cannot be written.
     """
     with draft(path, "calibration_file", keeps=False) as file:
         file.write(bytes(RESPONSE_BYTES))
 
 
 def save_response(path: str | Path, response: Response) -> None:
-    """Write a response to a file (numpy's .npz), whole or not at all.
+    """Write a response to a file (numpy's .npz) atomically.
 
     Raises
     ------
     PlateError
-        If that cannot be written.
+        If the file cannot be written.
     """
     with draft(path, "calibration_file") as file:
         np.savez(file, frequency=response.frequency, matrix=response.matrix, lever=response.lever)
@@ -255,7 +262,7 @@ def saved_response(path: str | Path) -> Response:
     Raises
     ------
     PlateError
-        If it is none.
+        If the file is not a valid response.
     """
     try:
         with np.load(BytesIO(read_file(path, MOST_BYTES)), allow_pickle=False) as data:

@@ -1,10 +1,10 @@
-"""What the plate makes of a command, harmonic by harmonic, and the command that makes it do better.
+"""Frequency response of the plate, and correction of commands by its inverse.
 
-A plate on flexures answers a command of the frequency f with H(f), a complex 3 x 3 matrix: it
-amplifies, delays and couples x, y and theta. H is found from the accelerations that the motors'
-sensors measure while known cycles are repeated; a wanted motion is then commanded as H^-1 of it.
-Whatever is measured later corrects H (Broyden's update, which changes only what was excited), so
-errors shrink from iteration to iteration, for every motion and not only for the one repeated.
+A plate on flexures responds to a command of frequency f with H(f), a complex 3 x 3 matrix: it
+amplifies, delays and couples x, y and theta. H is computed from the accelerations that the motors'
+sensors measure while known cycles are repeated. A requested motion is commanded as H^-1 times the
+motion. Later measurements correct H by Broyden's update, which changes only the excited components.
+The errors decrease with each iteration, also for motions that were not measured.
 
 Amplitudes are complex, (k, 3): a(t) = sum over k of Re(A_k exp(2 pi i f_k t)) [m/s2, m/s2, rad/s2].
 """
@@ -21,22 +21,24 @@ from plate_core import PlateCycle, PlateError, Rig
 from plate_core.motion import motor_state, plate_state
 
 SAMPLES = 512
-"""Instants at which a cycle is read: far more than twice its harmonics."""
+"""Minimum number of samples per cycle, far more than twice the number of harmonics."""
 
 KNOTS_PER_WAVE = 3
-"""Of the highest harmonic: splines then miss 2e-3 of it, and devices can hold the tables."""
+"""Number of knots per wave of the highest harmonic. The spline error is 2e-3 of it, and devices can
+store the tables."""
 
 STRESS = 30.0
-"""How much more an error counts at the strongest harmonic of a motion than where it has none."""
+"""Additional relative weight of an error at the strongest harmonic of a motion."""
 
 WEAKEST = 0.02
-"""Below this gain the plate does not follow a command: more is not asked of the motors."""
+"""Minimum gain for the inverse of H. It limits the command where the plate hardly follows."""
 
 SLOW_HZ = 5.0
-"""Below, positions tell accelerations better than accelerometers do, and stroke is short [Hz]."""
+"""Below this frequency accelerations are computed from positions, which are then more accurate than
+accelerometers. The excitation is also limited there, because the stroke is short [Hz]."""
 
 FAINT = 1e-3
-"""Share of the strongest harmonic below which a command says nothing of the plate."""
+"""If a harmonic of a command is weaker than this fraction of the strongest, it is not used."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,10 @@ class Response:
     Attributes
     ----------
     frequency : (n,)
-        [Hz], rising; at least four.
+        [Hz], increasing. At least four.
     matrix : (n, 3, 3)
-        Measured over commanded acceleration, complex; theta times `lever`, so that all are lengths.
+        Complex ratio of measured to commanded acceleration. Theta is multiplied by `lever`, so that
+        all components are lengths.
     lever : float
         [m].
 
@@ -75,13 +78,13 @@ class Response:
 
     @classmethod
     def identity(cls, rig: Rig, frequency: np.ndarray) -> Response:
-        """Return the response of a plate that does as commanded."""
+        """Return the response of a plate that follows commands exactly."""
         matrix = np.tile(np.eye(3, dtype=complex), (len(frequency), 1, 1))
         return cls(np.asarray(frequency, dtype=float), matrix, float(np.hypot(*rig.plate.half)))
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """H^-1 (n, 3, 3), nowhere more than 1/`WEAKEST`."""
+        """H^-1 (n, 3, 3), with singular values of at most 1/`WEAKEST`."""
         u, gain, v = np.linalg.svd(self.matrix)
         gain = np.maximum(gain, WEAKEST)
         return np.asarray(np.conj(v.swapaxes(1, 2)) @ (np.conj(u.swapaxes(1, 2)) / gain[..., None]))
@@ -91,16 +94,17 @@ class Response:
         return np.array([1.0, 1.0, self.lever])
 
     def _at(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        """Matrices between the frequencies, by a cubic spline; at 0 as at the lowest, but real."""
+        """Interpolate matrices in frequency by a cubic spline. The value at 0 is the real part of
+        the first."""
         below = np.concatenate([matrices[:1].real.astype(complex), matrices])
         return np.asarray(CubicSpline(np.append(0.0, self.frequency), below)(frequency))
 
     def command(self, cycle: PlateCycle) -> PlateCycle:
-        """Return the motion to command so that the plate makes the motion of a cycle.
+        """Return the command for which the plate performs the motion of a cycle.
 
-        Only harmonics up to the highest frequency known are corrected. The command begins and ends
-        at rest at home: as little as possible is given up for that, and mostly where the plate
-        hardly answers.
+        Only harmonics up to the highest known frequency are corrected. The command begins and ends
+        at rest at home. The correction is changed as little as possible for that, mainly at
+        frequencies where the plate responds little.
         """
         count = int(self.frequency[-1] * cycle.period * (1 + 1e-9))
         if count == 0 or not np.any(cycle.knot_pose):
@@ -122,9 +126,10 @@ class Response:
         return PlateCycle.from_knots(t, *states)
 
     def _costs(self, frequency: np.ndarray) -> np.ndarray:
-        """How much (k, 3) the plate's acceleration answers to a command's pose, squared.
+        """Return the squared gain (k, 3) from a command's pose to the plate's acceleration.
 
-        The mean counts as what comes and goes with each cycle: as the plate swings by itself.
+        The mean counts with the frequency of the plate's strongest response, because it changes
+        from cycle to cycle.
         """
         gain = np.sum(np.abs(self._at(self.matrix, frequency)) ** 2, axis=1)
         own = self.frequency[np.argmax(np.linalg.norm(self.matrix, axis=(1, 2)))]
@@ -132,14 +137,14 @@ class Response:
         return np.asarray(np.maximum(gain, FAINT**2) * rate[:, None] ** 4)
 
     def updated(self, commanded: np.ndarray, measured: np.ndarray, trust: float = 1.0) -> Response:
-        """Return the response after a look at what a command did.
+        """Return the response after Broyden's update with one measurement.
 
         Parameters
         ----------
         commanded, measured : (n, 3)
             Amplitudes at `frequency`.
         trust : float
-            Share of the difference that is believed: less than 1 where sensors are noisy.
+            Fraction of the difference that is applied. Less than 1 for noisy sensors.
         """
         asked, got = commanded * self._scale, measured * self._scale
         power = np.sum(np.abs(asked) ** 2, axis=1)
@@ -154,7 +159,7 @@ class Response:
 def identified(
     rig: Rig, frequency: np.ndarray, commanded: np.ndarray, measured: np.ndarray
 ) -> Response:
-    """Return the response that explains several experiments best.
+    """Return the response that fits several experiments by least squares.
 
     Parameters
     ----------
@@ -178,13 +183,13 @@ def identified(
 
 
 def harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
-    """Amplitudes (count, 3) of a cycle's acceleration at 1, 2, ... over its period."""
+    """Return amplitudes (count, 3) of a cycle's acceleration at 1, 2, ... over its period."""
     rate = 2j * np.pi * np.arange(1, count + 1)[:, None] / cycle.period
     return np.asarray(rate**2 * pose_harmonics(cycle, count)[1:])
 
 
 def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
-    """Amplitudes (count + 1, 3) of a cycle's pose, the first its mean."""
+    """Return amplitudes (count + 1, 3) of a cycle's pose. The first is its mean."""
     samples = max(SAMPLES, 4 * count)
     pose = cycle.pose(np.arange(samples) * cycle.period / samples)
     amplitude = 2 / samples * np.fft.rfft(pose, axis=0)[: count + 1]
@@ -193,14 +198,15 @@ def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
 
 
 def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) -> np.ndarray:
-    """Amplitudes (count, m) of samples (n, m) at times t (n,) [s] of a motion of known period.
+    """Return amplitudes (count, m) of samples (n, m) at times t (n,) [s] of a periodic motion.
 
-    By least squares, with a constant besides, so times need not be equal nor cover whole periods.
+    Least squares with an additional constant. The times need not be equally spaced or cover whole
+    periods.
 
     Raises
     ------
     PlateError
-        If the times do not tell the harmonics apart.
+        If the times do not determine the harmonics.
     """
     waves = np.exp(2j * np.pi * np.outer(t / period, np.arange(1, count + 1)))
     columns = np.hstack([np.ones((len(t), 1)), waves.real, -waves.imag])
@@ -216,18 +222,18 @@ def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) 
 def plate_amplitudes(
     rig: Rig, t: np.ndarray, q: np.ndarray, qdd: np.ndarray, period: float, count: int
 ) -> np.ndarray:
-    """Amplitudes (count, 3) of the plate's acceleration from what its motors' sensors say.
+    """Return amplitudes (count, 3) of the plate's acceleration from the motors' sensors.
 
     Parameters
     ----------
     t : (n,)
         Times since a cycle's start [s].
     q, qdd : (n, 4)
-        Travel [m] and acceleration [m/s2]. The four sensors need not quite agree.
+        Travel [m] and acceleration [m/s2]. The four sensors may disagree slightly.
     """
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
-    # Turning makes speed appear in the motors' acceleration, so twist is needed: from the poses.
+    # With rotation the motors' acceleration depends on the twist, which is computed from the poses.
     amplitude = fit_harmonics(t, pose, period, count)
     rate = 2j * np.pi * np.arange(1, count + 1)[:, None] / period
     waves = np.exp(np.outer(t, rate[:, 0]))
@@ -239,17 +245,17 @@ def plate_amplitudes(
 
 
 def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """Change amplitudes (k, 3) of a pose least so that it begins at rest at home.
+    """Change amplitudes (k, 3) of a pose so that it begins at rest at home, at minimum cost.
 
     Parameters
     ----------
     frequency : (k,)
-        [Hz]; of the mean 0.
+        [Hz]; 0 for the mean.
     cost : (k, 3)
-        Of a change's square.
+        Weight of the squared change.
     """
     rate = 2 * np.pi * frequency
-    # Pose, twist and acceleration at the beginning, of real and imaginary parts.
+    # Pose, twist and acceleration at the beginning, from the real and imaginary parts.
     real = np.stack([np.ones_like(rate), np.zeros_like(rate), -(rate**2)])
     imag = np.stack([np.zeros_like(rate), -rate, np.zeros_like(rate)])
     rows = np.hstack([real, imag])
@@ -267,18 +273,19 @@ def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarra
 def excitation(
     rig: Rig, axis: int, period: float, count: int, accel: float, rng: np.random.Generator
 ) -> PlateCycle:
-    """Return a cycle that shakes one axis at all harmonics, at rest where it begins.
+    """Return a cycle that shakes one axis at all harmonics and begins at rest.
 
-    All have the same acceleration, those below `SLOW_HZ` the same amplitude of the pose.
+    All harmonics have the same acceleration, except those below `SLOW_HZ`: these have the same
+    amplitude of the pose.
 
     Parameters
     ----------
     axis : int
         0: x, 1: y, 2: theta.
     accel : float
-        Root mean square of the acceleration, of theta's at the plate's corners [m/s2].
+        Root mean square of the acceleration, for theta at the plate's corners [m/s2].
     rng : numpy.random.Generator
-        Of the phases: even ones would make one great peak.
+        Generator for the phases. Equal phases would produce one high peak.
     """
     frequency = np.arange(count + 1) / period
     rate = 2 * np.pi * np.maximum(frequency, frequency[1])[:, None]
@@ -297,7 +304,7 @@ def excitation(
 
 
 def _motion(frequency: np.ndarray, amplitude: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
-    """Pose, twist and acceleration (n, 3) at times t (n,) of a pose's amplitudes (k, 3)."""
+    """Return pose, twist and acceleration (n, 3) at times t (n,) from pose amplitudes (k, 3)."""
     rate = 2j * np.pi * frequency[:, None]
     waves = np.exp(np.outer(t, rate[:, 0]))
     return [(waves @ (amplitude * rate**order)).real for order in range(3)]

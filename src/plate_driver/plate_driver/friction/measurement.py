@@ -1,4 +1,4 @@
-"""The procedure that measures friction, one push at a time.
+"""Procedure that measures friction, one push at a time.
 
 1. *Search.* Pushes with rising acceleration, to and fro along x, until every part slides.
 2. *Distance.* Stronger pushes, forth and back along x, then along y. The slip falls with mu, so
@@ -6,8 +6,8 @@
 3. *Onset.* Pushes in fine steps across the first slip. They show the acceleration at which each
    part begins to slide, and so static over dynamic friction.
 
-Pure: detected parts are the input, the next push is the output. Pushes alternate in direction, so
-parts come back.
+Detected parts are the input, the next push and finally the friction are the output. Pushes
+alternate in direction, so that parts come back. No ROS, no clock.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ LEAST_SIGNAL = 20.0
 """Minimum ratio of slip to its standard error in distance pushes: mu is then good to 5 %."""
 
 TRAVEL_M = 0.03
-"""Displacement of parts by distance pushes, if there is clearance [m]. Friction differs over some
+"""Displacement of parts by distance pushes, if there is clearance [m]. Friction varies over a few
 centimetres."""
 
 MOST_STEPS = 6
@@ -462,7 +462,7 @@ class FrictionMeasurement:
         for axis in (0, 1):
             there = make_push(self.rig, axis, 1, accel, self.slow)
             step = float(np.max(slip(there, mu, 0.0, gravity)))
-            room = {sign: self._room(axis, -sign) for sign in (1, -1)}  # parts go against it
+            room = {sign: self._room(axis, -sign) for sign in (1, -1)}  # against the push
             sign = max(room, key=lambda one: room[one])
             count = int(np.clip(min(room[sign], TRAVEL_M) / max(step, 1e-6), 1, MOST_STEPS))
             back = make_push(self.rig, axis, -sign, accel, self.slow)

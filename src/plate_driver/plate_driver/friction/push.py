@@ -1,11 +1,11 @@
 """One push of the plate along x or y that shows a part's friction, and the part's slip in it.
 
-From rest the plate accelerates with a over the distance A, brakes with k a, and goes back to home
-so slowly that nothing slides. A part on it holds while a <= mu_s g. Otherwise it slips by Coulomb's
-law (docs/model.md, Friction (1)), with r = mu g/a. While the plate accelerates, the slip is
-(1 - r) A. Then the velocities differ by w = (a - mu g) t, with A = a t^2/2. This difference shrinks
-at mu g + k a, and the part slips by w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k) more. If
-k a <= mu g the part then holds, and the slip of the whole push is
+From rest the plate accelerates with a over the distance A, brakes with k a, and returns home
+so slowly that no part slides. A part on it sticks while a <= mu_s g. Otherwise it slips by
+Coulomb's law (docs/model.md, Friction (1)), with r = mu g/a. While the plate accelerates, the slip
+is (1 - r) A. Then the velocities differ by w = (a - mu g) t, with A = a t^2/2. This difference
+shrinks at mu g + k a, and the part slips by w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k) more. If k a
+<= mu g the part then holds, and the slip of the whole push is
 
     s = A (1 - r) (1 + k)/(r + k)
 
@@ -27,7 +27,7 @@ BRAKE = 0.4
 acceleration of the first slip."""
 
 RAMP = 0.12
-"""Duration of the first ramp, relative to that of the acceleration: motors can follow it."""
+"""Duration of the first ramp relative to that of the acceleration, long enough for the motors."""
 
 STROKE_USED = 0.8
 """Maximum fraction of the motors' stroke that a push uses."""
@@ -107,7 +107,7 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
 def most_accel(rig: Rig, slow: float) -> float:
     """Return the maximum acceleration of a push within the rig's limits [m/s2]."""
     accel = LIMITS_USED * rig.limits.accel
-    for _ in range(8):  # limits are nearly linear in it, or in its root
+    for _ in range(8):  # usage is nearly linear in it or in its square root
         worst = max(
             usage(rig, make_push(rig, axis, 1, accel, slow).cycle).overall for axis in (0, 1)
         )
@@ -150,7 +150,7 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     step = np.diff(t)[:, None]
     most, held = grip * step, np.abs(np.diff(plate))[:, None] <= hold * step
     v, stuck, speed = np.zeros_like(grip), np.ones(grip.shape, bool), [np.zeros_like(grip)]
-    # The loop holds only the steps that depend on each other: of few parts each costs microseconds.
+    # Only dependent steps are inside the loop. With few parts each takes microseconds.
     for after, change, holds in zip(plate[1:], most, held, strict=True):
         rides = stuck & holds
         v = np.where(rides, after, v + np.minimum(np.maximum(after - v, -change), change))
