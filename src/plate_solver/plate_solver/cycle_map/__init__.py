@@ -1,6 +1,8 @@
-"""The cycle map: where a plate motion takes parts, which stick and slip, with its derivatives.
+"""The cycle map: state of the parts after a plate motion, with stick-slip friction, and its
+derivatives.
 
-Parts are points or turn; one by one, or in blocks for searches.
+Parts are modelled as points (`stick_slip`, `blocks`) or as bodies that rotate (`turning`). Searches
+use versions in blocks of parts and single precision.
 """
 
 from .blocks import LANES, TRACE, adjoint, blocks_of, trace

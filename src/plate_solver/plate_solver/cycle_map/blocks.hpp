@@ -1,7 +1,7 @@
 // The cycle map in blocks of LANES parts, and its adjoint: kernels of blocks.py.
 //
-// In single precision: twice as many parts at once. A place is rounded by less than 1e-7 m, and what a
-// search finds is judged in double precision.
+// Single precision doubles the number of parts per vector instruction. The rounding error of a
+// position is below 1e-7 m. Results of a search are evaluated again in double precision.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,20 +17,20 @@ constexpr int STATE = 5 * LANES, TRACE = 5 * LANES;
 
 namespace blocks {
 
-// Rows of a state: place [m], velocity [m/s], mu g dt [m/s].
+// Rows of a state: position [m], velocity [m/s], mu g dt [m/s].
 constexpr int X = 0, Y = LANES, VX = 2 * LANES, VY = 3 * LANES, BOUND = 4 * LANES;
 
-// Rows of a trace: the derivative of the velocity's change by the slip, and the way from the plate
-// to the part [m].
+// Rows of a trace: derivative of the velocity change with respect to the slip velocity, and vector
+// from the plate's centre to the part [m].
 constexpr int XX = 0, XY = LANES, YY = 2 * LANES, ARM_X = 3 * LANES, ARM_Y = 4 * LANES;
 
-// Keeps 0/0 away [m2/s2].
+// Prevents 0/0 [m2/s2].
 constexpr float TINY = 1e-30f;
 
 }  // namespace blocks
 
-// Move parts (b, STATE) through samples (n, 3) of the plate's motion; write down in (n, b, TRACE)
-// what `adjoint` needs.
+// Integrates parts (b, STATE) over samples (n, 3) of the plate's motion. The data for `adjoint` is
+// written to `steps` (n, b, TRACE).
 PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, SamplesOf<float> twist,
                              float dt, View<float, 3> steps) {
     using namespace blocks;
@@ -48,7 +48,7 @@ PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, Sample
                 float gain = own[BOUND + i] * inverse;
                 const float slips = gain < 1 ? 1.0f : 0.0f;
                 gain = std::min(gain, 1.0f);
-                const float a = dx * inverse * slips;  // unit vector of a slip
+                const float a = dx * inverse * slips;  // unit vector of the slip
                 const float b = dy * inverse * slips;
                 step[XX + i] = gain * (1 - a * a);
                 step[XY + i] = -gain * a * b;
@@ -62,9 +62,9 @@ PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, Sample
     }
 }
 
-// Derivatives (bins, b, 2, 3 LANES) of where parts would be if they kept their last velocity for
-// `coast` [s], by the twist of a plate whose pose follows from it: each the sum over a bin of as many
-// steps.
+// Computes the derivatives (bins, b, 2, 3 LANES) of the final positions, extrapolated with the
+// final velocity by `coast` [s], with respect to the plate's twist. The pose is the integral of the
+// twist. Each derivative is the sum over a bin of equally many steps.
 PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                float coast, View<float, 4> by_twist) {
     using namespace blocks;
@@ -84,8 +84,9 @@ PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twis
                     const Eight cx = vx + dt * x, cy = vy + dt * y;
                     const Eight gx = xx * cx + xy * cy, gy = xy * cx + yy * cy;
                     vx = cx - gx, vy = cy - gy;
-                    // A plate further along x from here on is a part further back, which is what x
-                    // has gained since the end; half of this step's gain lies behind its middle.
+                    // A shift of the plate in x from here on is equivalent to the opposite shift of
+                    // the part. `x` minus `end_x` is the derivative of that. Half of this step's
+                    // contribution belongs to the time after its middle.
                     const Eight more_x = w * gy, more_y = w * gx;
                     on_u += gx + dt * (end_x - x - 0.5f * more_x);
                     on_v += gy + dt * (end_y - y + 0.5f * more_y);

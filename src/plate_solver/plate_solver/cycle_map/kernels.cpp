@@ -1,4 +1,4 @@
-// What Python sees of the cycle map's kernels.
+// Python bindings of the cycle map's kernels.
 #include "cycle_map/blocks.hpp"
 #include "cycle_map/stick_slip.hpp"
 #include "cycle_map/turning.hpp"
@@ -8,7 +8,7 @@ namespace plate {
 
 using namespace nb::literals;
 
-// The rows `at` and `at + 1` of parts side by side, as (M, 2).
+// Returns the rows `at` and `at + 1` of the parts' matrix as (M, 2).
 static auto pairs_of(const Matrix& parts, int at, size_t count) {
     std::vector<double> pairs(2 * count);
     for (size_t i = 0; i < count; i++)
@@ -20,7 +20,7 @@ static auto row_of(const Matrix& parts, int at, size_t count) {
     return to_numpy<1>({parts[at], parts[at] + count}, {count});
 }
 
-// What moves parts: samples (n, 3) of the plate's motion, and how long each lasts (n,) [s].
+// Samples (n, 3) of the plate's motion, and the length of each step (n,) [s].
 static void check_motion(const Table& pose, const Table& twist, const Numbers& dt) {
     check("twist", twist, {dt.size(), 3});
     check("pose", pose, {dt.size(), 3});
@@ -38,7 +38,8 @@ static void check_spins(const Table& position, const Numbers& spin, const Table&
     check("spread", spread, {position.shape(0), 3});
 }
 
-// Derivatives of `each` numbers by pose (2, n, each), twist (3, n, each) and dt (n, each).
+// Derivatives of `each` results with respect to pose (2, n, each), twist (3, n, each) and dt
+// (n, each).
 template <class Find>
 static nb::tuple gradient_of(size_t n, size_t each, Find find) {
     std::vector<double> by_pose(2 * n * each), by_twist(3 * n * each), by_dt(n * each);
@@ -121,7 +122,8 @@ static void bind_turning(nb::module_& m) {
     });
 }
 
-// `trace` and `adjoint`, or those of parts that turn: with one axis more, larger states and traces.
+// Binds `trace` and `adjoint`, or the versions for parts that rotate, which have one more axis and
+// larger states and traces.
 template <auto TRACE_PARTS, auto ADJOINT>
 static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjoint_name,
                         size_t axes, size_t state_size, size_t trace_size) {

@@ -1,4 +1,4 @@
-// The cycle map, and how it depends on the plate's motion: kernels of stick_slip.py.
+// The cycle map and its derivatives with respect to the plate's motion: kernels of stick_slip.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,21 +11,21 @@ namespace plate {
 
 namespace stick_slip {
 
-// Rows of parts: place [m], velocity [m/s], mu g [m/s2].
+// Rows of parts: position [m], velocity [m/s], mu g [m/s2].
 constexpr int X = 0, Y = 1, VX = 2, VY = 3, ACCEL = 4, ROWS = 5;
 
-// Rows of what is remembered of a step: way from the plate to the part, derivative of the
-// velocity's change by the slip, friction while it slips, velocity.
+// Rows of the data stored per step: vector from the plate's centre to the part, derivative of the
+// velocity change with respect to the slip velocity, friction acceleration during slip, velocity.
 constexpr int ARM_X = 0, ARM_Y = 1, XX = 2, XY = 3, YY = 4, FX = 5, FY = 6;
 constexpr int AFTER_X = 7, AFTER_Y = 8, PAST = 9;
 
-// Keeps 0/0 away.
+// Prevents 0/0.
 constexpr double TINY = 1e-300;
 
 }  // namespace stick_slip
 
-// Puts parts side by side, in the first five rows of a matrix of so many; columns that fill it up
-// to a multiple of four are zero.
+// Writes the parts to the columns of a matrix, in its first five rows. The number of columns is
+// rounded up to a multiple of four; the additional columns are zero.
 inline void put_side_by_side(View<const double, 2> position, View<const double, 2> velocity,
                              View<const double, 1> friction_accel, int rows, Matrix& parts) {
     using namespace stick_slip;
@@ -39,7 +39,8 @@ inline void put_side_by_side(View<const double, 2> position, View<const double, 
     }
 }
 
-// Moves parts, side by side, through samples (n, 3) of the plate's motion, for dt (n,) [s] each.
+// Integrates parts, one per column, over samples (n, 3) of the plate's motion with steps dt (n,)
+// [s].
 PLATE_WIDE inline void end_state(Matrix& parts, Samples pose, Samples twist, const double* dt) {
     using namespace stick_slip;
     const int wide = parts.columns;
@@ -63,9 +64,9 @@ PLATE_WIDE inline void end_state(Matrix& parts, Samples pose, Samples twist, con
     }
 }
 
-// Derivatives of where parts would be if they kept their last velocity for `coast` [s], by pose
-// (2, n, 2 M), twist (3, n, 2 M) and dt (n, 2 M): last x of all `count` parts, then y of all. The
-// parts are moved; `past` is room.
+// Computes the derivatives of the final positions, extrapolated with the final velocity by `coast`
+// [s], with respect to pose (2, n, 2 M), twist (3, n, 2 M) and dt (n, 2 M). The last axis contains
+// x of all `count` parts, then y. `parts` is overwritten; `past` is a buffer.
 PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose, Samples twist,
                                           const double* dt, double coast, Matrix& past,
                                           View<double, 3> by_pose, View<double, 3> by_twist,
@@ -88,7 +89,7 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
             const double inverse = 1 / (std::max(d, bound) + TINY);
             const double gain = bound * inverse;
             const bool slips = d > bound;
-            const double a = dx * inverse, b = dy * inverse;  // unit vector of a slip
+            const double a = dx * inverse, b = dy * inverse;  // unit vector of the slip
             own[ARM_X * wide + i] = rx, own[ARM_Y * wide + i] = ry;
             own[XX * wide + i] = slips ? gain * (1 - a * a) : 1.0;
             own[XY * wide + i] = slips ? -gain * a * b : 0.0;

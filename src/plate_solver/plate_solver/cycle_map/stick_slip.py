@@ -1,12 +1,14 @@
-"""The cycle map: where parts are after one cycle, and how that depends on the plate's motion.
+"""The cycle map of parts without rotation: their state after one cycle, and its derivatives.
 
-The plate's motion is sampled at the middles of steps, equal or not. In each step friction pulls a
-part's velocity towards that of the surface, by at most mu g dt (implicit Coulomb step: slip and
-stick alike). The derivatives are exact for this discrete map: one backward sweep per output. Steps
-may end where a rotation ends: so no sample is passed by a rotation's edge, and searches do not
-stumble over one.
+The plate's motion is sampled at the middles of steps, which may have different lengths. In each
+step friction changes the velocity v of a part by an implicit Coulomb step, for slip and stick. With
+the velocity difference d = surface - v it is
 
-Parts are innermost: their square roots overlap.
+    v += d min(1, mu g dt / length of d),    x += v dt.
+
+The derivatives are exact for this discrete map, computed by one backward sweep per output. If steps
+end where rotations end, the results are smooth in the durations of the rotations, as searches need.
+The innermost loop runs over the parts, so that their square roots are computed in parallel.
 """
 
 from __future__ import annotations
@@ -18,11 +20,12 @@ import numpy as np
 from .. import _kernels
 
 PREDICTION_STEP = 0.1e-3
-"""Step for predicting what a finished cycle does [s]: it is done once, so it may be fine."""
+"""Step for evaluating a finished cycle [s]. It may be small, because there is only one
+evaluation."""
 
 
 class Motion(Protocol):
-    """What parts are predicted under: a `PlateCycle`, or a piece of one."""
+    """Plate motion for a prediction: a `PlateCycle`, or a piece of one."""
 
     @property
     def period(self) -> float:
@@ -47,7 +50,8 @@ def after(
 
 
 def finely_sampled(cycle: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pose and twist (n, 3) at the middles of steps of `PREDICTION_STEP`, and these (n,)."""
+    """Return pose and twist (n, 3) at the middles of steps of about `PREDICTION_STEP`, and the step
+    lengths (n,) [s]."""
     steps = max(1, round(cycle.period / PREDICTION_STEP))
     t = (np.arange(steps) + 0.5) * (cycle.period / steps)
     return cycle.pose(t), cycle.twist(t), np.full(steps, cycle.period / steps)
@@ -77,13 +81,16 @@ def end_state_gradient(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray, coast: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives of the positions of `end_state`: x of all parts, then y of all; or of
-    where the parts would be if they kept their last velocity for `coast` [s].
+    """Return the derivatives of the positions of `end_state`, extrapolated with the final velocity
+    by `coast` [s].
+
+    The last axis contains x of all parts, then y of all parts.
 
     Returns
     -------
     by_pose : (2, n, 2 M)
-        By the plate's x and y; the positions do not depend on theta itself.
+        Derivatives with respect to the plate's x and y. The positions do not depend on theta
+        itself.
     by_twist : (3, n, 2 M)
     by_dt : (n, 2 M)
     """

@@ -1,4 +1,4 @@
-// The cycle map of parts that turn, part by part and in blocks: kernels of turning.py.
+// The cycle map of parts that rotate, per part and in blocks: kernels of turning.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -15,20 +15,20 @@ constexpr int TURNING_STATE = 10 * LANES, TURNING_TRACE = 11 * LANES;
 
 namespace turning {
 
-// Rows of a state: as in `blocks`, then turn [rad], spin [rad/s] and second moments [m2].
+// Rows of a state: as in `blocks`, then rotation [rad], spin [rad/s] and second moments [m2].
 using blocks::X, blocks::Y, blocks::VX, blocks::VY, blocks::BOUND;
 constexpr int TURN = 5 * LANES, SPIN = 6 * LANES;
 constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
 
-// Rows of a trace: the derivatives of the changes of velocity and spin by slip and relative spin,
-// row by row (3, 3), and the way from the plate to the part [m].
+// Rows of a trace: derivatives (3, 3) of the changes of velocity and spin with respect to slip and
+// relative spin, row by row, and vector from the plate's centre to the part [m].
 constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 
-// Square of the slip [m2/s2] below which its direction counts less and less: where a part hardly
-// slides J is its mean over all directions.
+// Squared slip velocity [m2/s2] below which J tends to its mean over all directions, because the
+// direction of a very slow slip is uncertain.
 constexpr double SLOW2 = 1e-4;
 
-// Keeps 0/0 away [m2/s2].
+// Prevents 0/0 [m2/s2].
 constexpr double TINY = 1e-30;
 
 }  // namespace turning
@@ -80,7 +80,7 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
     }
 }
 
-// As `adjoint`, of places and turns: (bins, b, 3, 3 LANES).
+// As `adjoint`, for positions and rotations: (bins, b, 3, 3 LANES).
 PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                        float coast, View<float, 4> by_twist) {
     using namespace turning;
@@ -118,12 +118,13 @@ PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<flo
 
 namespace end_turning_rows {
 
-// Rows of parts after those of `stick_slip`: turn [rad], spin [rad/s], second moments [m2].
+// Rows of parts after those of `stick_slip`: rotation [rad], spin [rad/s], second moments [m2].
 using stick_slip::X, stick_slip::Y, stick_slip::VX, stick_slip::VY, stick_slip::ACCEL;
 constexpr int TURN = 5, SPIN = 6, SXX = 7, SXY = 8, SYY = 9, ROWS = 10;
 
-// Rows of what is remembered of a step: derivatives of the changes of velocity and spin (3, 3), way
-// from the plate to the part, change of velocity and spin by dt, velocity and spin.
+// Rows of the data stored per step: derivatives of the changes of velocity and spin (3, 3), vector
+// from the plate's centre to the part, derivatives of velocity and spin with respect to dt,
+// velocity and spin.
 constexpr int ARM_X = 9, ARM_Y = 10, BY_DT = 11, AFTER = 14, PAST = 17;
 
 }  // namespace end_turning_rows
@@ -141,7 +142,7 @@ inline void put_turning_side_by_side(View<const double, 2> position, View<const 
     }
 }
 
-// Moves parts that turn, side by side, as `end_state`.
+// Integrates parts that rotate, one per column, as `end_state`.
 PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, const double* dt) {
     using namespace end_turning_rows;
     using turning::SLOW2, turning::TINY;
@@ -172,7 +173,7 @@ PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, c
     }
 }
 
-// As `end_state_gradient`, of places and turns: (2, n, 3 M), (3, n, 3 M), (n, 3 M).
+// As `end_state_gradient`, for positions and rotations: (2, n, 3 M), (3, n, 3 M), (n, 3 M).
 PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples pose, Samples twist,
                                             const double* dt, double coast, Matrix& past,
                                             View<double, 3> by_pose, View<double, 3> by_twist,
@@ -203,8 +204,8 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
             const bool slips = q > bound;
             const double inverse = 1 / (std::max(q, bound) + TINY);
             const double g = bound * inverse;
-            const double down = slips ? g * inverse * inverse : 0.0;  // of the gain, by q^2/2
-            const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;  // of q^2/2
+            const double down = slips ? g * inverse * inverse : 0.0;  // minus d gain / d (q^2/2)
+            const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;  // by q^2/2
             const double lever = j / gyration2, turns = dw / gyration2;
             at[0] = g - down * dx * bx, at[wide] = -down * dx * by;
             at[2 * wide] = -down * dx * j * dw;
@@ -226,8 +227,8 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
         }
     }
     for (int axis = 0; axis < 3; axis++) {
-        // Adjoints of place and angle (a), velocity and spin (b) at the end of step k, in the
-        // parts' rows.
+        // Adjoints of position and angle (a), and of velocity and spin (b), at the end of step k.
+        // They are stored in the rows of `parts`.
         double *__restrict ax = px, *__restrict ay = py, *__restrict aw = angle;
         double *__restrict bx = vx, *__restrict by = vy, *__restrict bw = w;
         std::fill_n(ax, wide, axis == 0 ? 1.0 : 0.0), std::fill_n(bx, wide, coast * ax[0]);

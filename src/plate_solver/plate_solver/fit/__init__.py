@@ -1,6 +1,6 @@
-"""Minimising few errors over many parameters: one descent, and one loop of restarts around it.
+"""Least squares with few errors and many parameters: Levenberg-Marquardt and basin hopping.
 
-Both are made of functions: here of Python's, in C++ of those of a kernel.
+Both take the problem as functions: Python functions here, kernel functions in C++.
 """
 
 from .basin_hopping import basin_hopping

@@ -1,4 +1,5 @@
-// Basin hopping: fresh starts, and disturbances of what is already good, until one will do.
+// Basin hopping: local searches from fresh starts and from perturbations of good results, until a
+// result is good enough.
 #pragma once
 #include <limits>
 
@@ -7,10 +8,11 @@ namespace plate {
 // Number of the first start.
 constexpr int FIRST = 0;
 
-// Cost over that of the round's best, below which a hop has helped: hops are counted anew.
+// A hop counts as successful if its cost is below this factor times the best cost of the round. It
+// resets the count of failed hops.
 constexpr double BETTER = 0.99;
 
-// What is found from a start, its cost, the steps taken, and whether it will do.
+// Result of one start: solution, cost, number of steps, and whether it is good enough.
 template <class Find>
 struct Attempted {
     Find found;
@@ -19,16 +21,16 @@ struct Attempted {
     bool enough;
 };
 
-// The best find, the steps of all starts, and how many these were.
+// Best result, total number of steps, and number of starts.
 template <class Find>
 struct Searched {
     Find best;
     int steps, tried;
 };
 
-// Search by `propose(number, near, fresh)`, which returns a start: near a find, or afresh, and by
-// `attempt(start, number, least)`, which returns `Attempted<Find>`; `least` is the least cost so
-// far (infinite at first). `tries`, `hops`, `rounds` and `failed` are those of basin_hopping.py.
+// Runs the search. `propose(number, near, fresh)` returns a start near a result, or a fresh one.
+// `attempt(start, number, least)` returns `Attempted<Find>`; `least` is the minimum cost so far
+// (initially infinite). `tries`, `hops`, `rounds` and `failed` are described in basin_hopping.py.
 template <class Find, class Start, class Propose, class Attempt>
 Searched<Find> basin_hopping(Propose&& propose, Attempt&& attempt, const Start& begin, int tries,
                              int hops, bool rounds, int failed) {

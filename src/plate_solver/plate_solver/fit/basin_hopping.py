@@ -1,4 +1,5 @@
-"""Basin hopping: fresh starts, and disturbances of what is already good, until one will do."""
+"""Basin hopping: local searches from fresh starts and from perturbations of good results, until a
+result is good enough."""
 
 from __future__ import annotations
 
@@ -9,34 +10,35 @@ from typing import Any
 from .. import _kernels
 
 Propose = Callable[[Any, int, Any, bool], Any]
-"""The number of the try, the find to hop from, and whether to begin afresh instead, to a start."""
+"""Function that returns a start. Arguments: problem, number of the try, result to perturb, and
+whether to return a fresh start instead."""
 
 Attempt = Callable[[Any, Any, int, float], tuple[Any, float, int, bool]]
-"""A start, its number, and the least cost so far (infinite at first), to what is found from there,
-its cost, the steps taken, and whether it will do."""
+"""Local search. Arguments: problem, start, its number, and the minimum cost so far (initially
+infinite). Returns the result, its cost, the number of steps, and whether it is good enough."""
 
 
 def basin_hopping(
     propose: Propose, attempt: Attempt
 ) -> Callable[[Any, Any, int, int, bool, int], tuple[Any, int, int]]:
-    """Make a search of two functions.
+    """Return a search function that uses the two given functions.
 
-    The search keeps the best find. It takes
+    The search function has the arguments
 
     problem
-        Given to both functions.
+        Object passed to both functions.
     begin
-        The first start.
+        First start.
     tries : int
-        Most starts.
+        Maximum number of starts.
     hops : int
-        Hops in a row that may fail; then comes a fresh start.
+        Number of consecutive failed hops before a fresh start.
     rounds : bool
-        True: hops start from the best since the last fresh start, and one that helps gets `hops`
-        more. False: hops start from the best of all.
+        True: hops start from the best result since the last fresh start, and a successful hop
+        resets the count of failures. False: hops start from the best result of all.
     failed : int
-        Hops that count as failed before the second start.
+        Initial count of failed hops, before the second start.
 
-    and returns the best find, the steps of all starts, and how many these were.
+    It returns the best result, the total number of steps, and the number of starts.
     """
     return partial(_kernels.basin_hopping, propose, attempt)

@@ -1,11 +1,11 @@
-// `Fit` as a named tuple of Python: for bindings.
+// Converts `Fit` to a Python tuple, for the bindings.
 #pragma once
 #include "fit/levenberg_marquardt.hpp"
 #include "records.hpp"
 
 namespace plate {
 
-// The fields of `Fit` of Python.
+// Returns the fields of the Python tuple `Fit`.
 template <class Number>
 nb::tuple fields_of(FitOf<Number>&& fit) {
     const size_t rows = fit.error.size(), columns = fit.parameters.size();

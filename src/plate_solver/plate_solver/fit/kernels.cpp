@@ -1,4 +1,4 @@
-// What Python sees of the kernels of this chapter.
+// Python bindings of the kernels in this folder.
 #include "fit/basin_hopping.hpp"
 #include "fit/fit_record.hpp"
 
@@ -22,7 +22,7 @@ static Matrix matrix_of(const Table& from) {
     return matrix;
 }
 
-// A search by functions of Python: as `fit` in levenberg_marquardt.py.
+// Minimises the errors of Python functions: `fit` in levenberg_marquardt.py.
 static nb::tuple fit(nb::callable evaluate, nb::callable admissible, Numbers start,
                      double tolerance, int iterations) {
     nb::object slopes;

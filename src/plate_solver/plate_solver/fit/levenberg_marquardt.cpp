@@ -1,4 +1,4 @@
-// What levenberg_marquardt.hpp declares.
+// Implementation of levenberg_marquardt.hpp.
 #include "fit/levenberg_marquardt.hpp"
 
 #include <algorithm>
@@ -10,9 +10,10 @@
 
 namespace plate {
 
-// Solve root' root x = right in place, for a symmetric matrix (count, wide) of which the upper half is
-// given, by Cholesky's method. Of each pair of entries the one of the upper half is kept: then loops
-// go along rows. Rows are whole vectors; what is left of the diagonal in one of them is set to zero.
+// Solves a symmetric system in place by Cholesky's method, root' root x = right. The upper half of
+// the matrix (count, wide) is given and is overwritten by `root`, so that loops run along rows.
+// Rows are padded to whole vectors; entries left of the diagonal in the same vector are set to
+// zero.
 template <class Number>
 [[gnu::always_inline]] inline void solve_of(MatrixOf<Number>& root, int count, Number* right) {
     constexpr int VECTOR = LANES_OF<Number>;
@@ -160,14 +161,15 @@ template FitOf<double> levenberg_marquardt(const Evaluate&, const Slopes<double>
 template FitOf<float> levenberg_marquardt(const Evaluate&, const Slopes<float>&,
                                           std::vector<double>, const Damping&, double, int);
 
-// A symmetric matrix of three diagonals: the middle one (n,), and squares of that beside it, the
-// first of which is zero.
+// A symmetric tridiagonal matrix: its diagonal (n,), and the squares of its off-diagonal, of which
+// the first is zero.
 struct Tridiagonal {
     std::vector<double> middle, beside2;
 
-    // The eigenvalue that has `index` others below it, to 1e-10 of itself; where it is less than
-    // `least`, a number below that. It is between 0 and `high`, which four pivots at a time narrow
-    // down: as many of a shifted matrix are negative as there are eigenvalues below the shift.
+    // Returns the eigenvalue with `index` smaller ones, to a relative error of 1e-10. If it is
+    // below `least`, any number below `least` is returned. The interval from 0 to `high` is
+    // narrowed by four shifts at a time: the number of negative pivots of a shifted matrix is the
+    // number of eigenvalues below the shift.
     double eigenvalue(int index, double least, double high) const {
         double low = 0;
         while (high - low > 1e-10 * high && high > least) {
@@ -189,7 +191,8 @@ struct Tridiagonal {
     }
 };
 
-// Make a symmetric matrix tridiagonal by Householder's reflections. It is lost.
+// Reduces a symmetric matrix to tridiagonal form by Householder reflections. The matrix is
+// overwritten.
 PLATE_WIDE void make_tridiagonal(Matrix& square, Tridiagonal& result) {
     const int count = square.rows;
     std::vector<double> normal(count), product(count);

@@ -1,4 +1,4 @@
-// Levenberg-Marquardt for a few errors and many parameters: kernels of levenberg_marquardt.py.
+// Levenberg-Marquardt method for few errors and many parameters: kernels of levenberg_marquardt.py.
 #pragma once
 #include <cmath>
 #include <functional>
@@ -8,18 +8,18 @@
 
 namespace plate {
 
-// How the damping of steps changes, in units of the mean squared row of the Jacobian.
+// Options of the damping, in units of the mean squared row of the Jacobian.
 struct Damping {
-    double first, least, most;  // a search that needs more than the most is given up
-    double shrink, grow;        // factors after a step that was taken, and after one that was not
-    int stall_steps;            // a search is given up where so many steps leave
+    double first, least, most;  // the search stops if it needs more than `most`
+    double shrink, grow;        // factors after an accepted and after a rejected step
+    int stall_steps;            // the search stops if this number of steps leaves
     double stall_fraction;      // more than this fraction of the squared error
 };
 
-// Where each evaluation is expensive: it tries longer, and never counts as stalled.
+// Options for expensive evaluations: more damping is tried, and the search never counts as stalled.
 constexpr Damping DAMPING{1e-2, 1e-6, 1e3, 3.0, 4.0, 1'000'000, 1.0};
 
-// Parameters (P,), errors (R,), Jacobian (R, P) of minus these, and steps made.
+// Parameters (P,), errors (R,), their negative Jacobian (R, P), and number of steps.
 template <class Number>
 struct FitOf {
     std::vector<double> parameters, error;
@@ -35,7 +35,7 @@ inline double squared(const std::vector<double>& error) {
     return total;
 }
 
-// The greatest size of an error; NaN if one is.
+// Maximum absolute error; NaN if any error is NaN.
 inline double worst(const std::vector<double>& error) {
     double most = 0;
     for (double value : error)
@@ -49,22 +49,23 @@ inline void transpose(const Matrix& matrix, Matrix& across) {
         for (int c = 0; c < matrix.columns; c++) across[c][i] = matrix[i][c];
 }
 
-// Damped steps of least norm, J' (J J' + damping mean(diag) 1)^-1 error, or the same in the space of
-// the parameters where that is the smaller one. Keeps its memory between Jacobians.
+// Damped steps of minimum norm, J' (J J' + damping mean(diag) 1)^-1 error. If there are fewer
+// parameters than errors, the equivalent system in the parameters is solved. Buffers are reused for
+// the next Jacobian.
 template <class Number>
 class LeastNormStep {
 public:
-    // Takes a Jacobian (R, P), which has to stay where it is.
+    // Sets the Jacobian (R, P). Its memory must remain valid.
     void take(const MatrixOf<Number>& of);
 
-    // The step (P,) for errors (R,).
+    // Returns the step (P,) for errors (R,).
     const std::vector<Number>& operator()(const std::vector<double>& error, double damping);
 
 private:
     const MatrixOf<Number>* jacobian = nullptr;
-    int count = 0;                      // of unknowns
-    double mean = 0;                    // of the diagonal
-    MatrixOf<Number> tall, gram, root;  // columns are filled up with zeros to whole vectors
+    int count = 0;                      // number of unknowns
+    double mean = 0;                    // mean of the diagonal
+    MatrixOf<Number> tall, gram, root;  // rows are padded with zeros to whole vectors
     std::vector<Number> right, step;
 
     bool by_rows() const { return jacobian->rows <= jacobian->columns; }
@@ -76,16 +77,16 @@ using Evaluate = std::function<void(std::vector<double>& parameters, std::vector
 template <class Number>
 using Slopes = std::function<void(MatrixOf<Number>& jacobian)>;
 
-// Search from `start` (P,) for errors of at most `tolerance`, in at most so many `iterations` after
-// the first evaluation. `evaluate(parameters, error)` brings parameters to the nearest ones that
-// the rig can run and finds their errors (R,); `slopes(jacobian)` finds minus the derivative (R, P)
-// of what was evaluated last, and is asked only where a step is taken.
+// Searches from `start` (P,) for errors of at most `tolerance`, with at most `iterations`
+// evaluations after the first. `evaluate(parameters, error)` maps the parameters to ones that the
+// rig can run and computes their errors (R,). `slopes(jacobian)` computes the negative derivatives
+// (R, P) for the last evaluated parameters. It is called only if a step is taken.
 template <class Number>
 FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>& slopes,
                                   std::vector<double> start, const Damping& damping,
                                   double tolerance, int iterations);
 
-// The condition number (infinite where it is beyond 1e7).
+// Returns the condition number (infinite if it exceeds 1e7).
 double condition_of(const Matrix& jacobian);
 
 }  // namespace plate

@@ -1,7 +1,11 @@
-"""Levenberg-Marquardt for a few errors and many parameters.
+"""Levenberg-Marquardt method for few errors and many parameters.
 
-Steps are of least norm, so they are orthogonal to whatever does not change the errors: on the
-averaged map, scale and shift in time.
+With the negative Jacobian J of the errors e and the damping d, the step of minimum norm is
+
+    J' (J J' + d mean(diag(J J')) 1)^-1 e.
+
+Steps are orthogonal to all directions that do not change the errors. On the averaged map, these are
+the amplitude and a shift in time.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from .. import _kernels
 
 
 class Fit(NamedTuple):
-    """Result: parameters (P,), errors (R,), Jacobian (R, P) of minus these, and steps made."""
+    """Result: parameters (P,), errors (R,), their negative Jacobian (R, P), and number of steps."""
 
     parameters: np.ndarray
     error: np.ndarray
@@ -29,7 +33,7 @@ class Fit(NamedTuple):
 
     @property
     def condition(self) -> float:
-        """Condition number of the Jacobian (infinite where it has lost rank)."""
+        """Condition number of the Jacobian (infinite if it is rank-deficient)."""
         return condition_of(self.jacobian)
 
 
@@ -40,30 +44,32 @@ def fit(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Search by functions of Python.
+    """Minimise the errors of Python functions.
 
     Parameters
     ----------
     evaluate : function
-        Parameters to errors, and to a function for the derivative of minus the errors there.
+        Returns the errors for given parameters, and a function that returns their negative
+        derivatives. The latter is called only if a step is taken.
     admissible : function
-        Parameters to ones that the rig can run.
+        Maps parameters to parameters that the rig can run.
     start : (P,)
     tolerance : float
-        Greatest absolute error at which to stop.
+        The search stops when the largest absolute error is at most this value.
     iterations : int
-        How often to evaluate at most after the first time. Derivatives are asked for only where a
-        step is taken.
+        Maximum number of evaluations after the first one.
     """
     return Fit(*_kernels.fit(evaluate, admissible, start, tolerance, iterations))
 
 
 def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
-    """Return the damped step: J' (J J' + damping mean(diag) 1)^-1 error, or the same in the space
-    of the parameters where that is the smaller one."""
+    """Return the damped step of minimum norm, J' (J J' + damping mean(diag) 1)^-1 error.
+
+    If there are fewer parameters than errors, the equivalent system in the parameters is solved.
+    """
     return _kernels.least_norm_step(jacobian, error, damping)
 
 
 def condition_of(jacobian: np.ndarray) -> float:
-    """Return the condition number (infinite where it is beyond 1e7)."""
+    """Return the condition number (infinite if it exceeds 1e7)."""
     return _kernels.condition_of(jacobian)

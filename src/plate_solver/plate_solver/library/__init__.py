@@ -1,6 +1,6 @@
-"""The library of rotations about many centres, and the least time in which it gives forces.
+"""The library of rotations about many centres, and the minimum time in which they produce forces.
 
-Method A plans with it; the averages of both methods are bounded by it.
+Method A uses it for planning. It also gives the bound on the averaged forces of both methods.
 """
 
 from .condition import condition_number

@@ -1,7 +1,9 @@
-"""How well parts can be pushed one by one, by the second moment of the library's unit forces.
+"""Condition number of a set of part positions: how independently the parts can be pushed.
 
-It is how far random motions reach: the root of its greatest over its least eigenvalue is the
-condition number, the least eigenvector the direction that is hardest to push (section 3.3).
+With the library's unit forces in the columns of A, the second moment A A' describes the forces of
+random motions. The condition number is the square root of the ratio of its maximum and minimum
+eigenvalues. The eigenvector of the minimum eigenvalue is the direction that is the most difficult
+to push (section 3.3).
 """
 
 from __future__ import annotations
@@ -13,13 +15,14 @@ from plate_core import PlateError, Rig
 from .library import Library
 
 SAME = 1e-9
-"""Eigenvalues below this share of the greatest are zero."""
+"""Eigenvalues below this fraction of the maximum count as zero."""
 
 
 def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
-    """Return how much easier the easiest direction is than the hardest, at best 1.
+    """Return the ratio of the forces in the easiest and in the most difficult direction, at least
+    1.
 
-    It is infinite where some direction is out of reach.
+    It is infinite if a direction is infeasible.
 
     Parameters
     ----------
@@ -27,7 +30,7 @@ def condition_number(rig: Rig, position: np.ndarray, library: Library | None = N
     position : (M, 2)
         Parts at rest [m], plate_home.
     library : Library, optional
-        Rotations that the plate may do; a grid of centres over the plate if left out.
+        Rotations that the plate may use. Default: a grid of centres over the plate.
 
     Raises
     ------
@@ -38,7 +41,7 @@ def condition_number(rig: Rig, position: np.ndarray, library: Library | None = N
 
 
 def columns_of(rig: Rig, position: np.ndarray, library: Library | None) -> np.ndarray:
-    """Return the library's unit forces (2 M, K), part by part."""
+    """Return the library's unit forces (2 M, K), in the row order x, y of each part."""
     position = np.asarray(position, dtype=float)
     if position.ndim != 2 or position.shape[1] != 2 or not len(position):
         raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
@@ -51,7 +54,7 @@ def columns_of(rig: Rig, position: np.ndarray, library: Library | None) -> np.nd
 
 
 def second_moment(columns: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the condition number of columns (2 M, K), and the hardest direction (2 M,)."""
+    """Return the condition number of columns (2 M, K), and the most difficult direction (2 M,)."""
     values, vectors = np.linalg.eigh(columns @ columns.T)
     lost = values[0] <= SAME * values[-1]
     condition = float("inf") if lost else float(np.sqrt(values[-1] / values[0]))

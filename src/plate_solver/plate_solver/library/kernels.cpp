@@ -1,4 +1,4 @@
-// What Python sees of the kernels of this chapter.
+// Python bindings of the kernels in this folder.
 #include "library/simplex.hpp"
 #include "records.hpp"
 
@@ -7,7 +7,7 @@ namespace plate {
 using namespace library;
 using nb::arg;
 
-// Whether all columns of a basis are some of K + 2 R.
+// Whether all column indices of a basis are below K + 2 R.
 static void check_basis(const View<const int64_t, 1>& basis, size_t columns) {
     for (int i = 0; i < basis.size(0); i++)
         if (basis(i) < 0 || basis(i) >= static_cast<int64_t>(columns))

@@ -1,13 +1,14 @@
 """A library of rotations: unit twists about many centres on and around the plate.
 
-The average force on a part at rest is a mean of unit vectors, one for each twist the plate goes
-through, whatever its speed. So the library is all there is to know of what a plate can do, and any
-motion's forces are a mean of its columns (equations (5), (9)); what twists it leaves out lie near
-ones that it has.
+The average force on a part at rest is the mean of unit vectors, one per twist of the plate's
+motion. It does not depend on the speed. Therefore the forces of any motion are a mean of the
+library's columns (equations (5), (9)), up to the spacing of the twists in the library. With N
+rotations of weight k_j and their unit tangents t_j at a part, the average force on it is
 
-Rows are parts' forces (10), and curls (12) where asked; columns are centres; the unknowns are the
-weights K (3.1). With N rotations of weight k_j the average force is mu m g / N times the sum of k_j
-times the unit tangents about the centres.
+    F = mu m g / N  sum_j k_j t_j.
+
+The rows of the matrices are the forces (10) and curls (12) of the parts, the columns are the
+centres, and the unknowns are the weights (section 3.1).
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ import numpy as np
 from .simplex import least_time
 
 COLUMNS, ROWS = 30, 16
-"""Centres along and across the plate. Twice as many in each direction gain 6 % of force."""
+"""Number of centres along x and y. Doubling both numbers increases the force by 6 %."""
 
 REACH = (1.1, 1.2)
-"""Half sides of the grid of centres, in half sides of the plate: from farther away, and between
-here and there, rotations differ little from each other and from translations."""
+"""Half side lengths of the grid of centres, in half side lengths of the plate. Rotations about
+centres farther away differ little from each other and from translations."""
 
 TRANSLATIONS = 8
-"""Directions of translation."""
+"""Number of directions of translation."""
 
 CURL_LENGTH_M = 0.05
-"""Turns a curl error [mu m g / m] into a force error: as it would act over this distance."""
+"""Length that converts a curl error [mu m g / m] to a force error [mu m g]."""
 
 OUT_OF_REACH = 1e4
-"""Price of a unit of force that is missed [cycles / (mu m g)]: none is to be."""
+"""Price of a unit of force error [cycles / (mu m g)]. It is high enough to force errors to 0."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """Rotations and translations, each of which may be run either way.
+    """Rotations and translations. Each may be used in both senses.
 
     Attributes
     ----------
@@ -46,7 +47,7 @@ class Library:
     direction : (D, 2)
         Unit vectors of the translations.
     twist : (C + D, 3)
-        Unit twists: the plate's fastest corner moves at 1 m/s.
+        Unit twists, with a speed of 1 m/s at the plate's fastest corner.
     """
 
     centre: np.ndarray
@@ -55,7 +56,10 @@ class Library:
 
     @classmethod
     def about(cls, centre: np.ndarray, half: np.ndarray, translations: int = 0) -> Library:
-        """Build from centres (C, 2) and evenly spread directions; `half` (2,): half sides [m]."""
+        """Build a library from centres (C, 2) and equally spaced directions of translation.
+
+        `half` (2,) are the half side lengths of the plate [m].
+        """
         angle = np.pi * np.arange(translations) / max(translations, 1)
         direction = np.column_stack([np.cos(angle), np.sin(angle)])
         shifts = np.column_stack([direction, np.zeros(translations)])
@@ -63,12 +67,12 @@ class Library:
 
     @classmethod
     def around(cls, half: np.ndarray, columns: int = COLUMNS, rows: int = ROWS) -> Library:
-        """Build from a grid of centres that covers the plate and a little more."""
+        """Build a library from a grid of centres slightly larger than the plate."""
         centre = grid(np.multiply(REACH, half), columns, rows)
         return cls.about(centre, half, TRANSLATIONS)
 
     def forces(self, position: np.ndarray) -> np.ndarray:
-        """Return unit forces (2 M, C + D) on parts at rest: x of all, then y of all."""
+        """Return unit forces (2 M, C + D) on parts at rest: x of all parts, then y of all parts."""
         shifts = np.repeat(self.direction.T, len(position), axis=0)
         return np.hstack([rotation_matrix(position, self.centre), shifts])
 
@@ -78,16 +82,20 @@ class Library:
         return np.hstack([curl_matrix(position, self.centre), none])
 
     def clearance(self, position: np.ndarray) -> np.ndarray:
-        """Return how far (C + D,) [m] each centre is from the nearest part; shifts have none."""
+        """Return the distance (C + D,) [m] of each centre from the nearest part.
+
+        It is infinite for translations.
+        """
         arm = position[:, None] - self.centre
         nearest = np.hypot(arm[..., 0], arm[..., 1]).min(axis=0)
         return np.concatenate([nearest, np.full(len(self.direction), np.inf)])
 
     def reachable_fraction(self, position: np.ndarray, force: np.ndarray) -> float:
-        """Return the greatest multiple of the forces (M, 2) [mu m g] that any motion can give.
+        """Return the maximum multiple of the forces (M, 2) [mu m g] that any motion can produce.
 
-        Up to what the library leaves out (some per cent): a motion's forces are a mean of its
-        columns, so the least time for them, 1 over this, is a linear programme without closure.
+        Its reciprocal is the minimum time for the forces, from a linear programme without closure,
+        because the forces of a motion are a mean of the library's columns. The finite number of
+        rotations causes an error of a few per cent.
         """
         rows, wanted = self.forces(position), force.T.ravel()
         if not np.any(wanted):
@@ -104,7 +112,7 @@ def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
     position : (M, 2)
         Parts [m], plate_home.
     centre : (N, 2)
-        Centres of rotation [m], plate_home. A part on a centre feels no force from it.
+        Centres of rotation [m], plate_home. The force on a part at the centre is 0.
 
     Returns
     -------
@@ -127,17 +135,17 @@ def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
 def solve_weights(
     matrix: np.ndarray, wanted: np.ndarray, most_gain: float = np.inf
 ) -> tuple[np.ndarray, float]:
-    """Return the smallest weights that solve the system, and its condition number.
+    """Return the minimum-norm weights that solve the system, and its condition number.
 
     Parameters
     ----------
     matrix : (R, N)
-        Such as `rotation_matrix`, with rows of `curl_matrix` below.
+        For example `rotation_matrix`, with rows of `curl_matrix` below.
     wanted : (R,)
-        Right-hand side: N / (mu m g) times the wanted forces.
+        Right-hand side: N / (mu m g) times the requested forces.
     most_gain : float
-        Bound on inverse singular values (section 3.1.5): directions that would need more are left
-        out, so two close parts cannot call for wild motions.
+        Upper bound on inverse singular values (section 3.1.5). Directions that exceed it are
+        omitted, so that two close parts do not cause very large weights.
     """
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     keep = values * most_gain >= 1 if np.isfinite(most_gain) else values > 1e-12 * values[0]
@@ -148,20 +156,20 @@ def solve_weights(
 
 
 def unit_twists(centre: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return twists (N, 3) of counter-clockwise rotations whose fastest corner moves at 1 m/s."""
+    """Return twists (N, 3) of counter-clockwise rotations with 1 m/s at the fastest corner."""
     reach = np.hypot(np.abs(centre[:, 0]) + half[0], np.abs(centre[:, 1]) + half[1])
     spin = 1 / reach
     return np.column_stack([centre[:, 1] * spin, -centre[:, 0] * spin, spin])
 
 
 def ring(half: np.ndarray, count: int = 24) -> np.ndarray:
-    """Return centres (count, 2) [m] on an ellipse a little larger than the plate."""
+    """Return centres (count, 2) [m] on an ellipse slightly larger than the plate."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.column_stack([1.1 * half[0] * np.cos(angle), 1.2 * half[1] * np.sin(angle)])
 
 
 def grid(half: np.ndarray, columns: int = 6, rows: int = 4) -> np.ndarray:
-    """Return centres (columns * rows, 2) [m] spread evenly over the plate."""
+    """Return centres (columns * rows, 2) [m] on a regular grid with half side lengths `half`."""
     x, y = np.meshgrid(
         np.linspace(-half[0], half[0], columns), np.linspace(-half[1], half[1], rows)
     )

@@ -11,19 +11,19 @@
 
 namespace plate::library {
 
-// Gain per unit below which a column counts as of no use, in units of cost.
+// Minimum gain per unit of a column that enters the basis, in units of cost.
 constexpr double OPTIMAL = 1e-9;
 
-// Least size of a pivot; and of 1 over the greatest entry of an inverse.
+// Minimum absolute value of a pivot, and of the reciprocal of an inverse's largest entry.
 constexpr double PIVOT = 1e-9;
 
-// Pivots after which the inverse of the basis is computed anew.
+// Number of pivots after which the inverse of the basis is recomputed.
 constexpr int REFRESH = 40;
 
 using Basis = View<int64_t, 1>;
 
-// The columns (R, R) of a basis of a matrix (R, K): K + r takes what row r misses, K + R + r what
-// it gets too much.
+// Returns the columns (R, R) of a basis of a matrix (R, K). K + r is the slack variable for the
+// unmet amount of row r, K + R + r for its exceeded amount.
 inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basis,
                        View<double, 2> chosen) {
     const int rows = matrix.size(0), count = matrix.size(1);
@@ -39,8 +39,7 @@ inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basi
     }
 }
 
-// Inverts a matrix by Gauss and Jordan's method with the greatest pivot of each column; whether it
-// is regular.
+// Inverts a matrix by the Gauss-Jordan method with column pivoting. Returns whether it is regular.
 PLATE_WIDE inline bool invert_matrix(Matrix& matrix, Matrix& inverse) {
     const int rows = matrix.rows;
     inverse.resize(rows, rows);
@@ -72,7 +71,7 @@ PLATE_WIDE inline bool invert_matrix(Matrix& matrix, Matrix& inverse) {
     return true;
 }
 
-// The product of a matrix with a vector, whose entries are `stride` numbers apart.
+// Returns the product of a matrix and a vector whose entries are `stride` numbers apart.
 inline void times_vector(const Matrix& matrix, const double* vector, int stride, double* result) {
     for (int i = 0; i < matrix.rows; i++) {
         const double* row = matrix[i];
@@ -87,7 +86,7 @@ struct Entering {
     double sense, gain;
 };
 
-// A linear programme, and where the method stands: amounts (R,) of a basis' columns.
+// A linear programme, and the state of the method: the amounts (R,) of the basis columns.
 struct Programme {
     View<const double, 2> matrix;          // (R, K)
     View<const double, 1> wanted, price;   // (R,), (K + 2 R,)
@@ -107,8 +106,9 @@ private:
     void pivot_on(int leave, double amount_in);
 };
 
-// Inverse and amounts (not negative) of the basis, and whether it serves; fills `sense`. What would
-// be negative turns the other way: a rotation changes its sense, a miss its side.
+// Computes the inverse and the amounts of the basis, and fills `sense`. Returns whether the basis
+// is usable. If an amount is negative, its sign is reversed: a rotation changes its sense, a slack
+// variable its side.
 inline bool Programme::restart() {
     chosen.resize(rows(), rows());
     columns_of(matrix, {basis.data, basis.shape}, {chosen[0], {rows(), rows()}});
@@ -129,7 +129,7 @@ inline bool Programme::restart() {
     return most * PIVOT < 1;
 }
 
-// The column that pays most, its sense, and what it pays per unit.
+// The column with the largest gain, its sense, and its gain per unit.
 inline Entering Programme::best_column() {
     for (int c = 0; c < rows(); c++) dual[c] = 0;
     for (int i = 0; i < rows(); i++) {
@@ -152,7 +152,7 @@ inline Entering Programme::best_column() {
     return {best, sense, gain};
 }
 
-// Column q, in the sense `way`, by the columns of the basis.
+// Expresses column q, in the sense `way`, by the columns of the basis.
 inline void Programme::find_column(int q, double way) {
     if (q < count()) {
         times_vector(inverse, matrix.data + q, count(), column.data());
@@ -164,7 +164,7 @@ inline void Programme::find_column(int q, double way) {
     }
 }
 
-// Puts so much of the column into the basis, where another leaves.
+// Brings an amount of the column into the basis and removes another column.
 inline void Programme::pivot_on(int leave, double amount_in) {
     double* __restrict own = inverse[leave];
     for (int i = 0; i < rows(); i++) {
@@ -179,7 +179,7 @@ inline void Programme::pivot_on(int leave, double amount_in) {
     amount[leave] = amount_in;
 }
 
-// Improves basis and senses in place; returns the pivots made, -1 if the basis does not serve.
+// Improves basis and senses in place. Returns the number of pivots, or -1 if the basis is unusable.
 inline int Programme::simplex(int pivots) {
     amount.resize(rows()), dual.resize(rows()), value.resize(count()), column.resize(rows());
     bool fits = restart();
@@ -194,7 +194,7 @@ inline int Programme::simplex(int pivots) {
         for (int i = 0; i < rows(); i++)
             if (column[i] > PIVOT && amount[i] < amount_in * column[i])
                 amount_in = amount[i] / column[i], leave = i;
-        if (leave < 0) return done;  // unbounded: not with costs and prices as they may be
+        if (leave < 0) return done;  // unbounded: impossible with valid costs and prices
         pivot_on(leave, amount_in);
         basis(leave) = entering.column;
         sense(leave) = entering.sense;

@@ -1,13 +1,13 @@
-"""Fractions of time: a linear programme that picks few rotations out of many.
+"""Fractions of time: a linear programme that selects a few rotations from many.
 
-    minimise    cost . |w| + over . s + under . r
+    minimise    cost . abs(w) + over . s + under . r
     subject to  A w + s - r = b,    s, r >= 0
 
-Columns of A are rotations, rows what is asked of them; a negative weight turns the other way. s
-and r are what is missed, each at its price. With costs of one, |w| is time, and the solution is the
-plan of least time; it uses at most as many rotations as there are rows. Solved by the revised
-simplex method with the inverse of the basis at hand: as the signs of w are free, any basis is a
-feasible start, the last cycle's above all.
+The columns of A are rotations, the rows requested quantities. A negative weight w reverses the
+rotation. s and r are the unmet and the exceeded amounts, each with a price. With unit costs, abs(w)
+is time, and the solution is the plan of minimum time. It uses at most as many rotations as there
+are rows. The solver is a revised simplex method that stores the inverse of the basis. Because the
+signs of w are free, any basis is a feasible start, for example that of the last cycle.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from .. import _kernels
 
 PERTURBATION = 1e-9
-"""Shift of the right-hand side, relative to its greatest entry, that breaks ties between rows."""
+"""Shift of the right-hand side, relative to its largest entry. It breaks ties between rows."""
 
 
 @dataclass(frozen=True)
@@ -29,19 +29,20 @@ class TimeFractions:
     Attributes
     ----------
     weights : (K,)
-        Signed fractions of time of the columns, at most R of them not zero.
+        Signed fractions of time of the columns. At most R of them are not zero.
     miss : (R,)
         b - A w.
     price : (R,)
-        Dual solution y: what a unit more of each row would cost. No motion that these columns are
-        made of can do b for less than y . b.
+        Dual solution y: the additional cost per unit of each row's right-hand side. y . b is a
+        lower bound on the cost of b for any motion composed of these columns.
     cost : float
         Value of the objective; equals y . b.
     basis : (R,)
-        Columns of the solution (K + r, K + R + r for what row r misses): a start for the next.
+        Columns of the solution, a start for the next problem. K + r and K + R + r are the slack
+        variables of row r.
     pivots : int
     optimal : bool
-        False if the pivots ran out first; the solution is feasible all the same.
+        False if the number of pivots reached its maximum. The solution is feasible in both cases.
     """
 
     weights: np.ndarray
@@ -67,23 +68,23 @@ def least_time(
     Parameters
     ----------
     matrix : (R, K)
-        Rows such as those of `rotation_matrix`.
+        For example `rotation_matrix`.
     wanted : (R,)
         Right-hand side b.
     cost : (K,)
         Cost of each column, above zero.
     over, under : (R,)
-        Price of getting less and of getting more than is wanted, not negative.
+        Price of the unmet and of the exceeded amount of each row, at least 0.
     start : (R,), optional
         Basis of an earlier solution of a problem of this size.
     pivots : int
-        Most pivots.
+        Maximum number of pivots.
     """
     rows, count = matrix.shape
     matrix = np.ascontiguousarray(matrix, dtype=float)
     wanted = np.array(wanted, dtype=float)
     price = np.concatenate([cost, over, under]).astype(float)
-    # Golden-ratio fractions: no two rows are shifted alike.
+    # Multiples of the golden ratio give every row a different shift.
     scale = max(float(np.max(np.abs(wanted), initial=0.0)), 1e-12)
     shift = PERTURBATION * scale * (1 + (np.arange(1, rows + 1) * 0.6180339887498949) % 1)
     shifted = wanted + np.where(wanted < 0, -shift, shift)
@@ -92,7 +93,7 @@ def least_time(
     if start is not None and len(start) == rows:
         basis = np.array(start)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
-    if used < 0:  # no start, or one whose columns have become dependent
+    if used < 0:  # no start, or its columns are dependent now
         basis = np.arange(count, count + rows)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
     chosen = _kernels.columns_of(matrix, basis)

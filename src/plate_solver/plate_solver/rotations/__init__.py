@@ -1,6 +1,7 @@
-"""Method A (section 3.1): which rotations, for how long, in which order, and the motion they make.
+"""Method A (section 3.1): sequences of plate rotations, their durations, order and motion.
 
-Public: the plan and its motions; `RotationCycles`, for the controller, is in `solver.py`.
+This package exports the plan and the family of motions. `RotationCycles`, the solver that the
+controller uses, is in `solver.py`.
 """
 
 from .family import RotationFamily

@@ -1,12 +1,12 @@
-// Sequences of rotations as a family of motions: kernels of family.py.
+// Sequences of rotations as a parametrised family of motions: kernels of family.py.
 #pragma once
 #include "limits.hpp"
 #include "rotations/sequence.hpp"
 
 namespace plate::rotations {
 
-// Least length of a rotation and greatest speed, in units of their usual values; greatest fraction
-// of the period that ramps may take.
+// Minimum duration of a rotation and maximum speed, in units of their usual values. Maximum
+// fraction of the period for ramps.
 constexpr double SHORTEST = 0.02, FASTEST = 2.5, MOST_RAMPS = 0.9;
 
 // A family of sequences of J rotations: `Sequences` of family.py.
@@ -24,14 +24,14 @@ struct Sequences {
 
 using Parameters = std::vector<double>;
 
-// Relative lengths (J + 1,) of parameters.
+// Returns the relative durations (J + 1,) for parameters.
 inline std::vector<double> holds_of(const Parameters& theta, const Sequences& family) {
     std::vector<double> holds(theta.begin(), theta.begin() + family.count() + 1);
     for (double& hold : holds) hold *= family.hold_scale;
     return holds;
 }
 
-// Twists (J, 3) of parameters.
+// Returns the twists (J, 3) for parameters.
 inline Matrix twists_of(const Parameters& theta, const Sequences& family) {
     Matrix twists(family.count(), 3);
     for (int j = 0; j < family.count(); j++)
@@ -47,21 +47,21 @@ inline Ramps ramps_of(const Parameters& theta, const Sequences& family) {
     return ramps(view_of(twists), family.limits.half, family.loads, family.accel);
 }
 
-// Knot times and twists there, as `timeline`.
+// Returns the knot times and the twists at the knots, as `timeline`.
 inline Line line_of(const Parameters& theta, const Sequences& family) {
     const Matrix twists = twists_of(theta, family);
     return timeline(holds_of(theta, family), view_of(twists), ramps_of(theta, family).length,
                     family.period);
 }
 
-// Parameters, the knots of their motion, and its samples.
+// Admissible parameters, and the knots and samples of their motion.
 struct Run {
     Parameters theta;
     Line line;
     Moved moved;
 };
 
-// Keeps lengths positive, and the motion within the limits.
+// Returns parameters with positive durations and a motion within the limits.
 inline Run runnable(Parameters theta, const Sequences& family) {
     const int count = family.count(), own = family.own();
     for (int j = 0; j <= count; j++) theta[j] = std::max(theta[j], SHORTEST);
@@ -93,8 +93,8 @@ inline Run runnable(Parameters theta, const Sequences& family) {
     return {std::move(theta), std::move(line), std::move(moved)};
 }
 
-// Turns derivatives of R results by knots into ones by parameters: row r of `jacobian` is that of
-// results[r].
+// Converts derivatives with respect to the knots to derivatives with respect to the parameters. Row
+// r of `jacobian` belongs to results[r].
 inline void parameters_back(const Parameters& theta, const Sequences& family, const ByKnots& by,
                             const std::vector<int>& results, Matrix& jacobian) {
     const ByRotations found = timeline_back(holds_of(theta, family), ramps_of(theta, family),

@@ -1,4 +1,9 @@
-"""Sequences of rotations as a family of motions: lengths and twists are the parameters."""
+"""Sequences of rotations as a parametrised family of motions.
+
+The parameters are the durations and twists of the rotations. The family computes the sampled
+motion, its derivatives with respect to the parameters, the limit violations, and the finished
+cycle.
+"""
 
 from __future__ import annotations
 
@@ -13,35 +18,35 @@ from ..limits import Limits
 from .sequence import knot_poses, motion
 
 RAMP_STEPS, LEAST_STEPS = 8, 6
-"""Steps in a ramp, and least ones in a hold, while a sequence is being corrected."""
+"""Number of steps in a ramp, and minimum number in a hold, during a search."""
 
 HOLD_STEP = 1e-3
-"""Step in a hold of mean length [s]."""
+"""Length of a step in a hold of mean length [s]."""
 
 RAMP_PART = 0.95
-"""Fraction of the acceleration limit that ramps take; the rest is for closing the motion."""
+"""Fraction of the acceleration limit for ramps. The rest is reserved for closing the motion."""
 
 UNLIMITED_M = 1e9
-"""Stroke of a plate whose stroke is not counted [m]."""
+"""Stroke limit that disables the check of the stroke [m]."""
 
 
 class Sequences(NamedTuple):
-    """A family of sequences of J rotations in plain numbers; see `RotationFamily`.
+    """Data of `RotationFamily` in the form that the C++ kernels use, for J rotations.
 
     Attributes
     ----------
     basis : (J, F, 3)
-        Twist j is its F parameters times basis j.
+        Twist j is the product of its F parameters and basis j.
     hold_scale : float
-        Length of a rotation from its parameter.
+        Relative duration of a rotation per unit of its parameter.
     period, accel : float
-        [s], peak acceleration of ramps [m/s2].
+        Length of the cycle [s] and peak acceleration of ramps [m/s2].
     loads : (m, 3)
-        As in `ramps`: the motors' forces, where they matter.
+        As in `ramps`: rows for the motors' forces. Empty if the forces are not checked.
     steps : (int, int)
-        Of a ramp and of a hold.
+        Number of steps in a ramp and in a hold.
     limits : Limits
-        Its stroke is `UNLIMITED_M` if that is not counted.
+        The stroke is `UNLIMITED_M` if it is not checked.
     """
 
     basis: np.ndarray
@@ -58,22 +63,22 @@ Moved = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def line_of(theta: np.ndarray, family: Sequences) -> Line:
-    """Return knot times and twists there, as `timeline`."""
+    """Return the knot times and the twists at the knots, as `timeline`."""
     return _kernels.line_of(theta, family)
 
 
 def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Moved]:
-    """Keep lengths positive, and the motion within the limits; return its knots and samples."""
+    """Return admissible parameters (positive durations, motion within the limits), and the knots
+    and samples of their motion."""
     return _kernels.runnable(theta, family)
 
 
 class RotationFamily:
     """Sequences of J rotations in a given order.
 
-    Parameters are the J + 1 lengths (the last is the rest at the end) in units of their mean, and
-    for each rotation the three components of its twist in units of the usual speed. The stroke
-    limit is a penalty that a search trades against its errors, or, with `within_stroke`, kept by
-    all admissible parameters.
+    The parameters are the J + 1 relative durations (the last one is the rest at the end), in units
+    of 1/J, and the three components of each twist, in units of the usual speed. The stroke limit is
+    a penalty in the search. With `within_stroke`, all admissible parameters keep it.
     """
 
     def __init__(
@@ -87,8 +92,8 @@ class RotationFamily:
     ) -> None:
         self._limits = limits
         self.period = period
-        self._known: tuple[np.ndarray, Line, Moved] | None = None  # of the last samples
-        self._lengths = np.array([1.0, 1.0, limits.arm_m])  # turns theta into metres
+        self._known: tuple[np.ndarray, Line, Moved] | None = None  # for the last parameters
+        self._lengths = np.array([1.0, 1.0, limits.arm_m])  # converts theta to metres
         hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
         stroke = limits.stroke_m if within_stroke else UNLIMITED_M
         self.plain = Sequences(
@@ -108,7 +113,7 @@ class RotationFamily:
         return len(self.plain.basis)
 
     def finer(self, steps: tuple[int, int] | int) -> RotationFamily:
-        """Return the same family with other numbers of steps, or so many times those it has."""
+        """Return the family with other numbers of steps. An integer multiplies the present ones."""
         if isinstance(steps, int):
             steps = self.plain.steps[0] * steps, self.plain.steps[1] * steps
         other = object.__new__(RotationFamily)
@@ -116,15 +121,16 @@ class RotationFamily:
         return other
 
     def parameters(self, fraction: np.ndarray) -> np.ndarray:
-        """Return parameters of fractions (J,) of the cycle; what remains is rest at the end."""
+        """Return the parameters for durations (J,) as fractions of the cycle. The remaining time is
+        rest at the end."""
         total = float(np.sum(fraction))
         holds = np.append(fraction / max(1.0, total), max(0.0, 1.0 - total)) / self.plain.hold_scale
         return self.admissible(np.concatenate([holds, self._speed_parameters]))
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these.
+        """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,) [s].
 
-        They are kept until the next: do not change the parameters in place.
+        The result is cached for the parameter array, so do not modify that array in place.
         """
         line, moved = self._timeline(parameters), self._motion(parameters)
         self._known = parameters, line, moved
@@ -134,24 +140,29 @@ class RotationFamily:
     def pull_back(
         self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
     ) -> np.ndarray:
-        """Turn derivatives of R results by the samples into ones (R, P).
+        """Convert derivatives of R results with respect to the samples to derivatives (R, P) with
+        respect to the parameters.
 
         Parameters
         ----------
         parameters : (P,)
-        by_pose : (3, n, R), or (2, n, R) where nothing depends on theta itself
+        by_pose : (3, n, R), or (2, n, R) if the results do not depend on theta itself
         by_twist : (3, n, R)
         by_dt : (n, R)
         """
         return _kernels.pull_back(parameters, self.plain, by_pose, by_twist, by_dt)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Keep lengths positive, and all but the stroke within the limits."""
+        """Return parameters with positive durations and a motion within the limits.
+
+        The stroke limit counts only with `within_stroke`.
+        """
         self._known = runnable(np.asarray(parameters, dtype=float), self.plain)
         return self._known[0]
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the gap that the sequence leaves (3,), and travel beyond the stroke (4,) [m]."""
+        """Return the negative errors: the gap between end and start of the sequence (3,), and the
+        motors' travel beyond the stroke (4,) [m]."""
         pose, _, _, _, gap = self._motion(parameters)
         travel = pose @ self._limits.levers.T
         stroke = self._limits.stroke_m
@@ -161,7 +172,7 @@ class RotationFamily:
         return -np.concatenate([gap * self._lengths, over])
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the derivative (7, P) of minus the penalty."""
+        """Return the negative derivatives (7, P) of the penalty."""
         rows = self._limits.levers
         gap = _kernels.gap_slopes(parameters, self.plain) * self._lengths[:, None]
         pose = self._motion(parameters)[0]
@@ -176,7 +187,7 @@ class RotationFamily:
         return np.vstack([gap, stroke])
 
     def cycle(self, parameters: np.ndarray) -> PlateCycle:
-        """Return the motion as a plate cycle, with knots where ramps begin and end."""
+        """Return the motion as a plate cycle, with knots at the ends of the ramps."""
         times, twist = self._timeline(parameters)
         pose = knot_poses(times, twist)
         period, y = times[-1], times / times[-1]

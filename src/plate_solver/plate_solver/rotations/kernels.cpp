@@ -1,4 +1,4 @@
-// What Python sees of the kernels of rotations.
+// Python bindings of the kernels of rotations.
 #include <stdexcept>
 
 #include "rotations/sequences_record.hpp"
@@ -18,7 +18,8 @@ static nb::tuple moved_to_python(Moved&& moved) {
                           to_numpy(std::move(gap)));
 }
 
-// Rows of results by parameters, from derivatives by knots that `by_knots(line)` makes.
+// Returns derivatives with respect to the parameters, one row per result. `by_knots(line)` computes
+// the derivatives with respect to the knots.
 template <class ByKnotsOf>
 static nb::object slopes_of(const nb::tuple& record, const Numbers& theta, ByKnotsOf&& by_knots) {
     const SequencesRecord family(record);

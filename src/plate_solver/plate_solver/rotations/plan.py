@@ -1,7 +1,9 @@
-"""From forces to rotations: which ones, and for how long.
+"""Selects the rotations for requested forces, and their durations, by a linear programme.
 
-Sums of forces do not depend on the order, real motions do: each change of twist takes time, the
-plate must stay within its stroke, and parts move meanwhile.
+Input is a library of rotations, the positions of the parts and the requested forces; output is a
+`RotationPlan`. The plan uses averaged forces, which do not depend on the order of the rotations.
+The real motion does depend on it, because each change of twist takes time, the stroke is limited,
+and parts move during the cycle.
 """
 
 from __future__ import annotations
@@ -13,32 +15,32 @@ import numpy as np
 from ..library import CURL_LENGTH_M, Library, TimeFractions, least_time
 
 SPEEDS = (1.0, 0.5)
-"""Speeds at which the linear programme may run a rotation, in units of the usual one: friction
-takes no notice of them, closure does."""
+"""Speeds of a rotation in the linear programme, in units of the usual speed. Averaged friction does
+not depend on the speed, but the closure of the motion does."""
 
 CLOSURE_PRICE = 1e4
-"""Price of a gap between the start and the end: there is to be none."""
+"""Price of a gap between the start and the end. It is high enough to force the gap to 0."""
 
 RETURN = 2.5
-"""Speed of a return stroke over that of the stroke before it."""
+"""Speed of a return stroke divided by the speed of the preceding stroke."""
 
 
 @dataclass(frozen=True)
 class RotationPlan:
-    """Rotations in order, and what they do.
+    """Sequence of rotations and their durations.
 
     Attributes
     ----------
     twist : (J, 3)
-        In its sense, in units of the usual speed of the fastest corner.
+        Signed twist of each rotation, in units of the usual speed of the fastest corner.
     fraction : (J,)
-        Of the cycle's time, together at most 1.
+        Duration of each rotation as a fraction of the cycle. The sum is at most 1.
     priority : (J,)
-        Of section 3.1.4: weight over distance to the nearest part [1/m].
+        Priority of section 3.1.4: weight divided by the distance to the nearest part [1/m].
     met : float
-        Fraction of what is asked that fits into the cycle: 1, or less.
+        Fraction of the request that fits into the cycle, at most 1.
     times : TimeFractions
-        The linear programme's solution; its cost is the time needed, in cycles.
+        Solution of the linear programme. Its cost is the time needed, in cycles.
     """
 
     twist: np.ndarray
@@ -66,21 +68,27 @@ def plan_rotations(
     start: np.ndarray | None = None,
     cost: np.ndarray | None = None,
 ) -> RotationPlan:
-    """Plan the sequence of least time that closes as a whole.
+    """Plan the closed sequence of rotations with the minimum total time.
+
+    With weights w_j of the rotations, their mean forces and curls in the columns of A, and the
+    request f, the linear programme minimises the time plus the price of unmet requests, subject to
+    closure (the sum of all w_j twist_j is 0):
+
+        minimise  sum_j cost_j abs(w_j) + sum_i price_i abs(A w - f)_i
 
     Parameters
     ----------
     library : Library
     position, force : (M, 2)
-        Parts [m] and forces wanted on them [mu m g].
+        Positions of the parts [m] and requested forces on them [mu m g].
     curl : (M,), optional
-        Curls wanted [mu m g / m]; NaN where free.
+        Requested curls [mu m g / m]; NaN if any curl is accepted.
     price : float
-        Most time that a unit of force may cost [cycles / (mu m g)]; what costs more is given up.
+        Maximum time per unit of force [cycles / (mu m g)]. A force that costs more is not met.
     start : optional
-        Basis of the last plan.
+        Basis of the last plan, as the initial basis of the simplex method.
     cost : (K,), optional
-        What a unit of time of each rotation of the library costs (1).
+        Cost per unit of time of each rotation of the library. Default: 1.
     """
     asked = np.zeros(len(position), bool) if curl is None else np.isfinite(curl)
     rows = np.vstack([library.forces(position), library.curls(position)[asked] * CURL_LENGTH_M])
@@ -92,7 +100,7 @@ def plan_rotations(
     cost = np.ones(len(library.twist)) if cost is None else cost
     times = least_time(matrix, wanted, np.tile(cost, len(SPEEDS)), dear, dear, start)
     used = np.flatnonzero(np.abs(times.weights) > 1e-9)
-    if not len(used):  # nothing is asked: one rotation, for no time
+    if not len(used):  # zero request: one rotation of zero duration
         used = np.zeros(1, dtype=int)
     weight = times.weights[used]
     total = float(np.sum(np.abs(weight)))
@@ -107,10 +115,11 @@ def plan_rotations(
 
 
 def with_return_strokes(plan: RotationPlan) -> RotationPlan:
-    """Return the plan with every rotation turned back at once, faster: each closes by itself.
+    """Return the plan with a faster return stroke after every rotation, so that each pair closes.
 
-    Out and back over the same angle take 1 + 1/r of the time of the way out, and leave 1 - 1/r of
-    its force: (r + 1)/(r - 1) times the time in all, 2.3 times at r = 2.5.
+    With the speed ratio r, a stroke and its return take 1 + 1/r times the duration of the stroke
+    and produce 1 - 1/r times its force. The total time is (r + 1)/(r - 1) times that of the plan:
+    2.3 times for r = 2.5.
     """
     longer = (RETURN + 1) / (RETURN - 1)
     fraction = plan.fraction * longer

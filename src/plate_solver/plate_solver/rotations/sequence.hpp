@@ -14,7 +14,7 @@
 
 namespace plate::rotations {
 
-// Peak of a cubic ramp's acceleration over its mean.
+// Peak acceleration of a cubic ramp divided by its mean.
 constexpr double RAMP_PEAK = 1.5;
 
 inline View<const double, 2> view_of(const Matrix& matrix) {
@@ -25,13 +25,14 @@ inline double sum(const std::vector<double>& values) {
     return std::accumulate(values.begin(), values.end(), 0.0);
 }
 
-// Lengths (J + 1,) [s] of ramps, and their derivatives (J + 1, 3) by the change of twist.
+// Lengths (J + 1,) [s] of the ramps, and their derivatives (J + 1, 3) with respect to the change of
+// twist.
 struct Ramps {
     std::vector<double> length;
     Matrix slope;
 };
 
-// Knot times (K,) [s] and twists there (K, 3).
+// Knot times (K,) [s] and twists at the knots (K, 3).
 struct Line {
     std::vector<double> times;
     Matrix knots;
@@ -39,8 +40,9 @@ struct Line {
     int segments() const { return static_cast<int>(times.size()) - 1; }
 };
 
-// Ramps between twists (J, 3), and from and to rest, for a plate of half sides `half` (2,); `loads`
-// (m, 3) are what else has the limit `accel`.
+// Computes the ramps between twists (J, 3), and from and to rest, for a plate with half side
+// lengths `half` (2,). The products of the rows of `loads` (m, 3) and the acceleration are limited
+// to `accel`.
 inline Ramps ramps(View<const double, 2> twists, const double* half, View<const double, 2> loads,
                    double accel) {
     const int count = twists.size(0);
@@ -80,7 +82,8 @@ inline Ramps ramps(View<const double, 2> twists, const double* half, View<const 
     return found;
 }
 
-// Knots of twists (J, 3): relative lengths `holds` (J + 1,) fill what ramps leave of the period.
+// Computes the knots for twists (J, 3). The relative durations `holds` (J + 1,) are scaled to fill
+// the part of the period that the ramps do not use.
 inline Line timeline(const std::vector<double>& holds, View<const double, 2> twists,
                      const std::vector<double>& ramp, double period) {
     const int count = twists.size(0);
@@ -100,7 +103,7 @@ inline Line timeline(const std::vector<double>& holds, View<const double, 2> twi
     return line;
 }
 
-// The pose (K, 3) at every knot before the motion is closed.
+// Computes the pose (K, 3) at every knot before the motion is closed.
 inline Matrix knot_poses(const Line& line) {
     Matrix pose(line.knots.rows, 3);
     for (int k = 1; k < pose.rows; k++) {
@@ -111,8 +114,8 @@ inline Matrix knot_poses(const Line& line) {
     return pose;
 }
 
-// Where in its segment and in the period a step has its middle, as fractions; and the bump there
-// that closes the motion, with its derivatives by time.
+// Middle of a step as a fraction x of its segment and y of the period. `bump` is the value there of
+// the function that closes the motion; `rate` and `accel` are its time derivatives.
 struct Place {
     double x, y, bump, rate, accel;
 
@@ -126,14 +129,15 @@ struct Place {
     }
 };
 
-// Pose, twist, acceleration (n, 3) at the middles of steps dt (n,), and the gap that was closed.
+// Pose, twist and acceleration (n, 3) at the middles of the steps, the step lengths dt (n,), and
+// the gap between end and start before closing.
 struct Moved {
     Matrix pose, twist, accel;
     std::vector<double> dt;
     std::array<double, 3> gap;
 };
 
-// Steps of a motion whose ramps are cut into steps[0] each, its holds into steps[1].
+// Number of steps of a motion with steps[0] steps per ramp and steps[1] per hold.
 inline int steps_of(const Line& line, const std::array<int, 2>& steps) {
     return line.segments() / 2 * (steps[0] + steps[1]);
 }
@@ -165,8 +169,8 @@ inline Moved motion(const Line& line, const std::array<int, 2>& steps) {
     return moved;
 }
 
-// Derivatives of R results by the knots of a line, rows of R: by a knot's time, by the twist there,
-// and by the pose there before the motion is closed (rows 3 k to 3 k + 2).
+// Derivatives of R results with respect to the knots of a line, in rows of R: by the knot's time,
+// by its twist, and by its pose before the motion is closed (rows 3 k to 3 k + 2).
 struct ByKnots {
     Matrix time, knot, corner;
 
@@ -178,7 +182,7 @@ struct ByKnots {
     int results() const { return time.columns; }
 };
 
-// Adds what comes through `knot_poses`, by `corner`.
+// Propagates the derivatives with respect to the knots' poses (`corner`) back through `knot_poses`.
 PLATE_WIDE inline void corners_back(const Line& line, ByKnots& by) {
     const int results = by.results();
     std::vector<double> totals(results);
@@ -204,8 +208,9 @@ PLATE_WIDE inline void corners_back(const Line& line, ByKnots& by) {
     }
 }
 
-// Turns derivatives by what `motion` returns into ones by the knots. `by_pose` is (3, n, R), or
-// (2, n, R) where nothing depends on theta itself; `by_twist` (3, n, R), `by_dt` (n, R).
+// Converts derivatives with respect to the samples of `motion` to derivatives with respect to the
+// knots. `by_pose` is (3, n, R), or (2, n, R) if the results do not depend on theta itself;
+// `by_twist` is (3, n, R), `by_dt` is (n, R).
 PLATE_WIDE inline ByKnots pull_back(const Line& line, const std::array<int, 2>& steps,
                                     View<const double, 3> by_pose, View<const double, 3> by_twist,
                                     View<const double, 2> by_dt) {
@@ -269,7 +274,7 @@ PLATE_WIDE inline ByKnots pull_back(const Line& line, const std::array<int, 2>& 
     return by;
 }
 
-// The derivatives of the gap (3) by the knots.
+// Returns the derivatives of the gap (3) with respect to the knots.
 inline ByKnots gap_back(const Line& line) {
     ByKnots by(line, 3);
     for (int c = 0; c < 3; c++) by.corner[3 * line.segments() + c][c] = 1;
@@ -277,19 +282,20 @@ inline ByKnots gap_back(const Line& line) {
     return by;
 }
 
-// Derivatives of R results, rows of R: by holds (J + 1, R), and by twists (3 J, R).
+// Derivatives of R results, in rows of R, with respect to holds (J + 1, R) and twists (3 J, R).
 struct ByRotations {
     Matrix hold, twist;
 };
 
-// Turns derivatives by the knots of `timeline` into ones by holds (J + 1,) and twists (J, 3).
+// Converts derivatives with respect to the knots of `timeline` to derivatives with respect to holds
+// (J + 1,) and twists (J, 3).
 PLATE_WIDE inline ByRotations timeline_back(const std::vector<double>& holds, const Ramps& ramp,
                                             double period, const ByKnots& by) {
     const int results = by.results(), count = static_cast<int>(holds.size()) - 1;
     const double total = sum(holds), scale = (period - sum(ramp.length)) / total;
     ByRotations found{Matrix(count + 1, results), Matrix(3 * count, results)};
     Matrix by_ramp(count + 1, results), sums(2, results);
-    // By the length of a segment: all knots behind it move.
+    // Derivatives with respect to the length of a segment, which shifts all later knots.
     double *__restrict after = sums[0], *__restrict shared = sums[1];
     for (int k = 2 * count + 1; k >= 0; k--) {
         const double* __restrict time = by.time[k + 1];

@@ -1,9 +1,9 @@
 """A sequence of rotations as one closed motion in time, from rest to rest.
 
-Rotation j is held at a constant twist for a time and joined to the next by a smooth ramp (a cubic
-in the twist) as short as the acceleration allows. What is then still missing to a closed motion is
-taken out by a smooth bump over the whole cycle, so every sequence closes exactly. The derivatives
-are exact: one backward pass over the knots (sequence.hpp).
+Rotation j has a constant twist for its duration. A smooth ramp, cubic in the twist, connects it to
+the next rotation. The acceleration limit determines the minimum length of the ramp. A smooth
+correction over the whole cycle removes the gap between end and start, so every sequence closes
+exactly. The derivatives are exact and computed by one backward pass over the knots (sequence.hpp).
 
 Knots of J rotations: 0 at rest; 2 j + 1 and 2 j + 2 begin and end rotation j (from 0); 2 J + 1 at
 rest; 2 J + 2 the end of the period.
@@ -24,12 +24,12 @@ def ramps(
     Parameters
     ----------
     twists : (J, 3)
-        Twist of each rotation; rest comes before the first and after the last.
+        Twist of each rotation. The plate is at rest before the first and after the last one.
     half : (2,)
-        Half sides [m].
+        Half side lengths of the plate [m].
     loads : (m, 3)
-        Of what else has a limit, such as motors' forces: rows whose product with the plate's
-        acceleration is kept below `accel` too.
+        Rows of additional limits, such as motor forces. The product of each row with the plate's
+        acceleration is kept below `accel`.
     accel : float
         Peak acceleration of the fastest corner [m/s2].
 
@@ -37,7 +37,7 @@ def ramps(
     -------
     length : (J + 1,)
     slope : (J + 1, 3)
-        By the change of twist; the rotation after the ramp adds, the one before it takes away.
+        Derivatives with respect to the change of twist (twist after minus twist before the ramp).
     """
     return _kernels.ramps(twists, half, loads, accel)
 
@@ -45,10 +45,10 @@ def ramps(
 def timeline(
     holds: np.ndarray, twists: np.ndarray, ramp: np.ndarray, period: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return knot times (2 J + 3,) [s] and twists there (2 J + 3, 3).
+    """Return the knot times (2 J + 3,) [s] and the twists at the knots (2 J + 3, 3).
 
-    `holds` (J + 1,) are the relative lengths of the J rotations and of the rest at the end: they
-    fill what the ramps leave of the period.
+    `holds` (J + 1,) are the relative durations of the J rotations and of the rest at the end. They
+    are scaled to fill the part of the period that the ramps do not use.
     """
     return _kernels.timeline(holds, twists, ramp, period)
 
@@ -61,10 +61,10 @@ def knot_poses(times: np.ndarray, knots: np.ndarray) -> np.ndarray:
 def motion(
     times: np.ndarray, knots: np.ndarray, counts: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return pose, twist, acceleration (n, 3) at the middles of steps, and the steps (n,) [s].
+    """Return pose, twist and acceleration (n, 3) at the middles of the steps, the step lengths (n,)
+    [s], and the gap (3,) between end and start before closing.
 
-    Every ramp is cut into `counts[0]` equal steps, every hold into `counts[1]`: as steps end where
-    segments end, what follows from them is as smooth in the parameters as the friction allows.
-    Last comes the gap (3,) that had to be closed.
+    Every ramp has `counts[0]` equal steps, every hold `counts[1]`. Steps end at the ends of the
+    segments, so the results depend on the parameters as smoothly as the friction model permits.
     """
     return _kernels.motion(times, knots, counts)

@@ -1,4 +1,4 @@
-// `Sequences` of Python, as kernels take it: for bindings.
+// Converts the Python tuple `Sequences` to the C++ struct, for the bindings.
 #pragma once
 #include "records.hpp"
 #include "rotations/family.hpp"
@@ -21,7 +21,7 @@ inline std::vector<double> copied(const Numbers& array) {
     return {array.data(), array.data() + array.size()};
 }
 
-// `Sequences` of Python, whose arrays it keeps.
+// Owns the arrays of a Python `Sequences`.
 class SequencesRecord {
 public:
     explicit SequencesRecord(const nb::tuple& record)
@@ -43,7 +43,7 @@ public:
 
     const Sequences& operator*() const { return family; }
 
-    // The parameters in an array.
+    // Converts an array to parameters.
     Parameters parameters(const Numbers& theta) const {
         check("parameters", theta, {static_cast<size_t>(family.parameters())});
         return copied(theta);
@@ -51,8 +51,7 @@ public:
 
     static std::array<int, 2> steps_from(const nb::tuple& pair) {
         const std::array<int, 2> steps{nb::cast<int>(field(pair, 0)), nb::cast<int>(field(pair, 1))};
-        if (steps[0] < 1 || steps[1] < 1) throw nb::value_error("a segment has at least one step");
-        return steps;
+        if (steps[0] < 1 || steps[1] < 1) throw nb::value_error("a segment has at least one step"); return steps;
     }
 
 private:

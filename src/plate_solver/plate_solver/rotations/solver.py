@@ -1,7 +1,8 @@
 """Method A (section 3.1 of the paper) on the cycle map: sequences of rotations.
 
-A linear programme picks few rotations out of a library and how long each is to last. Put in order
-they become a motion from rest to rest, whose lengths and twists are then corrected.
+A linear programme selects a few rotations from a library, and their durations. Sorted by priority,
+they form a motion from rest to rest. Levenberg-Marquardt then corrects durations and twists until
+the goal is met, with further starts by basin hopping. Input is a `Goal`, output a `Solution`.
 """
 
 from __future__ import annotations
@@ -24,25 +25,27 @@ from .family import RotationFamily
 from .plan import RotationPlan, plan_rotations, with_return_strokes
 
 FEW = (2, 4)
-"""Numbers of parts up to which half and three quarters of the period will do on the cycle map: the
-answer comes sooner, and fewer rotations have to fit in."""
+"""Maximum numbers of parts for a cycle of half the period and of three quarters of the period. Few
+parts require few rotations, and a short cycle gives an earlier answer."""
 
 SETTLE = 0.05
-"""Time in which shaking takes away a part's velocity, about [s]."""
+"""Approximate time in which friction removes a part's initial velocity [s]."""
 
 PUSH = 0.04
-"""Drift of the part that is to go first, in plans towards targets [m/s]."""
+"""Drift of the part with the longest step, in plans towards targets [m/s]."""
 
 CLOSURES = ("sequence", "strokes")
 
 FINER, POLISH = 3, 6
-"""A search that finer steps do not confirm goes on with so many times the steps, for so long."""
+"""If the evaluation with fine steps contradicts a search, the search continues with this factor on
+the number of steps, for this maximum number of iterations."""
 
 SHAKE = 0.3
-"""How far a shaken start is from the best so far, in units of the parameters."""
+"""Standard deviation of a perturbation of the best parameters, in units of the parameters."""
 
 SPREAD = 0.3
-"""Random part of the costs of rotations in further plans: it picks other rotations, as good."""
+"""Maximum random increase of the rotations' costs in further plans. It makes the linear programme
+select other rotations of similar quality."""
 
 
 @dataclass(frozen=True)
@@ -52,21 +55,22 @@ class RotationOptions:
     Attributes
     ----------
     period : float
-        Length of the cycle [s]; on the cycle map half of it for up to two parts, three quarters for
-        up to four.
+        Length of the cycle [s]. On the cycle map, half of it is used for up to two parts and three
+        quarters for up to four.
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
     closure : str
-        `sequence`: the motion closes as a whole; `strokes`: each rotation is turned back at once.
+        `sequence`: the whole motion closes. `strokes`: each rotation is followed by a return
+        stroke.
     most_price : float
-        Most time that a unit of force on a part may cost [cycles / (mu m g)]: what costs more, such
-        as parting two parts that almost touch, is given up in the plan.
+        Maximum time per unit of force on a part [cycles / (mu m g)]. The plan does not meet forces
+        that cost more, such as those that separate two parts that almost touch.
     iterations : int
-        Most steps from one start.
+        Maximum number of iterations from one start.
     restarts : int
-        Most further starts when the first fails.
+        Maximum number of further starts if the first fails.
     seed : int
-        Seed of the further starts.
+        Random seed of the further starts.
     """
 
     period: float = 0.2
@@ -92,21 +96,21 @@ class RotationOptions:
 
 
 class Start(NamedTuple):
-    """Where a search begins: a family, and parameters in it."""
+    """Start of a search: a family and its parameters."""
 
     family: RotationFamily
     parameters: np.ndarray
 
 
 class Try(NamedTuple):
-    """What a search has found, in its family."""
+    """Result of a search, and its family."""
 
     family: RotationFamily
     fit: Fit
 
 
 class RotationCycles(MotionSolver):
-    """Cycles made of rotations that take parts to a goal.
+    """Solver that moves parts to a goal by cycles of rotations.
 
     Parameters
     ----------
@@ -139,7 +143,7 @@ class RotationCycles(MotionSolver):
         options, enough = self.options, good_enough**2 * goal.asked
         period = self.steering_period(len(goal.position))
         if self._warm is not None and self._warm.family.period != period:
-            self._warm = None  # other parts
+            self._warm = None  # the number of parts has changed
         warm = self._warm is not None
 
         def attempt(
@@ -163,7 +167,7 @@ class RotationCycles(MotionSolver):
         family, found = best
         self._warm = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
-        if found.cost <= enough and not solution.success:  # too coarse a search
+        if found.cost <= enough and not solution.success:  # the search steps were too coarse
             fine = family.finer(FINER)
             found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
             iterations += found.iterations
@@ -180,7 +184,11 @@ class RotationCycles(MotionSolver):
         return Start(near.family, near.family.admissible(shaken))
 
     def planned(self, goal: Goal, spread: bool = False) -> Start:
-        """Plan with the force that would move parts from rest by what is asked at least."""
+        """Return the start of a search from a plan with averaged forces.
+
+        The force F on a part of mass m is the constant one that moves it by the displacement d from
+        rest in the period T: F = 2 m d / T^2. With targets, d is along the steepest descent.
+        """
         period = self.steering_period(len(goal.position))
         unit = 0.5 * period**2 * goal.friction_accel[:, None]
         push = goal.displacement - SETTLE * goal.velocity
@@ -189,7 +197,7 @@ class RotationCycles(MotionSolver):
         slack = 0.0 if goal.lasting else 0.5 * goal.tolerance
         force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
-        if goal.turns is not None:  # what turns a disc from rest by what is asked
+        if goal.turns is not None:  # rotate a disc from rest by the request
             turns = goal.turns
             curl = turns.middle * 4 / (goal.friction_accel * period**2)
             curl = np.where(turns.weight > 0, curl, np.nan)
@@ -220,7 +228,7 @@ class RotationCycles(MotionSolver):
         steps: tuple[int, int] | None = None,
         within_stroke: bool = False,
     ) -> Start:
-        """Return the plan as a `RotationFamily`, and the plan's parameters in it."""
+        """Return the `RotationFamily` of a plan, and its parameters."""
         options = self.options
         if options.closure == "strokes":
             plan = with_return_strokes(plan)
