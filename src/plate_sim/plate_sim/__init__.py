@@ -1,5 +1,7 @@
-"""Simulates parts on the vibrating plate, its camera and its motor controller.
-Chapters: `world`, `plate`, `friction`, `contacts`, `device`; what is used most is named here."""
+"""Simulation of parts on the vibrating plate, its camera and its motor controller.
+
+Subpackages: `world`, `plate`, `friction`, `contacts`, `camera`, `device`. The names used most are
+exported here."""
 
 from .camera import Camera, part_greys
 from .contacts import Contacts

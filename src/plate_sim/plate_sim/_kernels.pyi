@@ -1,41 +1,42 @@
-"""The compiled kernels; `kernels.cpp` of each chapter says what is in them."""
+"""Compiled kernels. `kernels.cpp` of each subpackage defines them."""
 
 from typing import Any
 
 import numpy as np
 
 class Device:
-    """A motor controller: the firmware, on a board in memory.
+    """Motor controller: the firmware on a simulated board.
 
     Parameters
     ----------
     limits : DeviceLimits
     boot : int
-        Another number after each reset.
+        Number that changes with each reset.
     now_us : int
-        Its clock [us].
+        Device time [us].
 
     Attributes
     ----------
     triggered : bool
         Whether the camera's line is high.
     now_us, heard_us, enabled_us : int
-        Time of the last tick, of the host's last frame, and when current was switched on last [us].
+        Times of the last tick, of the host's last frame, and of the last time the current was
+        switched on [us].
     state, faults, stops : int
         As in Telemetry.
     refused : int
         Damaged frames, modulo 65536.
     searches : bool
-        Whether home is being searched for.
+        Whether a search for home runs.
     room : int
-        Bytes that a board can take; more would be lost.
+        Number of bytes that the board can receive. Further bytes would be lost.
     hottest : float
-        Heat of the hottest motor, over what it bears.
+        Thermal load of the hottest motor relative to the allowed one.
     playing, waiting : int
-        Number of the table or stream that plays, and that is taken over next; 0: none.
+        Number of the table or stream that plays, and of the one that plays next. 0 means none.
     play : (int, int, int) or None
-        Buffer of the table that plays, times it was played before, time into it [TICK_S]; None: no
-        table plays.
+        Buffer of the table that plays, number of completed plays, and time since the start of this
+        play [TICK_S]. None if no table plays.
     """
 
     boot: int
@@ -64,7 +65,7 @@ class Device:
         home_found: bool = True,
         line_idle: bool = True,
     ) -> tuple[bytes, np.ndarray | None]:
-        """Let a tick pass; returns what is sent, and the setpoint, or None while current is off.
+        """Simulate one tick. Return the sent bytes and the setpoint, or None while current is off.
 
         Parameters
         ----------
@@ -73,13 +74,13 @@ class Device:
         measured : (2, 4)
             Position [m] and acceleration [m/s2] of the motors, float32.
         data : bytes
-            That have come.
+            Received bytes.
         faults : int
-            Of the board, now: SUPPLY, HARDWARE.
+            Current faults of the board: SUPPLY, HARDWARE.
         home_found : bool
-            Whether the search for home ends, if there is one.
+            Whether a running search for home ends.
         line_idle : bool
-            Whether all that was sent has left.
+            Whether all sent bytes have left the board.
 
         Returns
         -------
@@ -88,10 +89,10 @@ class Device:
         """
 
     def sleep(self, now_us: int) -> None:
-        """Let time pass in which it is not running yet [us]."""
+        """Advance the clock to `now_us` [us] before the firmware runs."""
 
     def table(self) -> tuple[np.ndarray, np.ndarray, int]:
         """Return the times (k + 1,) [TICK_S] and states (k + 1, 3, 4) [m], [m/s], [m/s2] of the
-        knots that play, or did last, and the time of the splice [TICK_S]; 0: none."""
+        knots that play or played last, and the time of the splice [TICK_S], 0 if there is none."""
 
 def __getattr__(name: str) -> Any: ...

@@ -1,4 +1,4 @@
-// What Python sees of the kernels: the module `_kernels`.
+// Python module `_kernels` with the bindings of all compiled kernels.
 #include <plate/bind.hpp>
 
 namespace plate {

@@ -1,4 +1,4 @@
-// What bindings check; and arrays whose rows are records: structs of numbers of eight bytes each.
+// Argument checks for bindings, and access to array rows as records: structs of 8-byte numbers.
 #pragma once
 #include <plate/bind.hpp>
 
@@ -8,12 +8,12 @@
 
 namespace plate {
 
-// Raise a ValueError that says what is wrong.
+// Raise a ValueError with the text `what` unless `right`.
 inline void require(bool right, const char* what) {
     if (!right) throw std::invalid_argument(what);
 }
 
-// The rows of an array as records.
+// Return the rows of an array as records.
 template <class Record>
 std::span<const Record> records(const char* name, const Array<const double, 2>& rows) {
     constexpr size_t width = sizeof(Record) / sizeof(double);

@@ -1,5 +1,6 @@
-"""The plate: its motion and the drive that gives it, which tables it plays, and its surface.
-Public: the names below; for kernels `pieces.hpp` and `course.hpp` evaluate the motion."""
+"""The plate: its motion, its drive, the check of motor tables, and its surface.
+
+The names below are public. For compiled code, `pieces.hpp` and `course.hpp` evaluate the motion."""
 
 from .check_table import check_table
 from .drive import PlateState

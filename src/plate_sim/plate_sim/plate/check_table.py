@@ -1,4 +1,5 @@
-"""Which motor tables the device refuses to play."""
+"""Check of motor tables by the simulated device. A table with a wrong start state, beyond a limit
+of the rig, or of a wrong length is refused."""
 
 from __future__ import annotations
 
@@ -6,20 +7,21 @@ from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import CycleUsage, usage
 
 SLACK = 1.02
-"""Share of a limit at which a table is refused: its peaks are bounds, up to 1 % too high."""
+"""Fraction of a limit above which a table is refused. Its computed peaks are upper bounds, up to 1
+% too high."""
 
 PERIOD = (0.01, 10.0)
 """Allowed length of a table [s]: one image is taken in each."""
 
 
 def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
-    """Return a table's use of the rig's limits.
+    """Return the fractions of the rig's limits that a table uses.
 
     Raises
     ------
     CycleError
-        If it starts neither at rest at home nor as the running one ends, exceeds a limit, or is too
-        short or too long.
+        If it starts neither at rest at home nor in the end state of the running table, exceeds a
+        limit, or is too short or too long.
     """
     if not PERIOD[0] <= cycle.period <= PERIOD[1]:
         raise CycleError(f"period is {cycle.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")

@@ -1,5 +1,5 @@
-// The plate's pose and twist at any instant of a motion, x, y and theta at once: for steps of finite
-// parts.
+// Evaluation of the plate's pose and twist at any time of a motion, for x, y and theta at once.
+// Used by the steps of finite parts.
 #pragma once
 #include <algorithm>
 #include <vector>
@@ -9,13 +9,13 @@
 
 namespace plate {
 
-// The plate at an instant: pose [m, m, rad] and twist [m/s, m/s, rad/s].
+// State of the plate at one time: pose [m, m, rad] and twist [m/s, m/s, rad/s].
 struct PlateSample {
     double x, y, theta, vx, vy, spin;
 };
 
-// A motion between two knots: times of its start and end [s]; factors of the powers of the time
-// since its start, of x, y [m], theta [rad] and nothing, and of their rates.
+// Motion between two knots: times of its start and end [s], and coefficients of the powers of the
+// time since its start, for x, y [m], theta [rad] and a zero for padding; the same for their rates.
 struct Leg {
     double start, end, pose[6][4], twist[5][4];
 
@@ -34,7 +34,7 @@ struct Leg {
 struct Course {
     std::vector<Leg> legs;
 
-    // Of K + 1 knots' times [s], and factors (K, 6, 3).
+    // From K + 1 knot times [s] and coefficients (K, 6, 3).
     Course(const double* times, const double* factors, int count) : legs(count) {
         for (Leg& leg : legs) {
             leg.start = times[0], leg.end = times[1], times++;
@@ -48,7 +48,7 @@ struct Course {
 
     double period() const { return legs.back().end; }
 
-    // Pose and twist at time t [s]; before and after the motion it goes on.
+    // Pose and twist at time t [s]. Outside the motion the first or last piece is extrapolated.
     PlateSample at(double t) const {
         const int last = static_cast<int>(legs.size()) - 1;
         const double share = t / period() * (last + 1);
@@ -59,7 +59,7 @@ struct Course {
     }
 };
 
-// The (steps + 1) samples at the ends of equal steps through a motion.
+// The (steps + 1) samples at the boundaries of `steps` equal steps through a motion.
 PLATE_WIDE inline std::vector<PlateSample> samples(const Course& course, int steps) {
     std::vector<PlateSample> rows(steps + 1);
     const double period = course.period();

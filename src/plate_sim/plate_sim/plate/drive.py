@@ -3,11 +3,12 @@
     M q'' + C q' + K q = B f,      f_i' = w (g_i u_i - f_i),
     u = B^+ (s_M M c'' + s_C C c' + s_K K c) + k B^T (c - q) + d B^T (c' - q')
 
-q is the plate's pose, c the one commanded, f the motors' forces, B what they do to the plate at
-home, B^+ its least-squares inverse, w the motors' bandwidth; the rest is `Suspension`. It is
-written for the deviation e = q - c and, where motors lag, that of their forces, f - g B^+ (...):
-z' = A z + b(t), where b is what the drive gets wrong. So a drive that knows the plate, with motors
-alike and without lag, gives e = 0 to the last bit.
+q is the plate's pose, c the commanded pose, f the motors' forces, B the map from these forces to
+the plate at home, B^+ its least-squares inverse, and w the motors' bandwidth. The other quantities
+are those of `Suspension`. The state is the deviation e = q - c and, if the motors have a bandwidth,
+the deviation of their forces f - g B^+ (...). It follows z' = A z + b(t), where b is the error of
+the feedforward. If the drive knows the plate exactly and the motors are equal and without lag, e is
+exactly 0.
 """
 
 from __future__ import annotations
@@ -24,25 +25,26 @@ from plate_core.rig import Suspension, motor_levers
 from .motion import PlateMotion
 
 DEGREE = 5
-"""Of the motion commanded in a piece, and of the forces that it takes."""
+"""Degree of the polynomials of the commanded motion in a piece, and of its forces."""
 
 HELD = 1e-6
-"""Least rate of the slowest motion over that of the fastest: below, nothing holds the plate."""
+"""Minimum ratio of the slowest to the fastest rate of the system. If it is smaller, nothing holds
+the plate in place."""
 
 
 @dataclass(frozen=True)
 class PlateState:
-    """The plate between two cycles.
+    """State of the plate between two cycles.
 
     Attributes
     ----------
     pose, twist : (3,)
         [m, m, rad] and [m/s, m/s, rad/s], plate_home.
     force : (4,)
-        Of the motors [N].
+        Forces of the motors [N].
     overtravel_m : float
-        By how much a motor exceeded its stroke in the cycle that ended here [m]; 0 if none did.
-        The simulated motion takes no notice: a real rig would hit its stops.
+        Maximum excess of a motor over its stroke in the last cycle [m]. 0 if no motor exceeded it.
+        The simulated motion is not affected, but a real rig would hit its stops.
 
     Raises
     ------
@@ -71,13 +73,13 @@ class PlateState:
 
 @dataclass(frozen=True)
 class Plant:
-    """Plate and drive: z' = system z + b, z (n,) the deviation, n 6 or, where motors lag, 10.
+    """Plate and drive: z' = system z + b. z (n,) is the deviation; n is 6, or 10 if the motors lag.
 
     Attributes
     ----------
     suspension : Suspension
     push : (3, 4)
-        B: force and torque about home [N, N, N m] for each newton of the motors.
+        B: force and torque about home per newton of each motor [N, N, N m].
     """
 
     suspension: Suspension
@@ -110,7 +112,7 @@ class Plant:
 
     @property
     def lags(self) -> bool:
-        """Whether the motors take time to build up force."""
+        """Whether the motors have a finite bandwidth."""
         return bool(np.isfinite(self.suspension.motor_bandwidth_hz))
 
     @cached_property
@@ -120,12 +122,12 @@ class Plant:
 
     @cached_property
     def matrices(self) -> np.ndarray:
-        """K, C and M (3, 3, 3), by order of the derivative they go with."""
+        """K, C and M (3, 3, 3), in the order of the derivative that they multiply."""
         return np.array([getattr(self.suspension, k) for k in ("stiffness", "damping", "mass")])
 
     @cached_property
     def known(self) -> np.ndarray:
-        """What the drive supplies of them in advance (3, 3, 3)."""
+        """Part of K, C and M that the feedforward compensates (3, 3, 3)."""
         return self.matrices * np.array(self.suspension.feedforward[::-1])[:, None, None]
 
     @cached_property
@@ -140,7 +142,7 @@ class Plant:
 
     @cached_property
     def servo(self) -> np.ndarray:
-        """Forces (4, 6) of the motors' servos by the deviation of pose and twist, gain included."""
+        """Servo forces (4, 6) per deviation of pose and twist, including the motors' gain."""
         stiff, damped = (s * self.push.T for s in self.suspension.servo)
         return np.asarray(-self.gain[:, None] * np.concatenate([stiff, damped], axis=1))
 
@@ -159,13 +161,13 @@ class Plant:
         )
 
     def deviation(self, state: PlateState, command: Command) -> np.ndarray:
-        """z (n,) of a state at the start of a command."""
+        """Return z (n,) of a state at the start of a command."""
         pose, twist, force = command.at(0, 0.0)
         parts = [state.pose - pose, state.twist - twist, state.force - self.gain * force]
         return np.concatenate(parts[: 3 if self.lags else 2])
 
     def end(self, deviation: np.ndarray, command: Command) -> PlateState:
-        """Return the state of z (n,) at the end of a command."""
+        """Return the state with deviation z (n,) at the end of a command."""
         pose, twist, force = command.at(len(command.steps) - 1, command.steps[-1])
         follow = deviation[6:] if self.lags else self.servo @ deviation
         return PlateState(pose + deviation[:3], twist + deviation[3:6], self.gain * force + follow)
@@ -173,7 +175,8 @@ class Plant:
 
 @dataclass(frozen=True)
 class Command:
-    """A commanded cycle, and what the drive gets wrong in it: derivatives where pieces start.
+    """A commanded cycle and the errors of its feedforward, as derivatives at the starts of the
+    pieces.
 
     Attributes
     ----------
@@ -182,9 +185,9 @@ class Command:
     pose : (k, 6, 3)
         c and its derivatives.
     force : (k, 6, 4)
-        Of the motors, asked in advance [N].
+        Feedforward forces of the motors [N].
     forcing : (k, 6, n)
-        b.
+        Feedforward error b.
     """
 
     times: np.ndarray
@@ -194,7 +197,7 @@ class Command:
 
     @classmethod
     def of(cls, plant: Plant, cycle: PlateCycle | PlateMotion) -> Command:
-        """Return what a cycle asks of a plant."""
+        """Return the command of a cycle for a plant."""
         pose = cycle.coefficients * np.array([factorial(i) for i in range(DEGREE + 1)])[:, None]
         derivatives = [_derivative(pose, order) for order in range(3)]
         needed = sum(d @ m for d, m in zip(derivatives, plant.matrices, strict=True))
@@ -212,14 +215,15 @@ class Command:
         return np.diff(self.times)
 
     def at(self, piece: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose (3,), twist (3,) and motor forces (4,) at `offset` [s] into a piece."""
+        """Return pose (3,), twist (3,) and motor forces (4,) at `offset` [s] after a piece's
+        start."""
         row, offsets = slice(piece, piece + 1), np.array([offset])
         pose, force = later(self.pose[row], offsets)[0], later(self.force[row], offsets)[0]
         return pose[0], pose[1], force[0]
 
 
 def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
-    """Return (k, 6, d) of the derivative in time of the given order."""
+    """Return the time derivative of the given order, (k, 6, d)."""
     width = derivatives.shape[1]
     return np.pad(derivatives, ((0, 0), (0, order), (0, 0)))[:, order : order + width]
 
@@ -227,6 +231,6 @@ def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
 def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Return derivatives (m, DEGREE + 1, d) of polynomials, `offset` (m,) [s] later."""
     order = np.arange(DEGREE + 1)
-    power = order - order[:, None]  # [i, j]: j - i, what derivative j adds to derivative i
+    power = order - order[:, None]  # [i, j]: power of t by which j enters i
     scale = np.array([1 / factorial(p) for p in order])[np.maximum(power, 0)] * (power >= 0)
     return np.asarray((scale * offset[:, None, None] ** np.maximum(power, 0)) @ derivatives)

@@ -1,23 +1,23 @@
-// How the plate carries parts, beyond one friction coefficient.
+// Surface effects beyond one friction coefficient; see ground.py.
 #pragma once
 
 #include <algorithm>
 
 namespace plate {
 
-// What `GroundEffect` of ground.py says.
+// Compiled counterpart of `GroundEffect` in ground.py.
 struct GroundEffect {
     double gravity_x, gravity_y, static_ratio, slope, heave;
 
-    // Dynamic friction at a slip [m/s] over that at none: see `Ground.friction_slope`.
+    // Dynamic friction at a slip [m/s] relative to that at zero slip; see `Ground.friction_slope`.
     double share(double slip) const {
         return slope < 0 ? 1 / (1 - slope * slip) : 1 + slope * slip;
     }
 
-    // Weight on a plate that accelerates [m/s2] along x over that at rest: see `Ground.heave`.
+    // Weight at a plate acceleration along x [m/s2] relative to that at rest; see `Ground.heave`.
     double weight(double accel) const { return std::max(0.0, 1 + heave * accel); }
 
-    // Whether friction is the same at each slip and each motion of the plate.
+    // Whether friction is independent of the slip and of the plate's motion.
     bool even() const { return slope == 0 && heave == 0; }
 };
 

@@ -1,4 +1,5 @@
-"""How the plate carries parts, beyond one friction coefficient: static, fast slip, tilt, heave."""
+"""Surface effects beyond one friction coefficient: static friction, friction that depends on the
+slip speed, tilt and heave."""
 
 from __future__ import annotations
 
@@ -15,16 +16,16 @@ SLOPE = (-5.0, 5.0)
 """Allowed change of friction with the slip [1/(m/s)]."""
 
 HEAVE = (-0.1, 0.1)
-"""Allowed vertical over horizontal motion of the plate: by more it would throw parts up."""
+"""Allowed ratio of vertical to horizontal motion of the plate. More would throw parts up."""
 
 TILT = 0.5
-"""Greatest tilt [rad]: about 29 degrees."""
+"""Maximum tilt [rad], about 29 degrees."""
 
 
 class GroundEffect(NamedTuple):
-    """What the ground does to parts, for compiled code: gravity along the plate [m/s2, plate_home],
-    static over dynamic friction, the change of that with the slip [1/(m/s)], and that of the weight
-    with the plate's acceleration along x [1/(m/s2)]."""
+    """Effects of the ground on parts, for compiled code: gravity along the plate [m/s2,
+    plate_home], static over dynamic friction, relative change of friction with the slip [1/(m/s)],
+    and relative change of the weight with the plate's acceleration along x [1/(m/s2)]."""
 
     gravity_x: float
     gravity_y: float
@@ -35,21 +36,23 @@ class GroundEffect(NamedTuple):
 
 @dataclass(frozen=True)
 class Ground:
-    """The plate under all parts.
+    """Surface of the plate.
 
     Attributes
     ----------
     static_ratio : float
-        Static over dynamic friction: a part that sticks comes loose only when holding it would
-        take more than `static_ratio` mu g.
+        Static over dynamic friction. A sticking part slips if holding it would require more than
+        `static_ratio` mu g.
     tilt : (2,)
-        How far the plate leans [rad]: parts are pulled down it, along +x and +y if positive.
+        Tilt of the plate [rad]. Positive values pull parts along +x and +y.
     friction_slope : float
-        How dynamic friction changes with the slip s [1/(m/s)]: by 1 + slope s if positive, by
-        1/(1 - slope s) if negative. Of a part that turns too, s is the root mean square over it.
+        Change of dynamic friction with the slip s [1/(m/s)]: factor 1 + slope s if positive,
+        1/(1 - slope s) if negative. For a part that also rotates, s is the root mean square over
+        it.
     heave : float
-        The plate moves up by this share of its motion along x: parts weigh, and friction grows, by
-        1 + heave a/g at an acceleration a. Parts never leave the plate.
+        Ratio of the plate's upward motion to its motion along x. At an acceleration a along x the
+        weight of parts, and so friction, changes by the factor 1 + heave a/g. Parts never leave the
+        plate.
     """
 
     static_ratio: float = 1.0
@@ -73,7 +76,7 @@ class Ground:
             raise PlateError(f"tilt is {self.tilt!r} rad, allowed: two angles, up to {TILT:g}")
 
     def effect(self, gravity: float) -> GroundEffect:
-        """Return what it does under a gravity [m/s2]."""
+        """Return its effects for a gravity [m/s2]."""
         x, y = (gravity * sin(angle) for angle in self.tilt)
         return GroundEffect(
             float(x), float(y), float(self.static_ratio), float(self.friction_slope),
@@ -82,4 +85,4 @@ class Ground:
 
 
 LEVEL = Ground()
-"""A level plate, as hard to leave as to slide on."""
+"""Level plate with equal static and dynamic friction."""

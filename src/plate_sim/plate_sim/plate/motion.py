@@ -1,4 +1,4 @@
-"""What the plate really does during one cycle; it need not close."""
+"""Actual motion of the plate during one cycle, as quintic pieces. It need not be periodic."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import plate_state, quintic_pieces
 
 ROUNDING_S = 1e-12
-"""Times that differ by less are the same [s]."""
+"""Maximum difference of equal times [s]."""
 
 
 @dataclass(frozen=True)
 class PlateMotion:
-    """Realised motion of the plate over one cycle, in plate_home: quintic pieces.
+    """Actual motion of the plate over one cycle in plate_home, as quintic pieces.
 
-    Integrators take it wherever they take a `PlateCycle`, for one cycle: both have `period`,
+    Integrators accept it in place of a `PlateCycle` for one cycle: both have `period`,
     `times`, `coefficients`, `pose`, `twist` and `accel`.
 
     Attributes
@@ -27,7 +27,7 @@ class PlateMotion:
     times : (k + 1,)
         Times [s] of the pieces' ends, from 0 to the period.
     coefficients : (k, 6, 3)
-        Powers of the time since a piece's start [m, m, rad].
+        Coefficients of the powers of the time since a piece's start [m, m, rad].
     """
 
     times: np.ndarray
@@ -41,24 +41,25 @@ class PlateMotion:
 
     @classmethod
     def of_cycle(cls, cycle: PlateCycle) -> PlateMotion:
-        """Return a cycle done exactly as commanded."""
+        """Return the motion that equals the commanded cycle."""
         return cls(cycle.times, cycle.coefficients)
 
     @classmethod
     def of_motors(cls, rig: Rig, times: np.ndarray, motors: np.ndarray) -> PlateMotion:
-        """Return the motion that four motors give.
+        """Return the motion for given motions of the four motors.
 
         Parameters
         ----------
         times : (k + 1,)
             [s], from 0.
         motors : (k + 1, 3, 4)
-            Travel [m], speed [m/s] and acceleration [m/s2]; quintics between.
+            Travel [m], speed [m/s] and acceleration [m/s2], with quintic interpolation.
 
         Raises
         ------
         CycleError
-            If they disagree with each other, a value is not finite, or times do not rise from 0.
+            If the motors' motions are inconsistent, a value is not finite, or times do not increase
+            from 0.
         """
         times = np.asarray(times, dtype=float)
         if not (np.all(np.isfinite(motors)) and np.all(np.isfinite(times))):
@@ -69,14 +70,14 @@ class PlateMotion:
 
     @classmethod
     def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
-        """Return what happens from `begin` to `end` [s] of a motion; both within it."""
+        """Return the part of a motion from `begin` to `end` [s], both within it."""
         times = motion.times
         # A knot within rounding of an end is that end.
         first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1
         last = int(np.searchsorted(times, end - ROUNDING_S, "left"))
         knots = np.concatenate([[begin], times[first + 1 : last], [end]])
         coefficients = np.array(motion.coefficients[first:last])
-        # Powers of the time since the first piece's start: moved on to `begin` by Horner's scheme.
+        # Shift the origin of the first piece's polynomial to `begin` by Horner's scheme.
         for k in range(5):
             for j in range(4, k - 1, -1):
                 coefficients[0, j] += (begin - times[first]) * coefficients[0, j + 1]

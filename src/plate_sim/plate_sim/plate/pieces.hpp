@@ -1,5 +1,5 @@
-// The plate's exact motion: the quintic pieces of a cycle in one table, and the evaluation of the
-// plate's pose, twist and acceleration that the judge of points uses. See pieces.py.
+// The plate's exact motion: a table of a cycle's quintic pieces, and the evaluation of pose, twist
+// and acceleration for the event-driven simulation of points. See pieces.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,9 +9,10 @@
 
 namespace plate {
 
-// A piece between two knots: times of its start and end [s]; six powers of the time since its start
-// of x, y [m] and theta [rad], each; what a riding part can feel (see `ride_bound`); whether theta
-// changes anywhere; and whether the end of the cycle is its start. A row of a table (K, 24).
+// A piece between two knots: times of its start and end [s]; coefficients of the six powers of the
+// time since its start, for x, y [m] and theta [rad]; bounds of the acceleration of a riding part
+// (see `ride_bound`); whether theta changes anywhere; and whether the cycle is closed. A row of a
+// table (K, 24).
 struct Piece {
     double start, end, x[6], y[6], theta[6], line, push, turns, wraps;
 };
@@ -19,22 +20,22 @@ static_assert(sizeof(Piece) == 24 * sizeof(double));
 using Table = std::span<const Piece>;
 
 // Bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta'' [rad/s3]; direction of
-// the line on which the plate accelerates, 0 if there is none; gravity along the plate [m/s2].
+// the line along which the plate accelerates, 0 if there is none; gravity along the plate [m/s2].
 struct Scales {
     double accel, push, jerk, push_rate;
     Vec line, gravity;
 };
 static_assert(sizeof(Scales) == 8 * sizeof(double));
 
-// A point part: place [m] and velocity [m/s].
+// A point part: position [m] and velocity [m/s].
 struct Point {
     Vec place, velocity;
 };
 
-// A motion is on a line if it accelerates across it by no more than this share: rounding.
+// A motion is on a line if its acceleration across the line is at most this fraction (rounding).
 constexpr double STRAIGHT = 1e-11;
 
-// Value of the polynomial c, u [s] after its knot; its first and second derivative.
+// Value, first and second derivative of the polynomial c at the time u [s] after its knot.
 inline double place(const double* c, double u) {
     return c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))));
 }
@@ -45,22 +46,23 @@ inline double bend(const double* c, double u) {
     return 2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * (20 * c[5])));
 }
 
-// The piece that a share of the motion is in, if all were of one length.
+// Index of the piece at a fraction of the motion, if all pieces had the same length.
 inline int piece_at(Table table, double share) {
     const int last = static_cast<int>(table.size()) - 1;
     const double k = share * (last + 1);
     return k >= last ? last : k > 0 ? static_cast<int>(k) : 0;
 }
 
-// Of the pieces near the k-th, the one that time t [s] is in; the first and the last go on.
+// Index of the piece that contains time t [s], searched from piece k on. Times outside the motion
+// belong to the first or last piece.
 inline int seek(Table table, double t, int k) {
     while (k > 0 && t < table[k].start) k--;
     while (k + 1 < static_cast<int>(table.size()) && t >= table[k].end) k++;
     return k;
 }
 
-// Wrap t [s] into a closed cycle; set k to its piece, which is sought from its share unless it is
-// k.
+// Wrap t [s] into a closed cycle, and set k to its piece. If that is not piece k, the search starts
+// at the piece estimated from t.
 inline double locate(Table table, double t, int& k) {
     const double period = table.back().end;
     if (t >= period) {
@@ -104,13 +106,13 @@ inline Vec surface_rate(Table table, double t, int k, const Point& part) {
     return a;
 }
 
-// A part that rides with the plate: its state, and acceleration [m/s2].
+// A part that sticks to the plate: its state and acceleration [m/s2].
 struct Ride {
     Point part;
     Vec accel;
 };
 
-// State of a part stuck at q [m, in the plate] at time t; k is set to its piece.
+// State at time t of a part that sticks at q [m, plate frame]; k is set to its piece.
 inline Ride riding(Table table, double t, int& k, Vec q) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -128,7 +130,7 @@ inline Ride riding(Table table, double t, int& k, Vec q) {
              bend(piece.y, u) + push * r.x - spin * spin * r.y}};
 }
 
-// Where in the plate [m] a part at p is at time t.
+// Position [m] in the plate frame of a part at p at time t.
 inline Vec in_plate(Table table, double t, int k, Vec p) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -139,7 +141,7 @@ inline Vec in_plate(Table table, double t, int k, Vec p) {
     return {c * r.x + s * r.y, c * r.y - s * r.x};
 }
 
-// What a part riding at `radius` [m] feels at most [m/s2] during a piece.
+// Maximum acceleration [m/s2] during a piece of a part that sticks at `radius` [m].
 inline double ride_bound(const Piece& piece, double radius) {
     return piece.line + radius * piece.push;
 }
@@ -152,10 +154,11 @@ inline double bezier(const double* c, double h, int i) {
     return point;
 }
 
-// Write what bounds riding parts in a piece, and update the scales, by Bezier points.
+// Compute the bounds for riding parts in a piece, and update the scales, from Bezier points.
 //
-// A cubic never leaves the hull of its points: so their greatest norm bounds O'' and theta'', their
-// greatest difference the rates of those; theta' is bounded from its ends.
+// A cubic stays in the convex hull of its Bezier points. So their maximum norm bounds O'' and
+// theta'', and their maximum difference bounds the rates of these. theta' is bounded from its end
+// values.
 inline void bound(Piece& piece, Scales& scales) {
     const double h = piece.end - piece.start;
     double line = 0, push = 0, last = 0;
@@ -178,7 +181,7 @@ inline void bound(Piece& piece, Scales& scales) {
     piece.line = line, piece.push = push + spin * spin;
 }
 
-// Whether the plate accelerates, by `accel` [m/s2] at most, along the unit vector n only.
+// Whether the plate accelerates only along the unit vector n, with at most `accel` [m/s2].
 inline bool on_line(Table table, Vec n, double accel) {
     for (const Piece& piece : table) {
         const double h = piece.end - piece.start;

@@ -1,10 +1,10 @@
-"""What the plate really does when it hangs on flexures and motors push it: see `drive`.
+"""Actual motion of the plate on flexures and motors, for a commanded cycle (model: see `drive`).
 
-At the ends of the command's pieces the deviation from the command is known exactly: with
-z' = A z + b(t), b(t) = sum_k b_k t^k/k!, the state and all b_k together are a linear system
-without input, whose matrix exponential takes them a step on (Higham, Functions of Matrices, section
-10.7.4). Between the ends the deviation becomes a quintic through both ends' pose, twist
-and acceleration; where that misses the exact middle, the piece is halved.
+At the ends of the command's pieces the deviation from the command is computed exactly. With
+z' = A z + b(t), b(t) = sum_k b_k t^k/k!, the state and all b_k together are an autonomous linear
+system, which its matrix exponential advances by one step (Higham, Functions of Matrices, section
+10.7.4). Between the ends the deviation is approximated by a quintic through both ends' pose, twist
+and acceleration. If the quintic misses the exact state in the middle, the piece is bisected.
 """
 
 from __future__ import annotations
@@ -24,30 +24,31 @@ from .drive import DEGREE, Command, Plant, PlateState, later
 from .motion import PlateMotion
 
 POSE_ERROR = 1e-9
-"""Greatest error of the realised pose [m, rad] between knots."""
+"""Maximum error of the pose between knots [m, rad]."""
 
 TWIST_ERROR = 1e-6
-"""The same of the twist [m/s, rad/s]: a part carried along at it goes 1 um in a second."""
+"""Maximum error of the twist between knots [m/s, rad/s]. It moves a part by 1 um per second."""
 
 ACCEL_ERROR = 1e-2
-"""The same of the acceleration [m/s2, rad/s2]: it only tells when a part comes loose."""
+"""Maximum error of the acceleration between knots [m/s2, rad/s2]. It affects only the time at which
+a part begins to slip."""
 
 HALVINGS = 16
-"""How often a piece is halved at most: a lag of 1 us is then resolved in pieces of 10 ms."""
+"""Maximum number of bisections of a piece. They resolve a lag of 1 us in pieces of 10 ms."""
 
 STEP_DIGITS = 15
-"""Decimals [s] to which pieces' lengths are told apart: equal ones share their responses."""
+"""Decimals to which pieces' lengths [s] are rounded. Pieces of equal length share a response."""
 
 
 def realise(
     rig: Rig, state: PlateState, cycle: PlateCycle | PlateMotion
 ) -> tuple[PlateMotion, PlateState]:
-    """Return what the plate does during a commanded cycle, and its state at the cycle's end.
+    """Return the plate's motion during a commanded cycle, and its state at the end.
 
-    The motion is that of the linear plate in `drive`, exact at the result's knots and at the end;
-    between knots within about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. Neglected are the
-    friction of the parts on the plate, and how its motors' levers change as it turns. Without a
-    suspension the motion is the commanded one.
+    The motion is that of the linear model in `drive`. It is exact at the knots and at the end.
+    Between knots the errors are about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. The model
+    neglects the friction of parts on the plate, and the change of the motors' levers with its
+    rotation. Without a suspension the motion is the commanded one.
 
     Raises
     ------
@@ -68,7 +69,7 @@ def realise(
 def motor_record(
     rig: Rig, motion: PlateMotion, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what sensors at the motors measure at times t (n,) [s] of a cycle.
+    """Return the sensor values of the motors at times t (n,) [s] of a cycle.
 
     Returns
     -------
@@ -79,7 +80,7 @@ def motor_record(
 
 
 def overtravel(rig: Rig, motion: PlateMotion) -> float:
-    """Return by how much a motor exceeds its stroke [m], 0 if none does: at 4 times a piece."""
+    """Return the maximum excess of a motor over its stroke [m], checked at 4 times per piece."""
     t = motion.times[:-1, None] + np.diff(motion.times)[:, None] * np.arange(4) / 4
     travel, _, _ = motor_record(rig, motion, np.append(t, motion.period))
     return max(0.0, float(np.max(np.abs(travel))) - rig.limits.stroke_m)
@@ -98,7 +99,7 @@ class _Spans:
     ----------
     piece : (m,)
     offset : (m,)
-        Where the span starts within its piece [s].
+        Start of the span relative to its piece [s].
     before, after : (m, n)
         z at its start and end.
     """
@@ -115,7 +116,7 @@ class _Spans:
 def _respond(
     plant: Plant, command: Command, deviation: np.ndarray
 ) -> tuple[PlateMotion, np.ndarray]:
-    """Return the motion from a deviation (n,) on, and the deviation (n,) at its end."""
+    """Return the motion for an initial deviation (n,), and the deviation (n,) at its end."""
     steps, kind = np.unique(np.round(command.steps, STEP_DIGITS), return_inverse=True)
     whole = step_responses(plant.system, steps)[kind]
     ends = [deviation]
@@ -140,7 +141,7 @@ def _respond(
 
 
 def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return what a state and a polynomial input do over steps.
+    """Return the responses of the system to a state and a polynomial input over steps.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
     Returns
     -------
     (u, n, (DEGREE + 2) n)
-        Times the state and the input's derivatives, one below the other: the state a step later.
+        Matrices that map the stacked state and input derivatives to the state one step later.
     """
     size = len(system)
     whole = np.kron(np.eye(DEGREE + 2, k=1), np.eye(size))
@@ -161,15 +162,15 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
-    """Return states (m, n) a step later.
+    """Return states (m, n) one step later.
 
     Parameters
     ----------
     response : (m, n, (DEGREE + 2) n)
-        Of `step_responses`, for each state's step.
+        Result of `step_responses` for each state's step.
     state : (m, n)
     derivatives : (m, DEGREE + 1, n)
-        Of the input, at the step's start.
+        Derivatives of the input at the step's start.
     """
     inputs = np.concatenate([state[:, None], derivatives], axis=1)
     return np.asarray((response @ inputs.reshape(len(state), -1, 1))[..., 0])
@@ -178,10 +179,10 @@ def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) ->
 def _misses(
     plant: Plant, command: Command, spans: _Spans, middle: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
-    """Tell (m,) where the quintic through both ends misses the exact state (m, n) in the middle.
+    """Return whether (m,) each quintic misses the exact state (m, n) in the middle.
 
-    With an error that goes as (t (h - t))^3, as a quintic's does, the twist's is greatest off the
-    middle, and there 3.4 times the pose's over h.
+    The error of a quintic is proportional to (t (h - t))^3. The maximum error of the twist is then
+    not in the middle, and it is 3.4 times the maximum pose error divided by h.
     """
     h = step[:, None]
     p, q = spans.before[:, :3], spans.after[:, :3]
@@ -200,7 +201,7 @@ def _misses(
 def _accel(
     plant: Plant, command: Command, piece: np.ndarray, offset: np.ndarray, z: np.ndarray
 ) -> np.ndarray:
-    """Second derivative (m, 3) of the deviation."""
+    """Return the second derivative (m, 3) of the deviation."""
     forcing = later(command.forcing[piece], offset)[:, 0, 3:6]
     return np.asarray(z @ plant.system[3:6].T + forcing)
 
