@@ -1,4 +1,11 @@
-"""What the planner makes of the images: where the parts are, and where its answer finds them."""
+"""Estimates the state of the parts from images and the plate's motion.
+
+Inputs are the parts detected in each image with its stamp, the cycles sent to the plate, their
+reported starts, and the requests. Outputs are the parts at the start of the running cycle and their
+predicted state when the next answer takes effect. The parts are tracked by Kalman filters on the
+stick-slip motion (`filter.py`), in parallel for several hypotheses of the image latency
+(`latency.py`). `DriftBias` observes the remaining prediction error.
+"""
 
 from __future__ import annotations
 
@@ -15,50 +22,54 @@ from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
 COAST = Coast(parts=5, unknown=10)
-"""Images for which what is not seen is propagated. A part: as long as vision keeps its name. A
-thing that may be a part is often not seen, and is still there meanwhile: as long as `MEMORY_S`, if
-images are taken at the starts of cycles."""
+"""Maximum number of consecutive images without a detection for which a part is propagated. For a
+part, it is the number after which vision drops its name. Objects of the class `unknown` are often
+not detected although they are present. Their number corresponds to `MEMORY_S` if images are taken
+at cycle starts."""
 
 FRESH = 1.5
-"""A request is what the present cycle does if it is at most this many periods old."""
+"""Maximum age of a request in periods. A request that is older does not describe the running
+cycle."""
 
 SETTLE_S = 0.05
-"""Parts lie still so long after the plate has come to rest [s]."""
+"""Delay after the plate has come to rest until all parts are at rest [s]."""
 
 SAME_LATENCY_S = 2e-3
-"""Latencies that differ by less are the same to a prediction [s]: parts drift some 0.05 mm."""
+"""Latencies that differ by less count as equal for a prediction [s]. Parts drift by about 0.05 mm
+in this time."""
 
 STARTS_S = 1e-3
-"""An image whose stamp is so near to a reported start of a cycle was stamped by what triggers the
-camera: then it was taken [s]."""
+"""Maximum difference between an image's stamp and a reported cycle start [s]. If it is smaller, the
+stamp is the time of the camera trigger, so the image was taken at its stamp."""
 
 LATE = 0.01
-"""A prediction is for images at most this fraction of its span from its stamp."""
+"""Maximum difference between an image's stamp and the time of a prediction, as a fraction of the
+prediction's span. A later or earlier image is not compared with the prediction."""
 
 FEWER = 0.02
-"""By this fraction a rate of images may seem less than that of the cycles, and be the same."""
+"""Tolerance of the image rate, as a fraction of the cycle rate."""
 
 ODD, ODD_IMAGES = 0.25, 20
-"""So many images in a row that are this fraction of a cycle off a whole number of cycles apart are
-not of a camera that is triggered at the starts of cycles."""
+"""If this number of consecutive image intervals deviates from whole numbers of cycles by more than
+this fraction of a cycle, the camera is not triggered at cycle starts."""
 
 FEW_UNANSWERED = 0.05
-"""By so many cycles without an answer a task hardly takes longer [share]."""
+"""Fraction of unanswered cycles that does not noticeably slow a task."""
 
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 
 def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
-    """Return where each id is among others (K,) int; -1 where it is not."""
+    """Return the index (K,) of each id in `among`; -1 if it is missing."""
     row = {name: i for i, name in enumerate(among)}
     return np.array([row.get(name, -1) for name in ids], dtype=int)
 
 
 @dataclass(frozen=True)
 class LastRequest:
-    """What drift (M, 2) [m/s, plate_home] was asked of which part, and when.
+    """The last request: drift (M, 2) [m/s, plate_home] of each part, and its stamp [s].
 
-    `force` (M, 2) [N] is what it took.
+    `force` (M, 2) [N] are the corresponding mean forces.
     """
 
     ids: tuple[str, ...] = ()
@@ -67,9 +78,10 @@ class LastRequest:
     force: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def drift_of(self, parts: Parts, t: float, period: float) -> np.ndarray:
-        """Drift (M, 2) [m/s] of parts seen at t [s], if they do as they were asked.
+        """Return the drift (M, 2) [m/s] of parts detected at t [s], if they follow the request.
 
-        Parts that were not asked go on drifting.
+        Parts without a request, or with a request older than `FRESH` periods, keep their measured
+        drift.
         """
         drift = parts.velocity.copy()
         if 0 <= t - self.stamp <= FRESH * period:
@@ -80,25 +92,30 @@ class LastRequest:
 
 @dataclass(frozen=True)
 class DriftBias:
-    """A disturbance observer: what parts do otherwise than was predicted, cycle after cycle.
+    """Disturbance observer of the drift error: the difference between actual and predicted motion.
 
-    Motors that give less than they should, a surface that is more slippery than assumed, a solver's
-    model that is not quite true: what one cycle does differently the next one will do too, nearly.
-    On a path it is the same along and across it, so it is kept in axes that the task chooses.
+    Weak motors, a more slippery surface or errors of the solver's model cause similar errors in
+    consecutive cycles. With the position x, the prediction p made the time T before, and the gain
+    k, the drift error b is updated by
+
+        b += k ((x - p)/T - b).
+
+    On a path the error is nearly constant along and across it. Therefore it is stored in axes that
+    the task chooses.
 
     Attributes
     ----------
     ids : tuple of str
     drift : (M, 2)
-        Beyond what was predicted, along each part's axes [m/s].
+        Drift error along each part's axes [m/s].
     place : (M, 2)
-        Where each part will be by the last prediction [m, plate_home].
+        Predicted position of each part [m, plate_home].
     stamp : float
-        When [s]; NaN: there is no prediction.
+        Time of the predicted positions [s]; NaN if there is no prediction.
     span : float
-        How far ahead that was [s].
+        Prediction horizon: `stamp` minus the time of the prediction [s].
     latency : float or None
-        Of the images, as it was taken to be [s]; None: it was not known.
+        Image latency assumed in the prediction [s]; None if unknown.
     """
 
     ids: tuple[str, ...] = ()
@@ -118,24 +135,24 @@ class DriftBias:
         gain: float,
         most: np.ndarray,
     ) -> DriftBias:
-        """Compare the parts with what was predicted of them.
+        """Update the drift error by the difference between parts and prediction.
 
         Parameters
         ----------
         parts : Parts
             M parts at an image's stamp.
         seen : (M,) bool
-            Whether the image shows them; nothing is learnt of others.
+            Whether the image shows the part. Other parts are not updated.
         t : float
-            The stamp [s]; nothing is learnt if nothing was predicted for it.
+            Stamp [s]. There is no update if the prediction is for another time.
         latency : float or None
-            As it is taken to be now [s]; nothing is learnt if it has changed, or is not known.
+            Image latency assumed now [s]. There is no update if it is unknown or has changed.
         axes : (M, 2, 2)
             Unit vectors in rows, at the middle of the cycle that has ended.
         gain : float
-            Fraction of what is new that counts [-].
+            Weight of the new difference, 0 to 1 [-].
         most : (M,)
-            Greatest drift to be believed, along each axis [m/s].
+            Maximum drift error per axis [m/s]. Larger differences are clipped.
         """
         row = rows_of(parts.ids, self.ids)
         known = row >= 0
@@ -148,11 +165,12 @@ class DriftBias:
         return DriftBias(parts.ids, drift, parts.position)
 
     def predict(self, place: np.ndarray, t: float, at: float, latency: float | None) -> DriftBias:
-        """Return it with where the parts will be (M, 2) [m] `at` a stamp, as predicted at t [s]."""
+        """Return the observer with the positions (M, 2) [m] predicted at t [s] for the time `at`
+        [s]."""
         return replace(self, place=place, stamp=at, span=at - t, latency=latency)
 
     def along(self, axes: np.ndarray) -> np.ndarray:
-        """Return the drift (M, 2) [m/s, plate_home] for parts with these axes."""
+        """Return the drift error (M, 2) [m/s, plate_home] of parts with the given axes."""
         return np.einsum("pi,pij->pj", self.drift, axes)
 
     def _had(self, latency: float | None) -> bool:
@@ -166,20 +184,22 @@ class DriftBias:
 
 @dataclass(frozen=True)
 class Turning:
-    """How parts are turned, by a camera that runs free: from the image nearest to each cycle's
-    start, when the plate hardly moves.
+    """Orientation and angular velocity of the parts, if cycle starts are reported.
+
+    They are measured in the image closest to each cycle start, when the plate hardly moves.
 
     Attributes
     ----------
     ids : tuple of str
     angle, spin : (M,)
-        Orientation [rad] then, and turning since the image of a cycle before [rad/s].
+        Orientation in that image [rad], and mean angular velocity since the corresponding image of
+        the previous cycle [rad/s].
     time : float
-        When that image was taken [s].
+        Time at which the image was taken [s].
     start : float
-        The start of a cycle that it is nearest to [s].
+        Cycle start closest to the image [s].
     last : Turning or None
-        The same of the cycle before.
+        Measurement of the previous cycle.
     """
 
     ids: tuple[str, ...] = ()
@@ -190,7 +210,7 @@ class Turning:
     last: Turning | None = None
 
     def update(self, log: CycleLog, parts: Parts, time: float) -> Turning:
-        """Take in an image that was taken at a time [s]."""
+        """Process an image taken at `time` [s]."""
         starts = np.array([*(begin for begin, _ in log.runs), log.end])
         start = float(starts[np.argmin(np.abs(starts - time))])
         same = abs(start - self.start) < SNAP * log.period
@@ -206,7 +226,10 @@ class Turning:
         return Turning(parts.ids, parts.angle, spin, time, start, last)
 
     def of(self, ids: tuple[str, ...], t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return angle (K,) [rad] at a time [s], and spin (K,) [rad/s], of parts; 0 of others."""
+        """Return the angles (K,) [rad] of parts at time t [s], and their spins (K,) [rad/s].
+
+        Both are 0 for unknown parts.
+        """
         row = rows_of(ids, self.ids)
         spin = np.append(self.spin, 0.0)[row]
         return np.append(self.angle, 0.0)[row] + spin * (t - self.time), spin
@@ -214,29 +237,30 @@ class Turning:
 
 @dataclass(frozen=True)
 class Estimator:
-    """The parts as last seen, and the plate's motion since.
+    """State of the estimation: the last detections, the filters, and the plate's motion.
 
     Attributes
     ----------
     rig : Rig
     clock : CycleClock
     frames : FrameClock
-        When images were taken, by a camera that runs free.
+        Estimated exposure times of a free-running camera.
     latency : LatencyHypotheses
-        Estimates of the parts, by how old an image is at its stamp.
+        State estimates of the parts for each hypothesis of the image latency.
     log : CycleLog
     seen : Parts
-        As vision saw them.
+        Parts detected in the last image.
     request : LastRequest
-        What parts are taken to do as long as the plate's motion is not known.
+        Requested drift. It is the motion model until the plate's motion is known.
     odd : int
-        Images in a row that did not come a whole number of cycles after the one before.
+        Number of consecutive images whose interval to the previous image is not a whole number of
+        cycles.
     turning : Turning
-        How parts are turned, if starts of cycles are reported.
+        Orientations of the parts, if cycle starts are reported.
     before, before_stamp : Parts, float
-        The parts as they were said at the last answer, and when that was [s].
+        Parts at the last call of `observe`, and their stamp [s].
     bias : DriftBias
-        What they do otherwise than predicted.
+        Observed error of the predicted drift.
     """
 
     rig: Rig
@@ -254,15 +278,15 @@ class Estimator:
 
     @classmethod
     def of(cls, rig: Rig, default_period: float, latency: float | None) -> Estimator:
-        """Return what is known at the start.
+        """Return the initial state.
 
         Parameters
         ----------
         rig : Rig
         default_period : float
-            Length of a cycle until it is known [s].
+            Assumed length of a cycle until it is known [s].
         latency : float or None
-            How old an image is at its stamp [s]; None: found out.
+            Age of an image at its stamp [s]; None: estimate it.
         """
         clock = CycleClock.starting(default_period)
         hypotheses = LatencyHypotheses.of(latency)
@@ -274,20 +298,22 @@ class Estimator:
         return self.rig.friction.accel
 
     def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> Estimator:
-        """Take in a cycle that was sent to the plate; as in `CycleLog.hear`."""
+        """Record a cycle sent to the plate, as in `CycleLog.hear`."""
         return replace(self, log=self.log.hear(cycle, arrival, asked))
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> Estimator:
-        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]; as in
+        """Record that the plate began a cycle at `begin` [s, the time of the stamps], as in
         `CycleLog.started`."""
         latency = self.latency
         if self.rig.camera.trigger is not None and not self.log.reported:
-            latency = LatencyHypotheses.of(0.0)  # from now on it is known when images are taken
+            latency = LatencyHypotheses.of(0.0)  # exposure times are known now
         return replace(self, log=self.log.started(cycle, begin, triggered), latency=latency)
 
     def update(self, parts: Parts, t: float, coast: Coast = COAST) -> Estimator:
-        """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
-        for `coast` images."""
+        """Process one image: its parts and its stamp t [s].
+
+        Parts that are not detected are propagated for up to `coast` images.
+        """
         log, hypotheses = self.log.advance(t), self.latency
         if self.clock.went_back(t):
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
@@ -320,12 +346,12 @@ class Estimator:
 
     @property
     def image_rate(self) -> float:
-        """Images a second; 0 until it is known."""
+        """Number of images per second; 0 until it is known."""
         return self.frames.rate
 
     @property
     def image_problem(self) -> str:
-        """What is wrong with when images come; empty if nothing is."""
+        """Description of a problem with the timing of images; empty if there is none."""
         if not self.log.known:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
@@ -340,19 +366,20 @@ class Estimator:
 
     @property
     def answer_problem(self) -> str:
-        """What is wrong with when answers begin; empty if nothing is."""
+        """Description of a delay of the answers; empty if there is none."""
         late = self.log.delay
         cycles = "a cycle" if late == 1 else f"{late} cycles"
         return f"answers begin {cycles} late: the computer or the line is too slow" if late else ""
 
     def begin_task(self) -> Estimator:
-        """Count cycles anew, and forget what parts did otherwise than predicted."""
+        """Reset the counts of cycles and the observed drift error."""
         log = replace(self.log, begun=0, unanswered=0)
         return replace(self, bias=DriftBias(), log=log)
 
     @property
     def unanswered(self) -> str:
-        """How many cycles no answer began since the task did; empty if they were few."""
+        """Description of the cycles without an answer since the task began; empty if they are at
+        most `FEW_UNANSWERED`."""
         log = self.log
         if log.unanswered <= FEW_UNANSWERED * log.begun:
             return ""
@@ -363,84 +390,92 @@ class Estimator:
         )
 
     def ask(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
-        """Take in what is asked of the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
+        """Record the request for the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
         return replace(self, request=LastRequest(ids, drift, self.stamp, force))
 
     @property
     def stamp(self) -> float:
-        """When the parts are as said [s]: the start of the running cycle, which is the stamp of the
-        last image where starts are not reported; minus infinity before the first."""
+        """Time to which `parts` refers [s].
+
+        It is the start of the running cycle if starts are reported, otherwise the stamp of the last
+        image. Minus infinity before the first image.
+        """
         if self.log.reported:
             return self.log.begin
         return -np.inf if self.clock.stamp is None else self.clock.stamp
 
     @property
     def taken(self) -> float:
-        """When the last image was taken [s]; minus infinity before the first."""
+        """Time at which the last image was taken [s]; minus infinity before the first."""
         stamp = -np.inf if self.clock.stamp is None else self.clock.stamp
         return stamp - self.latency.latency
 
     @property
     def at_rest(self) -> bool:
-        """Whether parts and plate lay still when the last image was taken, as far as is known."""
+        """Whether parts and plate were at rest when the last image was taken."""
         return self.taken >= self._known_rest + SETTLE_S
 
     @property
     def _known_rest(self) -> float:
-        """Since when the plate has been at rest by what was reported, sent or asked [s]."""
+        """Start of the plate's rest [s], from reported cycles, sent cycles or requests."""
         if self.log.known:
             return self.log.resting_since
-        asked = self.request.stamp  # what was asked last is done in the cycle after the image
+        asked = self.request.stamp  # executed in the cycle after the image
         return asked + 2 * self.period if asked <= self.stamp else -np.inf
 
     @property
     def resting_since(self) -> float:
-        """Since when the plate has been at rest, to stay so until motion is asked for again [s];
-        infinite while it moves, and where it may: as long as the cycle of the last image is not
-        reported, and what was asked for last may begin and is not known to have."""
+        """Start of the plate's rest [s], if the plate remains at rest until the next request.
+
+        It is infinite if the plate moves or may move: if the cycle of the last image has not been
+        reported, or if the last request may still begin.
+        """
         log, asked = self.log, self.request.stamp
         if not log.known:
             return self._known_rest
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
-        reports = log.told > self.taken - MEMORY_S  # else nobody has reported for long
-        unanswered = log.answered < asked < self.taken + MEMORY_S  # else the clock was put back
+        reports = log.told > self.taken - MEMORY_S  # False: no recent report
+        unanswered = log.answered < asked < self.taken + MEMORY_S  # False: clock set back
         may_come = unanswered or log.may_move(log.told if reports else self.taken)
         return np.inf if may_come or (reports and log.told < shown) else log.resting_since
 
     @property
     def period(self) -> float:
-        """Length of a cycle that is no tail [s]: of the last one, or what the stamps tell."""
+        """Length of the last cycle that is not a tail [s]. If no cycle is known, it is estimated
+        from the stamps."""
         return self.log.period if self.log.known else self.clock.period
 
     @property
     def next_start(self) -> float:
-        """Stamp at which the answer to the last image begins to act [s]."""
+        """Time at which the answer to the last image takes effect [s]."""
         return self.log.until_answer.end if self.log.known else self.stamp + self.clock.period
 
     @property
     def next_rest(self) -> float:
-        """Stamp from which the plate rests if that answer asks for nothing [s]."""
+        """Time at which the plate comes to rest if that answer requests no motion [s]."""
         tail = self.log.until_answer.runs[-1][1].tail if self.log.known else None
         return self.next_start + (tail.period if tail is not None else 0.0)
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """The parts that are known."""
+        """Ids of the tracked parts."""
         return self.latency.estimate.ids
 
     @property
     def mean(self) -> np.ndarray:
-        """State of the parts (M, 5) as `StateEstimate.mean`, when each was seen last."""
+        """State of the parts (M, 5), as `StateEstimate.mean`, at the time of each part's last
+        detection."""
         return self.latency.estimate.mean[self.latency.best]
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction of each part (M,) over the rig's."""
+        """Friction of each part (M,) divided by the rig's."""
         return np.exp(self.mean[:, 4])
 
     @property
     def parts(self) -> Parts:
-        """The parts at the stamp; as they were seen, as long as the plate's motion is not known."""
+        """The parts at `stamp`. Until the plate's motion is known, these are the last
+        detections."""
         if not self.log.known:
             return self.seen
         estimate, best = self.latency.estimate, self.latency.best
@@ -451,16 +486,21 @@ class Estimator:
         return Parts.make(estimate.ids, place, self._drift(place), angle, spin, grip)
 
     def _angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Angles (K,) [rad] at the stamp and turning (K,) [rad/s] of parts; 0 of those that the
-        last image does not show."""
+        """Return the angles (K,) [rad] at `stamp` and the spins (K,) [rad/s] of parts.
+
+        Both are 0 for parts without a measurement.
+        """
         if self.log.reported:
             return self.turning.of(ids, self.stamp)
         row = rows_of(ids, self.seen.ids)
         return np.append(self.seen.angle, 0.0)[row], np.append(self.seen.spin, 0.0)[row]
 
     def _drift(self, place: np.ndarray) -> np.ndarray:
-        """Drift (M, 2) [m/s] of the parts that are at `place` (M, 2) [m] at the stamp: since the
-        cycle before began, or as seen where images are taken at the starts of cycles."""
+        """Return the drift (M, 2) [m/s] of the parts, which are at `place` (M, 2) [m] at `stamp`.
+
+        If cycle starts are reported, it is the mean velocity since the last call of `observe`.
+        Otherwise it is the drift measured by vision.
+        """
         if not self.log.reported:
             return self.latency.estimate.drift
         row, span = rows_of(self.ids, self.before.ids), self.stamp - self.before_stamp
@@ -469,16 +509,18 @@ class Estimator:
         return np.where((row >= 0)[:, None] & usual, gone / max(span, SHORTEST_S), 0.0)
 
     def predict(self, parts: Parts) -> np.ndarray:
-        """Where parts will be (M, 2) [m] when the answer to the last image begins to act.
+        """Return the predicted positions (M, 2) [m] of parts at `next_start`.
 
-        As they were asked to, as long as the plate's motion is not known.
+        Until the plate's motion is known, the parts are assumed to follow the last request.
         """
         start = self.start_of(parts)
         return self.as_asked(parts) if start is None else start[:, :2]
 
     def start_of(self, parts: Parts) -> np.ndarray | None:
-        """Where parts will be then, and their velocity (M, 4) [m, m/s]; None as long as the plate's
-        motion is not known."""
+        """Return the predicted positions and velocities (M, 4) [m, m/s] of parts at `next_start`.
+
+        None until the plate's motion is known.
+        """
         if not self.log.known:
             return None
         row = rows_of(parts.ids, self.ids)
@@ -488,11 +530,11 @@ class Estimator:
 
     @property
     def next_plate(self) -> np.ndarray | None:
-        """Pose, twist and acceleration (3, 3) of the plate then; None where it is not certain."""
+        """Pose, twist and acceleration (3, 3) of the plate at `next_start`; None if uncertain."""
         return self.log.until_answer.plate if self.log.certain else None
 
     def as_asked(self, parts: Parts) -> np.ndarray:
-        """Where parts would be (M, 2) [m] then, if they did as they were asked."""
+        """Return the positions (M, 2) [m] of parts at `next_start` if they follow the request."""
         drift = self.request.drift_of(parts, self.stamp, self.period)
         return parts.position + (self.next_start - self.stamp) * drift
 
@@ -504,10 +546,11 @@ class Estimator:
         gain: float,
         most: np.ndarray,
     ) -> Estimator:
-        """Learn from parts at the stamp, and from where they are `predicted` to be (M, 2) [m] at
-        `next_start` the next time; the rest as in `DriftBias.update`."""
+        """Update the observed drift error with the parts at `stamp`, and store the positions
+        `predicted` (M, 2) [m] for `next_start`. The other parameters are as in
+        `DriftBias.update`."""
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
-        # What was predicted a short while ahead tells less.
+        # A prediction with a short horizon contains less information.
         ahead = min(self.bias.span / self.period, 1.0)
         bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, most)
         bias = bias.predict(predicted, self._known_until, self.next_start, latency)
@@ -515,25 +558,25 @@ class Estimator:
 
     @property
     def _known_until(self) -> float:
-        """When parts were seen that predictions rest on [s]."""
+        """Time of the last detection on which predictions are based [s]."""
         if not self.log.reported:
             return self.stamp
         return float(np.max(self.latency.estimate.time[self.latency.best], initial=self.log.begin))
 
     @property
     def latency_known(self) -> bool:
-        """Whether it is known how old images are, but for a few milliseconds."""
+        """Whether the image latency is known to within a few milliseconds."""
         return self.latency.found
 
     @property
     def _known_latency(self) -> float | None:
-        """Latency [s] that predictions rest on; None as long as it is being found out."""
+        """Latency [s] assumed in predictions; None while it is being estimated."""
         known = self.latency_known or not self.log.known
         return self.latency.latency if known else None
 
 
 def warm_up(rig: Rig) -> None:
-    """Follow a part once: what the first step loads is there when the first image comes."""
+    """Track a part for one step, so that all code is loaded before the first image arrives."""
     part = Parts.make(("part_1",), np.zeros((1, 2)))
     estimator = Estimator.of(rig, 0.1, None).update(part, 0.0).hear(PlateCycle.rest(0.1), 0.0)
     estimator.update(part, 0.1).predict(part)

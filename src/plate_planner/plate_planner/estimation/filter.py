@@ -1,13 +1,12 @@
-"""Where the parts are, how fast, and how slippery: a Kalman filter on the stick-slip motion.
+"""Kalman filter of the parts' positions, velocities and friction on the stick-slip motion.
 
-A camera sees places only, at any time, and may show them late. The filter's motion model is what
-the plate did: from image to image every part is propagated by the very cycles that ran, so an image
-of the middle of a cycle is compared with the middle of a cycle. What a part does unlike the model
-tells its friction. State of a part: x, y [m], vx, vy [m/s] in plate_home, and the logarithm of its
-friction over the rig's. Parts do not influence each other; but an image whose stamp is off shows
-all of them too early or too late.
+A camera measures only positions, at any time in a cycle, and with a latency. The motion model
+propagates every part from image to image by the cycles that ran. The differences between images and
+model determine the friction of a part. The state of a part is x, y [m], vx, vy [m/s] in plate_home,
+and the logarithm of its friction divided by the rig's. Each part has its own filter, but an error
+of an image's stamp is common to all parts.
 
-Everything is done for A hypotheses side by side, of how old an image is at its stamp.
+All computations run in parallel for A hypotheses of the image latency.
 """
 
 from __future__ import annotations
@@ -23,36 +22,36 @@ from .. import _kernels
 from .cycle_log import CycleLog
 
 STEP_S = 0.25e-3
-"""Step of the motion model [s]: its error over a cycle is below the camera's noise."""
+"""Step of the motion model [s]. Its error over a cycle is below the camera's noise."""
 
 DIFFERENCE = np.array([1e-4, 1e-4, 5e-3, 5e-3, 0.03])
-"""Differences by which the motion is differentiated [m, m, m/s, m/s, -]: as large as what is
-uncertain, for the motion bends where parts stick."""
+"""Step sizes of the finite differences of the motion model [m, m, m/s, m/s, -]. They are as large
+as the uncertainty, because the model has kinks where parts stick."""
 
 CAMERA_M = 0.02e-3
-"""Error of a place that is seen [m]: the camera's noise, and what motion blur adds."""
+"""Standard deviation of a measured position [m], from camera noise and motion blur."""
 
 PROCESS_NOISE = np.array([0.02e-3, 0.02e-3, 2e-3, 2e-3, 0.01])
-"""What the model misses in a cycle (as DIFFERENCE): friction that is uneven under the part, finite
-steps, a plate that does not quite do as asked."""
+"""Standard deviations of the model error per cycle (units as DIFFERENCE). Causes are uneven
+friction, finite steps, and deviations of the plate's motion."""
 
 FIRST_SEEN = np.array([0.02e-3, 0.02e-3, 0.02, 0.02, 0.15])
-"""Standard deviations of a part seen for the first time (as DIFFERENCE)."""
+"""Standard deviations of a part at its first detection (units as DIFFERENCE)."""
 
 PUSHED_SIGMA = 6.0
-"""A part this many standard deviations from its prediction was pushed by something that the model
-does not know: it is taken to be where it is seen, at any speed."""
+"""If a part is farther from its prediction than this number of standard deviations, an external
+push is assumed. The filter is then reset to the measured position, with the initial covariance."""
 
 FRICTION_RANGE = np.log(3.0)
-"""Friction is looked for between a third and three times that of the part's type [log]."""
+"""The estimated friction is limited to between 1/3 and 3 times that of the part's type [log]."""
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
-"""The state and its neighbours, (6, 5)."""
+"""Offsets (6, 5) of the state and its five neighbours for the finite differences."""
 
 
 class Coast(NamedTuple):
-    """Images in a row for which what is not seen is propagated: parts, and things of the class
-    `unknown`."""
+    """Maximum number of consecutive images without a detection for which an object is propagated:
+    for parts, and for objects of the class `unknown`."""
 
     parts: int
     unknown: int
@@ -60,25 +59,25 @@ class Coast(NamedTuple):
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """What is known of M parts, by A hypotheses.
+    """State estimate of M parts for A latency hypotheses.
 
     Attributes
     ----------
     ids : tuple of str
     time : (A, M)
-        When that was: when each part was seen last, or propagated to [s, the time of the stamps].
+        Time of each state: the last detection [s, the time of the stamps].
     mean : (A, M, 5)
     covariance : (A, M, 5, 5)
     drift : (M, 2)
-        As it was seen last [m/s].
+        Last drift measured by vision [m/s].
     unseen : (M,)
-        Images in a row that do not show the part.
+        Number of consecutive images without a detection of the part.
     start : float
-        When the last cycle began before parts were seen in it [s]; NaN: none did.
+        Start of the last cycle recorded by `update` [s]; NaN if there is none.
     start_mean : (A, M, 5)
-        What was expected of the parts then.
+        Predicted state of the parts at `start`.
     usual : (M,)
-        Friction of the parts' types, over the rig's [log].
+        Friction of the parts' types divided by the rig's [log].
     """
 
     ids: tuple[str, ...]
@@ -93,7 +92,7 @@ class StateEstimate:
 
     @classmethod
     def nothing(cls, count: int) -> StateEstimate:
-        """Return `count` hypotheses about no parts."""
+        """Return an estimate without parts for `count` hypotheses."""
         return cls(
             (), np.zeros((count, 0)), np.zeros((count, 0, 5)), np.zeros((count, 0, 5, 5)),
             np.zeros((0, 2)), np.zeros(0, int), np.nan, np.zeros((count, 0, 5)),
@@ -101,16 +100,17 @@ class StateEstimate:
         )  # fmt: skip
 
     def of(self, hypotheses: np.ndarray | list[int]) -> StateEstimate:
-        """Return some of the hypotheses."""
+        """Return the estimate for selected hypotheses."""
         return replace(
             self, time=self.time[hypotheses], mean=self.mean[hypotheses],
             covariance=self.covariance[hypotheses], start_mean=self.start_mean[hypotheses],
         )  # fmt: skip
 
     def at(self, hypothesis: int, log: CycleLog, t: float, friction_accel: float) -> np.ndarray:
-        """Return what is known of the parts (M, 5) at a time t [s], by one hypothesis.
+        """Return the state of the parts (M, 5) at time t [s], for one hypothesis.
 
-        Earlier than they were seen they were where that was expected, if a cycle began then.
+        If a part was detected after t, the predicted state `start_mean` is returned for t equal to
+        `start`, and the state at the detection for any other t.
         """
         mean, time = self.mean[hypothesis], self.time[hypothesis]
         ahead = propagate(log, mean, time, np.maximum(time, t), friction_accel)
@@ -127,7 +127,7 @@ class StateEstimate:
         jitter: float,
         friction: np.ndarray,
     ) -> tuple[StateEstimate, Fit]:
-        """Take in the parts of an image.
+        """Update the filters with the parts of an image.
 
         Parameters
         ----------
@@ -135,21 +135,21 @@ class StateEstimate:
         parts : Parts
             P parts that the image shows.
         time : (A, P)
-            When it shows each of them, by each hypothesis [s].
+            Time at which each part was imaged, for each hypothesis [s].
         friction_accel : float
             mu g of the rig [m/s2].
         most : Coast
-            Images in a row for which a part that is not seen is kept.
+            Maximum number of consecutive images without a detection before a part is removed.
         jitter : float
             Standard deviation of the images' stamps [s].
         friction : (P,)
-            Of a part that is seen for the first time, over the rig's.
+            Initial friction of a newly detected part, divided by the rig's.
 
         Returns
         -------
         estimate : StateEstimate
         fit : Fit
-            How well the hypotheses have predicted the image.
+            Prediction quality of each hypothesis for this image.
         """
         now = self._without(most)
         if log.known and log.begin != now.start:
@@ -185,7 +185,10 @@ class StateEstimate:
         return estimate, fit
 
     def moved(self, log: CycleLog, later: np.ndarray, friction_accel: float) -> StateEstimate:
-        """Return the same places `later` (A,) [s], with the velocities of that time."""
+        """Return the estimate with all times shifted by `later` (A,) [s].
+
+        Positions are kept; velocities and friction are propagated to the new times.
+        """
         time = self.time + later[:, None]
         end = propagate(
             log, self.mean.reshape(-1, 5), self.time.ravel(), time.ravel(), friction_accel
@@ -198,7 +201,7 @@ class StateEstimate:
         return replace(self, time=time, mean=mean, covariance=covariance)
 
     def _begun(self, log: CycleLog, friction_accel: float) -> StateEstimate:
-        """Note where parts are expected to be when the last cycle began, if that was since."""
+        """Store the predicted state of the parts at the start of the last cycle."""
         begin = np.maximum(self.time, log.begin).ravel()
         mean = propagate(log, self.mean.reshape(-1, 5), self.time.ravel(), begin, friction_accel)
         return replace(self, start=log.begin, start_mean=mean.reshape(self.mean.shape))
@@ -206,7 +209,8 @@ class StateEstimate:
     def _propagated(
         self, rows: np.ndarray, log: CycleLog, time: np.ndarray, friction_accel: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean (A, K, 5) and covariance (A, K, 5, 5) of some parts at times (A, K) [s]."""
+        """Return mean (A, K, 5) and covariance (A, K, 5, 5) of K parts, propagated to times (A, K)
+        [s]."""
         mean, begin = self.mean[:, rows], self.time[:, rows]
         shape = (*begin.shape, 6, 5)
         cloud = (mean[:, :, None] + SAMPLES).reshape(-1, 5)
@@ -221,7 +225,7 @@ class StateEstimate:
         return cloud[:, :, 0], covariance
 
     def _without(self, most: Coast) -> StateEstimate:
-        """Leave out parts that the last `most` images did not show."""
+        """Remove parts that were not detected in the last `most` images."""
         unknown = np.array([part_class(name) == UNKNOWN for name in self.ids], bool)
         keep = self.unseen < np.where(unknown, most.unknown, most.parts)
         if np.all(keep):
@@ -235,17 +239,18 @@ class StateEstimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """How well each of A hypotheses has predicted an image.
+    """Prediction quality of A hypotheses for one image.
 
     Attributes
     ----------
     log_likelihood : (A,)
     lateness : (A,)
-        By how much later than assumed the image shows the parts, by itself alone [s].
+        Estimated error of the imaging time, from this image only [s]. It is positive if the parts
+        were imaged later than assumed.
     square : (A,)
-        Mean square of innovations over their variance: 1 is usual.
+        Mean square of the normalised innovations; the expected value is 1.
     information : (A,)
-        One over the variance of that [1/s2]; 0: it tells nothing.
+        Reciprocal of the variance of `lateness` [1/s2]; 0 if the image contains no information.
     """
 
     log_likelihood: np.ndarray
@@ -261,12 +266,14 @@ def kalman_update(
     jitter: float,
     of_type: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, Fit]:
-    """Return mean (A, K, 5) and covariance (A, K, 5, 5) after places (K, 2) [m] were seen of parts
-    whose types have the friction `of_type` (K,), over the rig's [log].
+    """Return mean (A, K, 5), covariance (A, K, 5, 5) and fit after measured positions (K, 2) [m].
 
-    The stamp is off by a normal deviate of `jitter` [s], the same for all parts: with v_i their
-    velocities it adds v_i v_j^T jitter^2 to the innovations' covariance. The deviate's posterior is
-    normal too (a rank-one update), and is taken out of the innovations.
+    `of_type` (K,) is the friction of the parts' types divided by the rig's [log].
+
+    The stamp has a normally distributed error of standard deviation `jitter` [s], common to all
+    parts. With their velocities v_i, it adds v_i v_j^T jitter^2 to the covariance of the
+    innovations. The posterior of the error is normal too (a rank-one update). Its mean is removed
+    from the innovations.
     """
     innovation, velocity = seen - mean[..., :2], mean[..., 2:4]
     spread = covariance[..., :2, :2] + CAMERA_M**2 * np.eye(2)
@@ -275,7 +282,7 @@ def kalman_update(
     weighted = np.einsum("aki,akij->akj", velocity, inverse)
     information = np.einsum("aki,aki->ak", weighted, velocity)
     lateness = np.einsum("aki,aki->ak", weighted, innovation)
-    # A part that was pushed tells nothing of the stamp.
+    # Ignore pushed parts when the error of the stamp is estimated.
     usual = np.maximum(square - jitter**2 * lateness**2 / (1 + jitter**2 * information), 0)
     known = usual <= PUSHED_SIGMA**2
     information, lateness = (np.sum(x * known, axis=1) for x in (information, lateness))
@@ -314,8 +321,10 @@ def propagate(
     end: np.ndarray | float,
     friction_accel: float,
 ) -> np.ndarray:
-    """Return states (K, 5) at `end` that were such at `begin`, (K,) or all alike [s], by the cycles
-    that ran."""
+    """Propagate states (K, 5) from the times `begin` to the times `end` by the cycles that ran.
+
+    Both are arrays (K,) or scalars [s].
+    """
     state = state.copy()
     if not len(state):
         return state

@@ -51,7 +51,8 @@ public:
 
     static std::array<int, 2> steps_from(const nb::tuple& pair) {
         const std::array<int, 2> steps{nb::cast<int>(field(pair, 0)), nb::cast<int>(field(pair, 1))};
-        if (steps[0] < 1 || steps[1] < 1) throw nb::value_error("a segment has at least one step"); return steps;
+        if (steps[0] < 1 || steps[1] < 1) throw nb::value_error("a segment has at least one step");
+        return steps;
     }
 
 private:
