@@ -1,7 +1,7 @@
-"""Turns a task and the parts' positions into the force wanted on each part.
+"""Computes the requested force on each part from a task and the parts' positions.
 
-Chapters: `estimation` (where the parts are), `tasks` (what is asked of them) and `supervision`
-(whether a task goes on).
+Subpackages: `estimation` (state of the parts), `tasks` (motions that a task requests) and
+`supervision` (whether a task can continue).
 """
 
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState

@@ -1,4 +1,4 @@
-// What Python sees of the kernels: the module `_kernels`.
+// Python bindings of the kernels: the module `_kernels`.
 #include <plate/bind.hpp>
 
 #include "estimation/filter.hpp"

@@ -1,6 +1,8 @@
-"""Where the parts are, how fast, how slippery, and where the planner's answer will find them.
+"""Estimates position, velocity and friction of the parts, and predicts their state when the
+planner's answer takes effect.
 
-`Estimator` is the door: it takes in the images' parts and the cycles sent to the plate.
+`Estimator` is the interface. Its inputs are the parts in the images and the cycles sent to the
+plate.
 """
 
 from .cycle_log import SNAP, check_start

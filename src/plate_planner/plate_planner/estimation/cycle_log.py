@@ -1,7 +1,7 @@
-"""Which plate cycle ran when, and how long a cycle is.
+"""Record of the plate cycles that ran, with their start times, and of the cycle period.
 
-The player of cycles reports when one begins. A camera that is triggered at the start of each cycle
-says it by its stamps, too; where no report has come, cycles that were sent say what has begun.
+The driver reports the start of each cycle. Without reports, images are assumed to be triggered at
+cycle starts: their stamps are the start times, and the cycles sent determine which cycle began.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ from plate_core.motion import in_time, next_cycle
 from plate_core.status import MOST_AGE_S
 
 SNAP = 0.25
-"""An image at most this fraction of a cycle from its expected end was taken at its end."""
+"""Tolerance of an image's stamp around the expected end of a cycle, as a fraction of the cycle."""
 
 MEMORY_S = 1.5
-"""How far back runs are kept [s]: longer than an image may be old, and a longest cycle."""
+"""Time for which runs are kept [s]. It exceeds the maximum image latency and the longest cycle."""
 
 SHORTEST_S, LONGEST_S = 0.005, 10.0
-"""A cycle or tail that is shorter or longer is none that a driver would play [s]."""
+"""Minimum and maximum length of a cycle or tail that a driver plays [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
-"""Intervals of stamps that may be a period [s]: the design has 0.02 to 0.2, with room beside."""
+"""Range of stamp intervals that are accepted as a period [s]. Periods by design are 0.02 to 0.2."""
 
 SAME_TIME_S = 3.0
-"""Longest time between the stamps of an image and of a cycle's start [s]: longer than images may
-fail."""
+"""Maximum difference between the stamps of an image and of a cycle start [s]. It exceeds the
+longest permitted interruption of images."""
 
 INTERVALS_KEPT = 3
-"""Intervals remembered: the median of three is not deceived by one lost image."""
+"""Number of intervals kept. The median of three is not affected by one lost image."""
 
 DELAYS_KEPT = 7
 """Number of delays remembered. Predictions use their median, so that a single late answer does not
 count. Gains use their maximum."""
 
 LATEST = 3
-"""No answer is expected to begin more cycles late than this."""
+"""Maximum delay of an answer that predictions assume, in cycles."""
 
 SAME_POSE = 1e-9
-"""Poses that differ by less are the same [m, rad]: a motor's travel is rounded."""
+"""Poses that differ by less count as equal [m, rad], because a motor's travel is rounded."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,10 @@ class Sent:
     Attributes
     ----------
     arrival : float
-        When [s, the time of the stamps].
+        Time of sending [s, the time of the stamps].
     cycle : PlateCycle
     asked : float
-        When the cycle began that it answers [s].
+        Start of the cycle whose image it answers [s].
     """
 
     arrival: float
@@ -72,24 +72,23 @@ class CycleLog:
     Attributes
     ----------
     runs : tuple of (begin [s], PlateCycle)
-        Each ends where the next begins; before the first the plate rests.
+        Each run ends when the next begins. The plate is at rest before the first.
     sent : tuple of Sent
-        Cycles sent that no report says to have begun, oldest first; the newest one alone as long as
-        none reports.
+        Cycles sent whose start has not been reported, oldest first. Without reports, only the
+        newest one.
     reported : bool
-        Whether only reports say when cycles start; else images are taken at their starts.
+        Whether only reports determine the cycle starts. If False, images are taken at cycle starts.
     told : float
-        When the last cycle began that was reported [s]; minus infinity: none was.
+        Start of the last reported cycle [s]; minus infinity if there is none.
     delays : tuple of int
-        By how many cycles the last answers began later than at the end of the cycle that they
-        answer.
+        Delays of the last answers in cycles, relative to the end of the cycle that they answer.
     answered : float
-        When the cycle began that the last cycle sent answers [s]; minus infinity: none was sent.
+        Start of the cycle that the last cycle sent answers [s]; minus infinity if none was sent.
     awaited : Sent or None
-        The last cycle sent that moves, until it is known to have begun.
+        The last cycle sent that moves the plate, until it is known to have begun.
     begun, unanswered : int
-        How many cycles were reported, and how many of these moved the plate without being an
-        answer: the one before again, or its tail.
+        Number of reported cycles, and number of those that moved the plate without a new answer:
+        the previous cycle repeated, or its tail.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -109,28 +108,28 @@ class CycleLog:
 
     @property
     def begin(self) -> float:
-        """When the last run began [s]."""
+        """Start of the last run [s]."""
         return self.runs[-1][0]
 
     @property
     def end(self) -> float:
-        """When the last run ends [s]."""
+        """End of the last run [s]."""
         begin, cycle = self.runs[-1]
         return begin + cycle.period
 
     @property
     def period(self) -> float:
-        """Length of the last run that is no tail [s]."""
+        """Length of the last run that is not a tail [s]."""
         cycles = [cycle for _, cycle in reversed(self.runs)]
         return next((cycle for cycle in cycles if not _is_tail(cycle)), cycles[0]).period
 
     @property
     def certain(self) -> bool:
-        """Whether it is known what the plate does when an answer begins.
+        """Whether the state of the plate at the start of an answer is known.
 
-        Reports must come, of the last run or of the one before: a player that has ceased to report
-        is not believed to do as expected for longer. And answers must begin in time: what one of
-        them goes on from must not hang on another that is still on its way.
+        This requires a report of the last run or of the one before, because the log is uncertain
+        without recent reports. It also requires answers without delay: the start of an answer must
+        not depend on another one that has not begun.
         """
         return self.known and self.told >= self.runs[-2:][0][0] and not self.delay
 
@@ -141,7 +140,7 @@ class CycleLog:
 
     @property
     def resting_since(self) -> float:
-        """Since when the plate has been at rest [s]; infinite while it moves."""
+        """Start of the plate's rest [s]; infinite while it moves."""
         since = math.inf
         for begin, cycle in reversed(self.runs):
             if cycle.moves:
@@ -151,7 +150,7 @@ class CycleLog:
 
     @property
     def delay(self) -> int:
-        """By how many cycles answers begin late: on a computer or a line that is too slow."""
+        """Delay of the answers in cycles, if the computer or the connection is too slow."""
         return min(median_low(self.delays), LATEST) if self.delays else 0
 
     @property
@@ -162,8 +161,8 @@ class CycleLog:
 
     @property
     def until_answer(self) -> CycleLog:
-        """The log as it will be at its end, when the answer to the running cycle begins: those
-        sent before begin first."""
+        """The predicted log when the answer to the running cycle begins. Answers sent earlier begin
+        before it."""
         log, before = self, [one.cycle for one in self.sent][::-1]
         for k in reversed(range(self.delay)):  # the newest one last
             cycle = log.next(before[k : k + 1])
@@ -176,9 +175,9 @@ class CycleLog:
         return next_cycle(self.runs[-1][1], sent, idle_s=self.period)
 
     def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> CycleLog:
-        """Take in a cycle that was sent, and when [s, the time of the stamps].
+        """Record a cycle sent at `arrival` [s, the time of the stamps].
 
-        `asked` is when the cycle began that it answers [s]; None: it is the one that runs.
+        `asked` is the start of the cycle that it answers [s]. Default: the running cycle.
         """
         if not _playable(cycle):
             return self
@@ -191,7 +190,7 @@ class CycleLog:
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at `begin` [s]. A repeated report changes
-        nothing. `triggered`: images are taken at the starts of cycles all the same."""
+        nothing. With `triggered`, images are taken at cycle starts nevertheless."""
         if not _playable(cycle):
             return self
         if self._clock_was_reset(begin):
@@ -254,10 +253,10 @@ class CycleLog:
         return any(_same(cycle, part) for part in before[-1][1].parts)
 
     def advance(self, t: float) -> CycleLog:
-        """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
+        """Return the log at an image's stamp t [s]. Without reports, a cycle starts at the stamp.
 
-        At a cycle's end the newest one follows, if it was there in time, else the same again; but
-        for answers that begin late the one whose turn it is.
+        After the end of a cycle, the newest cycle follows if it arrived in time; otherwise the
+        driver's rule `next_cycle` applies. If answers have a delay, an older answer follows.
         """
         if self.reported:
             log = self
@@ -266,9 +265,9 @@ class CycleLog:
             return log
         log = self
         if self.runs and t < (self.runs[0][0] if self.begin == self.told else self.begin):
-            log = CycleLog()  # time began anew
+            log = CycleLog()  # the clock restarted
         elif self.runs and t > self.end + MEMORY_S:
-            # Nothing has been seen for long.
+            # No image for a long time.
             log = CycleLog(sent=self.sent, answered=self.answered, awaited=self.awaited)
         if not log.runs:
             return log._begin(t)
@@ -280,11 +279,11 @@ class CycleLog:
         return replace(log, runs=kept)
 
     def triggered(self, t: float, phase: float) -> float:
-        """Return when an image of stamp t [s] was taken [s], by a camera that is triggered at a
-        phase of each cycle.
+        """Return the trigger time [s] of an image with stamp t [s], for a camera that is triggered
+        at a phase of each cycle.
 
-        Its stamp may be `SNAP` of a cycle early, and late by less than the rest of a cycle. Where
-        the plate rests the stamp is believed.
+        The stamp may be early by up to `SNAP` of a cycle, and late by up to the rest of a cycle. If
+        the plate is at rest, the stamp is returned.
         """
         ahead = (self.end, self.runs[-1][1])  # the cycle that follows may not be reported yet
         for begin, cycle in (ahead, *reversed(self.runs)):
@@ -294,7 +293,7 @@ class CycleLog:
         return t
 
     def _begin(self, t: float) -> CycleLog:
-        """Return the log after the next cycle has begun at a time [s]."""
+        """Return the log after the next cycle has begun at time t [s]."""
         came = [one for one in self.sent if in_time(one.arrival, t)]
         if self.delay:
             turn = self.delay + 1 - SNAP
@@ -303,30 +302,32 @@ class CycleLog:
         if not (self.runs or waiting):
             return self
         cycle = self.next(waiting) if self.runs else waiting[-1]
-        # The report of its start finds it still there, and so does the end of a tail.
+        # Keep the sent cycles for a later report of the start, and for the end of a tail.
         keeps = math.isfinite(self.told) or not any(cycle is each for each in waiting)
         awaited = self.awaited if keeps else self._awaited_after(cycle)
         runs = (*self.runs, (t, cycle))
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)
 
     def _awaited_after(self, cycle: PlateCycle) -> Sent | None:
-        """Return what is awaited when a cycle has begun."""
+        """Return the new `awaited` after a cycle has begun."""
         one = self.awaited
         return None if one is not None and _same(one.cycle, cycle) else one
 
     def may_move(self, t: float) -> bool:
-        """Whether what is awaited may begin after t [s]: the driver may still have sent it, and it
-        waits for the end of a cycle."""
+        """Whether the awaited cycle may still begin after t [s].
+
+        The driver may have accepted it, and it starts at the end of a cycle.
+        """
         one = self.awaited
-        if one is None or one.asked > t + MEMORY_S:  # the clock was put back since
+        if one is None or one.asked > t + MEMORY_S:  # the clock was set back
             return False
         return t < one.asked + MOST_AGE_S + one.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
-        """Yield the pieces of runs from `begin` to `end` [s]: cycle, when it began, and from when
-        to when in it.
+        """Yield the pieces of runs between `begin` and `end` [s]: cycle, its start time, and start
+        and end of the piece relative to it [s].
 
-        Where nothing ran there is no piece.
+        There are no pieces for times without a run.
         """
         for k, (start, cycle) in enumerate(self.runs):
             stop = self.runs[k + 1][0] if k + 1 < len(self.runs) else start + cycle.period
@@ -336,12 +337,12 @@ class CycleLog:
 
 
 def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
-    """Refuse a start of a cycle at `begin` [s] that cannot be; the last image's stamp is `image`.
+    """Check a reported cycle start at `begin` [s] against the stamp `image` [s] of the last image.
 
     Raises
     ------
     PlateError
-        If the period is none, or image and start are of clocks that differ.
+        If the period is outside `PERIOD_RANGE_S`, or image and report have different clocks.
     """
     low, high = PERIOD_RANGE_S
     if not low <= cycle.period <= high:
@@ -356,33 +357,33 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
 
 
 def _same(one: PlateCycle, other: PlateCycle) -> bool:
-    """Whether two cycles are one, but for rounding."""
+    """Whether two cycles are equal up to rounding."""
     a, b = one.knot_pose, other.knot_pose
     return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
 
 
 def _playable(cycle: PlateCycle) -> bool:
-    """Whether a driver would play a cycle and its tail, by their lengths."""
+    """Whether the lengths of a cycle and its tail are in the range that a driver plays."""
     return all(SHORTEST_S <= part.period <= LONGEST_S for part in cycle.parts)
 
 
 def _is_tail(cycle: PlateCycle) -> bool:
-    """Whether it only brings the plate to rest."""
+    """Whether a cycle only brings the plate to rest."""
     return cycle.tail is None and not cycle.closes
 
 
 @dataclass(frozen=True)
 class CycleClock:
-    """The period, from the stamps of successive images.
+    """Estimate of the cycle period from the stamps of consecutive images.
 
     Attributes
     ----------
     stamp : float or None
         The last stamp [s].
     intervals : tuple of float
-        The last plausible differences of successive stamps [s].
+        The last plausible differences of consecutive stamps [s].
     period : float
-        What the length of a cycle is taken to be [s].
+        Assumed length of a cycle [s].
     """
 
     stamp: float | None
@@ -391,11 +392,11 @@ class CycleClock:
 
     @classmethod
     def starting(cls, default_period: float) -> CycleClock:
-        """Return a clock that has seen nothing yet."""
+        """Return a clock without stamps."""
         return cls(None, (), default_period)
 
     def tick(self, t: float) -> CycleClock:
-        """Take in the next stamp [s]; going back or a long gap leaves the period as it was."""
+        """Update with the next stamp [s]. A step back or a long gap does not change the period."""
         step = None if self.stamp is None else t - self.stamp
         if step is None or not PERIOD_RANGE_S[0] <= step <= PERIOD_RANGE_S[1]:
             return replace(self, stamp=t)
@@ -404,9 +405,9 @@ class CycleClock:
 
     @property
     def interval(self) -> float:
-        """Distance of the last two images [s]; the period as long as it is not known."""
+        """Interval of the last two images [s]; `period` until it is known."""
         return self.intervals[-1] if self.intervals else self.period
 
     def went_back(self, t: float) -> bool:
-        """Whether a stamp [s] is earlier than the last: the source was started again."""
+        """Whether a stamp [s] is earlier than the last one, because the source restarted."""
         return self.stamp is not None and t < self.stamp

@@ -1,4 +1,4 @@
-// What is believed of parts, propagated: kernel of filter.py.
+// Propagation of part states: kernel of filter.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -8,10 +8,11 @@
 
 namespace plate {
 
-// Keeps a state that does not move in a step from a division by zero.
+// Prevents a division by zero for a state that does not move in a step.
 constexpr double TINY = 1e-300;
 
-// States are propagated side by side, a multiple of so many: what is over does not move.
+// States are propagated in parallel. Their number is rounded up to a multiple of this one; the
+// additional states do not move.
 constexpr int LANES = 8;
 
 // Propagates states (K, 5) in place: x, y [m], vx, vy [m/s] of each, by implicit Coulomb steps.

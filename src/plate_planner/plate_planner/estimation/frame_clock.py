@@ -1,7 +1,8 @@
-"""When a camera that runs free took its images: its frames are regular, only their stamps scatter.
+"""Estimates the exposure times of a free-running camera from the stamps of its images.
 
-A Kalman filter on the last frame's instant and the frames' interval. A stamp that comes several
-intervals later says that images were dropped.
+The frames are regular, but their stamps are noisy. A Kalman filter estimates the time of the last
+frame and the frame interval. If a stamp is several intervals after the previous one, images were
+dropped. Input are the stamps; outputs are the time, its standard deviation and the image rate.
 """
 
 from __future__ import annotations
@@ -14,57 +15,57 @@ from statistics import median
 import numpy as np
 
 WANDER_S, DRIFT_S = 0.05e-3, 1e-6
-"""Standard deviation from frame to frame of their instants, and of their interval [s]."""
+"""Process noise per frame: standard deviations of the frame time and of the interval [s]."""
 
 FIRST_S, LEAST_S = 5e-3, 0.05e-3
-"""Scatter of the stamps that is assumed at first, and at least [s]."""
+"""Initial and minimum standard deviation of the stamps [s]."""
 
 FIRST_INTERVAL_S = 1.5e-3
-"""Standard deviation of the first interval, the median of the distances of stamps [s]."""
+"""Standard deviation of the initial interval, which is the median interval of the stamps [s]."""
 
 SCATTER_FRAMES = 30
-"""Frames over which the scatter is found."""
+"""Number of frames over which the standard deviation of the stamps is averaged."""
 
 DROPPED = 0.005
-"""Probability of a dropped image that is assumed."""
+"""Assumed probability of a dropped image."""
 
 GIVEN_UP = 12.0
-"""Hypotheses about dropped images this much less likely than the best are given up [log]."""
+"""Log-likelihood difference to the best at which a hypothesis on dropped images is discarded."""
 
 ACQUIRE = 12
-"""Stamps from which the first interval is found; until then a stamp is believed."""
+"""Number of stamps for the initial interval. Before that, the stamp itself is the frame time."""
 
 IRREGULAR = 6.0
-"""Stamps this many standard deviations off are not of a regular camera: the clock begins anew."""
+"""If a stamp deviates by more than this number of standard deviations, the camera is not regular
+and the clock restarts."""
 
 OTHER = 0.3
-"""It does so too where the last stamps are this fraction further apart than expected, or nearer;
-what the median of so few may be off by chance comes on top."""
+"""The clock restarts if the median interval of the last stamps deviates by more than this fraction
+of the estimated interval plus two standard deviations of the stamps."""
 
 WIDEST = 2.0
-"""Scatter of the stamps [intervals] from which on the clock begins anew, too."""
+"""The clock restarts if the standard deviation of the stamps exceeds this value [intervals]."""
 
 LONGEST_S = 1.0
-"""Time without images after which it begins anew [s]."""
+"""The clock restarts after this time without images [s]."""
 
 
 @dataclass(frozen=True)
 class FrameClock:
-    """What is known of the frames' times.
+    """Estimate of the frame times.
 
     Attributes
     ----------
     stamps : tuple of float
-        The last images' [s], as many as are needed to begin.
+        Stamps of the last images [s], at most `ACQUIRE`.
     frame : (H,)
-        Hypotheses: by how many frames the last image is a later one than is believed.
+        Frame number of the last image for each hypothesis, relative to the best hypothesis.
     log_likelihood : (H,)
-        Of each, less the greatest.
+        Log-likelihood of each hypothesis minus the maximum.
     time : (H, 2)
-        When the last image was taken, by the regular clock of the camera, and the distance of
-        frames [s].
+        Time of the last frame and frame interval, for each hypothesis [s].
     covariance : (2, 2)
-        Of both [s2]; infinite as long as they are not known.
+        Covariance of time and interval [s2]; infinite until they are known.
     scatter : float
         Standard deviation of the stamps [s].
     """
@@ -78,22 +79,23 @@ class FrameClock:
 
     @classmethod
     def at(cls, stamp: float) -> FrameClock:
-        """Return a clock that has seen one image."""
+        """Return a clock after one image."""
         return cls((stamp,), time=np.array([[stamp, np.nan]]))
 
     @property
     def instant(self) -> float:
-        """When the last image was taken [s]."""
+        """Time at which the last image was taken [s]."""
         return float(self.time[np.argmax(self.log_likelihood), 0])
 
     @property
     def interval(self) -> float:
-        """Distance of frames [s]; NaN as long as it is not known."""
+        """Frame interval [s]; NaN until it is known."""
         return float(self.time[np.argmax(self.log_likelihood), 1])
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of `instant` [s]: that of a stamp as long as frames are not known."""
+        """Standard deviation of `instant` [s]. Until the frame interval is known, it is
+        `scatter`."""
         if not np.isfinite(self.interval):
             return self.scatter
         likely = np.exp(self.log_likelihood)
@@ -102,14 +104,14 @@ class FrameClock:
 
     @property
     def rate(self) -> float:
-        """Images a second; 0 as long as it is not known."""
+        """Number of images per second; 0 until it is known."""
         if len(self.stamps) < 2:
             return 0.0
         known = np.isfinite(self.interval)
         return 1 / (self.interval if known else float(np.median(np.diff(self.stamps))))
 
     def tick(self, stamp: float) -> FrameClock:
-        """Take in the next stamp [s]."""
+        """Update with the next stamp [s]."""
         if not self.stamps or not 0 < stamp - self.stamps[-1] < LONGEST_S:
             return FrameClock.at(stamp)
         stamps = (*self.stamps, stamp)[-ACQUIRE:]
@@ -125,17 +127,18 @@ class FrameClock:
             clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
             for each in stamps[1:]:
                 clock = clock._next(each)
-        # Stamps that scatter more tell nothing of when frames were.
+        # Stamps with a larger standard deviation contain no information on the frame times.
         if not clock.scatter <= WIDEST * clock.interval:
             return FrameClock.at(stamp)
         return replace(clock, stamps=stamps)
 
     def _next(self, stamp: float) -> FrameClock:
-        """Take in a stamp when the interval is known; it is unknown again if that does not fit.
+        """Update with a stamp when the interval is known. The clock restarts if the stamp does not
+        fit.
 
-        An image is of the frame after the last image's, or of a later one if some were dropped. One
-        late stamp does not tell, but the next ones do: hypotheses about the frame's number each
-        have a filter of their own. Of two that agree on the number the likelier remains (Viterbi).
+        The image belongs to the frame after the last one, or to a later frame if images were
+        dropped. A single late stamp is ambiguous. Therefore each hypothesis of the frame number has
+        its own filter. If two hypotheses have the same number, the likelier one is kept (Viterbi).
         """
         if not math.isfinite(self.interval):
             return FrameClock.at(stamp)

@@ -1,10 +1,10 @@
-"""How old an image is at its stamp: hypotheses side by side, and which the motion bears out.
+"""Estimates the image latency (age of an image at its stamp) by parallel hypotheses.
 
-A camera's latency is seldom known, and parts on the plate move by millimetres in 10 ms. Hypotheses
-take the images to be of different ages; the likelihood of what they predicted says which one is
-believed. They draw closer around it until half a millisecond is between two, and move on with a
-latency that changes. How far stamps scatter (their jitter) is found on the way: what an image shows
-too late or too early, beyond what its parts can tell.
+The latency of a camera is rarely known, and parts move by millimetres in 10 ms. Each hypothesis
+assumes another latency and has its own Kalman filters. The hypothesis whose predictions have the
+highest likelihood is accepted. The grid of latencies is refined around it to a spacing of 0.5 ms,
+and it follows a latency that changes. The jitter of the stamps is estimated from the remaining
+timing errors.
 """
 
 from __future__ import annotations
@@ -19,40 +19,45 @@ from .cycle_log import CycleLog
 from .filter import Coast, Fit, StateEstimate
 
 STEPS = np.arange(-2, 3)
-"""Latencies tried, in steps from the middle one."""
+"""Latencies of the hypotheses, in steps from the middle one."""
 
 COARSE_S, FINE_S = 0.025, 0.5e-3
-"""First and last distance of neighbouring latencies [s]: from 0 to 0.1 s is tried first; what
-0.5 ms makes is hardly above the camera's noise."""
+"""Initial and final spacing of the latencies [s]. The first hypotheses cover 0 to 0.1 s. The effect
+of 0.5 ms is hardly above the camera's noise."""
 
 LONGEST_S = 0.5
-"""No image is taken to be older [s]."""
+"""Maximum latency [s]."""
 
 FEWEST_IMAGES, CLEAR, BETTER = 4, 12.0, 4.0
-"""Latencies are given up after so many images at the least, once they are less likely than the best
-by so much [log]: model and noise are not quite as assumed. It takes less to believe another one,
-and the first image of a plate in motion may tell it."""
+"""Minimum number of images before latencies are discarded; log-likelihood difference to the best at
+which they are discarded; and smaller difference at which another latency is accepted, from the
+first image of a moving plate on. The differences are large because the model and the noise are not
+exact.
+"""
 
 SOON_IMAGES = 4
-"""Of images at the starts of cycles, after which believing another latency takes more and more."""
+"""Number of images at cycle starts after which the difference for accepting another latency
+increases."""
 
 MISFIT, MISFIT_IMAGES = 6.0, 8
-"""Where the mean square of normalised innovations, over so many images, is above this (1 is usual),
-nothing that is assumed can be right: the latency is looked for anew."""
+"""Maximum mean square of the normalised innovations (expected: 1), and number of images over which
+it is averaged. If it is exceeded, all hypotheses are wrong and the estimation restarts."""
 
 MEMORY_S = 3.0
-"""What an image tells of the latency counts for about so long [s]."""
+"""Time constant with which old images lose their weight in the likelihood [s]."""
 
 JITTER_S = (0.5e-3, 1e-3, 20e-3)
-"""Least, first and greatest standard deviation of stamps to be believed [s]."""
+"""Minimum, initial and maximum standard deviation of the stamps [s]."""
 
 JITTER_IMAGES = 50
-"""Images over which that is found."""
+"""Number of images over which the jitter is averaged."""
 
 
 @dataclass(frozen=True)
 class Jitter:
-    """The variance of the stamps: a mean of squares, each counting as much as its image can tell.
+    """Variance of the stamps: a weighted mean of squared timing errors.
+
+    The weight of an image depends on the information in it.
 
     Attributes
     ----------
@@ -69,7 +74,7 @@ class Jitter:
         return float(np.clip(np.sqrt(max(self.total / self.weight, 0.0)), *JITTER_S[::2]))
 
     def update(self, lateness: float, information: float) -> Jitter:
-        """Take in by how much an image was late by itself [s], and what it tells of it [1/s2]."""
+        """Update with the lateness of an image [s] and its information [1/s2], as in `Fit`."""
         if information <= 0:
             return self
         noise, keep = 1 / information, 1 - 1 / JITTER_IMAGES
@@ -80,26 +85,27 @@ class Jitter:
 
 @dataclass(frozen=True)
 class LatencyHypotheses:
-    """Estimates by latency.
+    """State estimates of the parts for A hypotheses of the latency.
 
     Attributes
     ----------
     latencies : (A,)
-        Rising [s].
+        Latencies in increasing order [s].
     estimate : StateEstimate
-        By each of them.
+        Estimates for all latencies.
     best : int
-        Which one is believed.
+        Index of the accepted latency.
     log_likelihood : (A,)
-        Of what each one predicted, fading.
+        Log-likelihood of the predictions, with exponential forgetting.
     images : int
-        Images of a plate in motion since the latencies were set.
+        Number of images with a moving plate since the latencies were set.
     misfit : float
-        Mean square of what the best one has predicted wrongly, over its variance; 1 is usual.
+        Mean square of the normalised innovations of the accepted hypothesis; the expected value is
+        1.
     jitter : Jitter
     trusting : bool
-        Whether an image that is stamped when a cycle starts is taken to be not old (`none_old`):
-        until the motion shows that it is.
+        Whether a stamp at a cycle start is accepted as proof of zero latency (`none_old`). It
+        becomes False when the motion contradicts.
     """
 
     latencies: np.ndarray
@@ -113,7 +119,7 @@ class LatencyHypotheses:
 
     @classmethod
     def of(cls, latency: float | None) -> LatencyHypotheses:
-        """Return the hypotheses at the start: one latency [s], or several if it is unknown."""
+        """Return the initial hypotheses: one latency [s], or several if it is None (unknown)."""
         tried = COARSE_S * (STEPS - STEPS[0]) if latency is None else np.array([latency])
         nothing = StateEstimate.nothing(len(tried))
         blank = np.zeros(len(tried))
@@ -121,12 +127,12 @@ class LatencyHypotheses:
 
     @property
     def latency(self) -> float:
-        """The latency that is believed [s]."""
+        """Accepted latency [s]."""
         return float(self.latencies[self.best])
 
     @property
     def found(self) -> bool:
-        """Whether the latency is known, but for a few milliseconds."""
+        """Whether the latency is known to within a few milliseconds."""
         return bool(np.ptp(self.latencies) < COARSE_S)
 
     def update(
@@ -140,9 +146,12 @@ class LatencyHypotheses:
         most: Coast,
         friction: np.ndarray,
     ) -> LatencyHypotheses:
-        """Take in the parts of an image with stamp t [s], which is off by `unsure` [s] or more
-        (standard deviation); each part is seen `delay` (P,) [s] later than the middle of the image;
-        the rest as in `StateEstimate.update`."""
+        """Update with the parts of an image with stamp t [s].
+
+        `unsure` is the minimum standard deviation of the stamp [s]. `delay` (P,) is the time from
+        the middle of the image to the exposure of each part [s]. The other parameters are as in
+        `StateEstimate.update`.
+        """
         time = t - self.latencies[:, None] + delay
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
         fading = np.exp(-max(t - self.latency - last, 0.0) / MEMORY_S)
@@ -169,7 +178,8 @@ class LatencyHypotheses:
         if len(self.latencies) == 1:
             return seen
         likely = seen.log_likelihood
-        # Images at the starts of cycles tell little of it: what was believed for long is kept.
+        # Images at cycle starts contain little information on the latency. So the longer a latency
+        # has been accepted, the larger the difference required to replace it.
         better = BETTER if log.reported else BETTER * max(seen.images / SOON_IMAGES, 1.0)
         best, middle = int(np.argmax(likely)), len(STEPS) // 2
         if likely[best] - likely[self.best] < better:
@@ -185,14 +195,17 @@ class LatencyHypotheses:
         return replace(seen, best=best)
 
     def none_old(self, log: CycleLog, friction_accel: float) -> LatencyHypotheses:
-        """Return what is known if images are taken at their stamps, as it seems."""
+        """Return the hypothesis of zero latency, because stamps coincide with cycle starts.
+
+        Unchanged if the latency is known or `trusting` is False.
+        """
         if len(self.latencies) == 1 or not self.trusting:
             return self
         estimate = self.estimate.of([0]).moved(log, self.latencies[:1], friction_accel)
         return replace(self.of(0.0), estimate=estimate, jitter=self.jitter, trusting=True)
 
     def _jitter(self, fit: Fit) -> Jitter:
-        """Return the jitter after an image; as long as the latency is wrong it tells nothing."""
+        """Return the jitter updated with an image. It is unchanged until the latency is known."""
         if not self.found:
             return self.jitter
         return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))
@@ -200,7 +213,7 @@ class LatencyHypotheses:
     def _around(
         self, best: int, step: float, log: CycleLog, friction_accel: float
     ) -> LatencyHypotheses:
-        """Set the latencies anew around the best, at steps [s]."""
+        """Return hypotheses with latencies around the best one, spaced by `step` [s]."""
         middle = np.clip(self.latencies[best], -STEPS[0] * step, LONGEST_S - STEPS[-1] * step)
         latencies = middle + step * STEPS
         older = np.minimum(np.searchsorted(self.latencies, latencies - 1e-9), len(STEPS) - 1)
