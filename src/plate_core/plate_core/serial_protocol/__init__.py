@@ -1,4 +1,5 @@
-"""The serial protocol of driver and motor controller (docs/protocol.md): bytes, messages."""
+"""The serial protocol between driver and motor controller (docs/protocol.md): frames and
+messages."""
 
 from .framing import Reader, frame, unframe
 from .messages import (

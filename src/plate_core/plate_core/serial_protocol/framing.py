@@ -1,4 +1,5 @@
-"""Frames on the wire: where one ends (COBS) and whether it came whole (CRC-32)."""
+"""Framing of packets on the serial line. COBS encoding marks the end of a frame, and a CRC-32
+detects damaged frames."""
 
 from __future__ import annotations
 
@@ -8,8 +9,8 @@ from dataclasses import dataclass
 from ..errors import FrameError
 
 MAX_PACKET = 253
-"""Bytes of a packet with its CRC: so no COBS block is longer than 254, and each frame has exactly
-one byte of overhead, and its end."""
+"""Maximum size of a packet with its CRC [bytes]. No COBS block is then longer than 254 bytes, so
+every frame has exactly one byte of overhead and its end byte."""
 
 CRC_BYTES = 4
 END = 0
@@ -17,7 +18,8 @@ END = 0
 
 
 def frame(packet: bytes) -> bytes:
-    """Return the bytes that carry a packet: COBS of packet and CRC-32 (IEEE 802.3), and the end.
+    """Return the frame of a packet: the COBS code of packet and CRC-32 (IEEE 802.3), then the end
+    byte.
 
     Raises
     ------
@@ -35,7 +37,7 @@ def frame(packet: bytes) -> bytes:
 
 
 def unframe(encoded: bytes) -> bytes:
-    """Return the packet that a frame, without its end, carries.
+    """Return the packet in a frame that is given without its end byte.
 
     Raises
     ------
@@ -63,16 +65,16 @@ def unframe(encoded: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Reader:
-    """Cuts a stream of bytes into packets, however the bytes come.
+    """Splits a stream of bytes, received in pieces of any size, into packets.
 
     Attributes
     ----------
     held : bytes
-        Start of a frame whose end has not come.
+        Bytes of an incomplete frame.
     lost : bool
-        The frame that is coming has too many bytes already: it is skipped to its end.
+        Whether the incomplete frame is too long. It is then skipped up to its end.
     refused : int
-        Damaged frames so far.
+        Number of damaged frames so far.
     """
 
     held: bytes = b""
@@ -80,7 +82,7 @@ class Reader:
     refused: int = 0
 
     def fed(self, data: bytes) -> tuple[Reader, list[bytes]]:
-        """Return the reader after more bytes, and the packets that have come whole."""
+        """Return the reader after it has received more bytes, and the packets that are complete."""
         *ended, rest = (self.held + data).split(b"\0")
         packets, lost, refused = [], self.lost, self.refused
         for encoded in ended:

@@ -1,4 +1,8 @@
-"""What driver and device say to each other; docs/protocol.md tells when and why."""
+"""Messages between the driver (host) and the motor controller (device), and their encoding.
+
+docs/protocol.md specifies when each message is sent and why. `pack` encodes a message with its
+sequence number, `parse` decodes and checks one.
+"""
 
 from __future__ import annotations
 
@@ -15,51 +19,50 @@ from ..errors import FrameError
 VERSION = 5
 MOTORS = 4
 BITS_PER_BYTE = 10
-"""Bits of a byte on a UART, with start and stop bit."""
+"""Bits per byte on a UART, including start and stop bit."""
 
 TICK_S = 1e-8
-"""Unit of a knot's time [s]: a table may last 42 s, and is hit within 5 ns."""
+"""Unit of a knot's time [s]. A table can last 42 s, and times are rounded by at most 5 ns."""
 
 KNOTS_PER_MESSAGE = 4
-"""As many as fit into a packet."""
+"""Maximum number of knots that fit into a packet."""
 
 LONGEST_PULSE_MS = 8
-"""Of the camera's trigger line: less than the shortest table, so that it falls between two."""
+"""Maximum pulse length of the camera's trigger line [ms]. It is shorter than the shortest table, so
+the line is low again before the next pulse."""
 
 HEADER = struct.Struct("<BH")
 
 
 class State(IntEnum):
-    """What the device is doing."""
+    """State of the device."""
 
     OFF = 0  # motors without current
     HOMING = 1
-    READY = 2  # held at home
+    READY = 2  # plate held at home
     PLAYING = 3
     BRAKING = 4
 
 
 class Status(IntEnum):
-    """The device's answer to a command."""
+    """The device's reply to a command."""
 
     DONE = 0
-    NO_SESSION = 1  # say hello first: the device knows no host, or was reset
-    OLD = 2  # a later command was done already
+    NO_SESSION = 1  # Hello must come first: the device has no session, or was reset
+    OLD = 2  # a later command has already been executed
     WRONG_STATE = 3
     WRONG_TABLE = 4  # another table is open, or the index is beyond its end
     INCOMPLETE = 5  # knots are missing or damaged
-    WRONG_TIMES = 6  # they do not begin at 0 or do not rise; the splice is at none of them, or late
-    LIMIT = 7  # stroke, speed, acceleration, force or heat; on the spline, not only at knots
-    JUMP = (
-        8  # the table begins neither at rest at home nor at a splice ahead, or does not end there
-    )
+    WRONG_TIMES = 6  # not from 0, not increasing, or splice time at no knot or too late
+    LIMIT = 7  # stroke, speed, acceleration, force or heat; checked on the spline, not only knots
+    JUMP = 8  # the table starts neither at rest at home nor at a future splice, or ends elsewhere
     TOO_LONG = 9
-    WRONG_STOP = 10  # Enable names a stop that is not the present one
-    REPEATS = 11  # none, longer than the device plays a table again, or of one that does not close
+    WRONG_STOP = 10  # Enable contains another number than that of the present stop
+    REPEATS = 11  # repeats is 0, lasts longer than allowed, or the table does not close
 
 
 class Fault(IntFlag):
-    """Why the device is not playing; all but NO_HOME are kept until a person enables."""
+    """Reason why the device does not play. All except NO_HOME persist until a person enables."""
 
     NONE = 0
     HOST_SILENT = 1
@@ -68,37 +71,38 @@ class Fault(IntFlag):
     SUPPLY = 8
     HARDWARE = 16
     HEAT = 32
-    NO_HOME = 64  # where home is was not found since the last reset, or since Home
-    FOLLOWING = 128  # the motors were not where they were told to be
+    NO_HOME = 64  # the home position was not found since the last reset or Home command
+    FOLLOWING = 128  # the following error of a motor was too large
 
 
 class Trouble(IntEnum):
-    """What is wrong with a drive that the device leads by a bus."""
+    """Fault of a drive that the device commands over a bus."""
 
-    SILENT = 1  # it does not answer, or its heartbeat is missing
-    RESET = 2  # it has begun anew
-    NOT_OPERATIONAL = 3  # by its heartbeat; code: its state
-    REFUSED = 4  # an object in its set-up; code: SDO abort
-    WRONG_DRIVE = 5  # an object has another value, the code
-    EMERGENCY = 6  # code: of the emergency; object: error register
-    FAULT = 7  # by its statusword, the code
-    LEFT = 8  # it has left operation; code: statusword
-    NOT_ENABLED = 9  # it does not go into operation; code: statusword
-    KEEPS = 10  # its current, although it was told not to; code: statusword
-    NO_POSITION = 11  # it does not tell where it is
-    TWICE = 12  # two drives have its number
+    SILENT = 1  # the drive does not reply, or its heartbeat is missing
+    RESET = 2  # the drive has restarted
+    NOT_OPERATIONAL = 3  # according to its heartbeat; code: its NMT state
+    REFUSED = 4  # the drive refuses an object during set-up; code: SDO abort
+    WRONG_DRIVE = 5  # an object has a wrong value; code: this value
+    EMERGENCY = 6  # code: emergency code; object: error register
+    FAULT = 7  # according to its statusword; code: statusword
+    LEFT = 8  # the drive has left the operational state; code: statusword
+    NOT_ENABLED = 9  # the drive does not enter the operational state; code: statusword
+    KEEPS = 10  # the drive keeps its current although it was disabled; code: statusword
+    NO_POSITION = 11  # the drive does not report its position
+    TWICE = 12  # two drives have the same node number
     BUS_OFF = 13
-    OTHER_MASTER = 14  # somebody else leads the drives
-    ERROR = 15  # an ODrive has left operation, or has errors; code: these
-    NO_WATCHDOG = 16  # an ODrive would go on if the board were gone
-    HOME_LOST = 17  # a drive may count from elsewhere; until Home
-    RANGE = 18  # the drive's counts end within the stroke; code: its position
-    CROOKED = 19  # no rigid plate has the positions that are told
-    ASTRAY = 20  # it is not where it was told to be; code: how far off [um]
+    OTHER_MASTER = 14  # another master commands the drives
+    ERROR = 15  # an ODrive has left the operational state or has errors; code: the errors
+    NO_WATCHDOG = 16  # an ODrive would keep running if the board failed
+    HOME_LOST = 17  # the zero of a drive's position may have changed; cleared by Home
+    RANGE = 18  # the drive's position would overflow within the stroke; code: its position
+    CROOKED = 19  # the reported positions are inconsistent with a rigid plate
+    ASTRAY = 20  # the following error is too large; code: the error [um]
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
-    """Metadata of a field: `count` values, coded by a letter of `struct`, of an enum or a tuple."""
+    """Return the metadata of a field: `count` values with the format character `code` of `struct`.
+    `kind` is an enum or a tuple of the allowed values, None allows all."""
     return {"code": code, "count": count, "kind": kind}
 
 
@@ -114,7 +118,7 @@ class Knot:
 
 @dataclass(frozen=True)
 class Hello:
-    """Host: begin a session with a number that is new."""
+    """Host: start a session with a new number."""
 
     version: int = field(metadata=_wire("B"))
     session: int = field(metadata=_wire("I"))
@@ -122,16 +126,17 @@ class Hello:
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Host: I am here, at this time of my clock [ns]; device: answer with a pulse."""
+    """Host: sign of life with the host's clock time [ns]. The device replies with a Pulse."""
 
     host_ns: int = field(metadata=_wire("Q"))
 
 
 @dataclass(frozen=True)
 class Enable:
-    """Host: a person has looked at the rig and clears this stop: find home if need be, hold home.
+    """Host: a person has checked the rig and clears this stop. The device finds home if necessary
+    and holds the plate there.
 
-    `stop` is the number that telemetry tells: an Enable for any other stop is refused.
+    `stop` is the number of the stop in the telemetry. An Enable with another number is refused.
     """
 
     stop: int = field(metadata=_wire("H"))
@@ -139,20 +144,20 @@ class Enable:
 
 @dataclass(frozen=True)
 class Stop:
-    """Host: brake along the path and go home, or, if `now` is 1, take the current away at once."""
+    """Host: brake along the path and go home. If `now` is 1, switch the current off immediately."""
 
     now: int = field(metadata=_wire("B", kind=(0, 1)))
 
 
 @dataclass(frozen=True)
 class Home:
-    """Host: forget where home is; the next Enable finds it."""
+    """Host: discard the home position. The next Enable finds it again."""
 
 
 @dataclass(frozen=True)
 class Trigger:
-    """Host: give the camera a pulse at this phase of a cycle or tail [1/65536 of its period], so
-    long [ms]; 0: none."""
+    """Host: trigger the camera at this phase of each cycle or tail [1/65536 of its period], with
+    this pulse length [ms]. A length of 0 disables the trigger."""
 
     phase: int = field(metadata=_wire("H"))
     pulse_ms: int = field(metadata=_wire("B", kind=tuple(range(LONGEST_PULSE_MS + 1))))
@@ -160,8 +165,9 @@ class Trigger:
 
 @dataclass(frozen=True)
 class Begin:
-    """Host: a table comes; its knots, their CRC-32, and the time of the knot where the next table
-    may take over and else the tail begins [TICK_S]; 0: it has no tail."""
+    """Host: announce a table with its number of knots and their CRC-32. At the knot with the time
+    `splice_ticks` [TICK_S], the next table starts if there is one, otherwise the tail. 0: the table
+    has no tail."""
 
     table: int = field(metadata=_wire("H"))
     knots: int = field(metadata=_wire("H"))
@@ -180,9 +186,9 @@ class Knots:
 
 @dataclass(frozen=True)
 class Commit:
-    """Host: take the table over at the next boundary; play it `repeats` times, then rest.
+    """Host: start the table at the next boundary, play it `repeats` times, then rest.
 
-    One with a tail, or that begins in motion, is played once.
+    A table with a tail, or one that starts in motion, is played once.
     """
 
     table: int = field(metadata=_wire("H"))
@@ -191,7 +197,7 @@ class Commit:
 
 @dataclass(frozen=True)
 class Capabilities:
-    """Device: answer to Hello. Limits of a motor in SI; `boot` is another number after a reset."""
+    """Device: reply to Hello. The limits are in SI units. `boot` changes after a reset."""
 
     version: int = field(metadata=_wire("B"))
     session: int = field(metadata=_wire("I"))
@@ -204,14 +210,14 @@ class Capabilities:
     speed: float = field(metadata=_wire("f"))
     accel: float = field(metadata=_wire("f"))
     force: float = field(metadata=_wire("f"))
-    continuous_force: float = field(metadata=_wire("f"))  # root mean square of force, continuous
-    following_m: float = field(metadata=_wire("f"))  # following error that is a fault; 0: none is
-    hold_ms: int = field(metadata=_wire("H"))  # longest time that a table is played again
+    continuous_force: float = field(metadata=_wire("f"))  # continuous root mean square force
+    following_m: float = field(metadata=_wire("f"))  # maximum following error; 0: not checked
+    hold_ms: int = field(metadata=_wire("H"))  # maximum duration of a table's repetitions
 
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """Device: what became of the command with this sequence number."""
+    """Device: result of the command with this sequence number."""
 
     sequence: int = field(metadata=_wire("H"))
     status: Status = field(metadata=_wire("B", kind=Status))
@@ -219,7 +225,7 @@ class Acknowledgement:
 
 @dataclass(frozen=True)
 class Pulse:
-    """Device: the heartbeat's time [ns], and the device's clock when it came [us]."""
+    """Device: the heartbeat's host time [ns], and the device's clock at its arrival [us]."""
 
     host_ns: int = field(metadata=_wire("Q"))
     device_us: int = field(metadata=_wire("Q"))
@@ -227,26 +233,26 @@ class Pulse:
 
 @dataclass(frozen=True)
 class Telemetry:
-    """Device: measured travel [m] and acceleration [m/s2] of the motors at its time [us]."""
+    """Device: measured travel [m] and acceleration [m/s2] of the motors at the device time [us]."""
 
     device_us: int = field(metadata=_wire("Q"))
     state: State = field(metadata=_wire("B", kind=State))
     faults: Fault = field(metadata=_wire("B", kind=Fault))
-    stop: int = field(metadata=_wire("H"))  # number of the present, or else of the last, stop
-    table: int = field(metadata=_wire("H"))  # that plays; 0: none
-    ticks: int = field(metadata=_wire("I"))  # of a table that plays, since this time began [TICK_S]
-    waiting: int = field(metadata=_wire("H"))  # that is to be taken over; 0: none
-    refused: int = field(metadata=_wire("H"))  # damaged frames, modulo 2^16
+    stop: int = field(metadata=_wire("H"))  # number of the present or, if none, the last stop
+    table: int = field(metadata=_wire("H"))  # table that plays; 0: none
+    ticks: int = field(metadata=_wire("I"))  # time since this play of the table began [TICK_S]
+    waiting: int = field(metadata=_wire("H"))  # table that plays next; 0: none
+    refused: int = field(metadata=_wire("H"))  # number of damaged frames, modulo 2^16
     position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
     acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
-    heat: float = field(metadata=_wire("f"))  # mean square of force over what a motor bears: worst
-    following_m: float = field(metadata=_wire("f"))  # largest following error since the last one
+    heat: float = field(metadata=_wire("f"))  # maximum mean square force over its limit [-]
+    following_m: float = field(metadata=_wire("f"))  # maximum following error since the last one
     load: float = field(metadata=_wire("f"))  # longest tick since the last one, over its period
 
 
 @dataclass(frozen=True)
 class DriveTrouble:
-    """Device: the first trouble with a drive since the last enable, in the drive's own words."""
+    """Device: the first fault of a drive since the last enable, with the drive's own codes."""
 
     motor: int = field(metadata=_wire("B", kind=tuple(range(MOTORS + 1))))  # 0: the bus
     kind: Trouble = field(metadata=_wire("B", kind=Trouble))
@@ -255,7 +261,7 @@ class DriveTrouble:
 
     @property
     def words(self) -> str:
-        """What it says, for a person."""
+        """Description of the fault for the user."""
         whose = f"motor_{self.motor}" if self.motor else "bus"
         errors = [name for bit, name in ODRIVE_ERRORS.items() if self.code >> bit & 1]
         return f"{whose}: " + WORDS[self.kind].format(
@@ -266,12 +272,12 @@ class DriveTrouble:
 
 
 def abort_words(code: int) -> str:
-    """Return code and meaning of an abort by which a node refuses an object."""
+    """Return the code and the meaning of the SDO abort with which a node refuses an object."""
     return f"abort {code:08X}h, {ABORTS.get(code, 'see its manual')}"
 
 
 def emergency_words(code: int) -> str:
-    """Return ` (what an emergency or object 603Fh means)`; empty if that is unknown."""
+    """Return the meaning of an emergency code (also object 603Fh) in brackets. Empty if unknown."""
     fitting = [text for start, text in EMERGENCIES.items() if f"{code:04X}".startswith(start)]
     return f" ({fitting[0]})" if fitting else ""
 
@@ -288,14 +294,16 @@ EMERGENCIES = {
     "3": "voltage", "4": "temperature", "5": "hardware", "6": "software", "7": "sensor",
     "FF": "its maker's own: see its manual",
 }  # fmt: skip
-"""What aborts mean, and emergencies by how their code begins: the first that fits counts."""
+"""Meanings of emergencies by the first digits of the code. The first entry that matches is used.
+`ABORTS` has the meanings of SDO aborts."""
 
 ALLOWED = {
     0: "2, CANSimple of firmware 0.6", 0x1000: "...0192h, CiA 402",
     0x1018: "the serial of the rig file", 0x6061: "8, cyclic synchronous position",
     0x6502: "with bit 7, cyclic synchronous position",
 }  # fmt: skip
-"""What an object that is read in the set-up must say; 0 is an ODrive's version of its protocol."""
+"""Required values of the objects that are read during set-up. 0 is the protocol version of an
+ODrive."""
 
 
 WORDS = {
@@ -333,7 +341,7 @@ ODRIVE_ERRORS = {
     25: "ESTOP_REQUESTED", 26: "SPINOUT_DETECTED", 27: "BRAKE_RESISTOR_DISARMED",
     28: "THERMISTOR_DISCONNECTED", 30: "CALIBRATION_ERROR",
 }  # fmt: skip
-"""Names of an ODrive's errors, by bit (firmware 0.6)."""
+"""Names of the errors of an ODrive by bit (firmware 0.6)."""
 
 
 Message = (
@@ -369,12 +377,12 @@ class Packet:
 
 
 def newer(sequence: int, than: int) -> bool:
-    """Tell which of two sequence numbers is the later one; they wrap around."""
+    """Whether a sequence number is later than the number `than`. Numbers wrap around at 2^16."""
     return 0 < (sequence - than) % 2**16 < 2**15
 
 
 def table_crc(knots: Iterable[Knot]) -> int:
-    """CRC-32 of a table's knots, as they stand in the messages."""
+    """Return the CRC-32 of a table's knots, in their encoding of the messages."""
     return zlib.crc32(b"".join(_values(knot) for knot in knots))
 
 
@@ -398,12 +406,12 @@ def pack(packet: Packet) -> bytes:
 
 
 def parse(packet: bytes) -> Packet:
-    """Return what the bytes of a packet say.
+    """Decode the bytes of a packet.
 
     Raises
     ------
     FrameError
-        If the type is unknown, the length is not the type's, or a value is not allowed.
+        If the type is unknown, the length does not match the type, or a value is not allowed.
     """
     if len(packet) < HEADER.size:
         raise FrameError(f"packet has {len(packet)} bytes, allowed: {HEADER.size} or more")

@@ -1,7 +1,8 @@
-"""Scenarios: which parts are on the plate, and what is to be done with them.
+"""Scenarios: the parts on the plate, and the task for them.
 
-`load_scenario` reads one, `start_positions` places its parts; the tasks are plain data.
-`SECTIONS` are the keys of a scenario file.
+`load_scenario` reads a scenario file, `check_scenario` compares it with a rig, and
+`start_positions` places its parts. The tasks are plain data classes. `SECTIONS` defines the keys of
+a scenario file.
 """
 
 from .curves import circle_points

@@ -1,4 +1,7 @@
-"""How near to the plate's edges parts may be asked to come: `Rig.edge_margin`, in words."""
+"""Checks of a scenario's positions against the minimum distance from the plate's edges.
+
+The distances are those of `Rig.edge_margin`. The functions return messages for the user.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,14 @@ from .tasks import (
 )
 
 ROUNDING_M = 1e-9
-"""Lengths that were written in decimals are rounded by less [m]."""
+"""Tolerance for the rounding of lengths in decimal notation [m]."""
 
 Place = tuple[str, str, Point]
-"""Key, class and point of something in a scenario file."""
+"""Key, class and point of a position in a scenario file."""
 
 
 def goal_places(scenario: Scenario) -> list[Place]:
-    """Return the points to which a task leads centres of parts, or where it has them stay."""
+    """Return the points to which a task moves the centres of parts, or where it keeps them."""
     task = scenario.task
     if isinstance(task, FollowTask):
         key = "task: paths"
@@ -46,10 +49,11 @@ def goal_places(scenario: Scenario) -> list[Place]:
 
 
 def edge_problem(label: str, point: Point, rig: Rig) -> str:
-    """Say why no part of a class can be led to a point [m, plate_home]; nothing if it can."""
+    """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. Empty if
+    they can."""
     least = rig.edge_margin(label).least_m
     room, (x, y) = rig.plate.half - least, point
-    if np.all(np.abs(point) <= room + ROUNDING_M):  # not where one is NaN
+    if np.all(np.abs(point) <= room + ROUNDING_M):  # false for NaN
         return ""
     away = float(np.min(rig.plate.half - np.abs(point)))
     return (
@@ -60,7 +64,7 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
 
 
 def nowhere_text(label: str, rig: Rig) -> str:
-    """Say of a region that no part of a class can be led into it."""
+    """Return the message for a region that parts of a class cannot be moved into."""
     least = rig.edge_margin(label).least_m
     room = rig.plate.half - least
     return (
@@ -70,8 +74,8 @@ def nowhere_text(label: str, rig: Rig) -> str:
 
 
 def edge_doubts(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
-    """Say which places of a task are nearer to an edge than parts otherwise keep, one of each key
-    and class, and what would do."""
+    """Return warnings about positions of a task that are between the minimum distance and the wall
+    (`EdgeMargin`). For each key and class, only the position nearest to an edge is reported."""
     doubts: dict[tuple[str, str], tuple[float, str]] = {}
     for key, label, point in goal_places(scenario):
         wall, away = rig.edge_margin(label).wall_m, float(np.min(rig.plate.half - np.abs(point)))
@@ -88,7 +92,7 @@ def edge_doubts(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
 def behind_wall(
     low: np.ndarray, high: np.ndarray, label: str, rig: Rig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what of intervals (..., 2) [m, plate_home] lies behind the wall for parts of a class,
-    or where nothing does, their ends that are nearest to it."""
+    """Restrict intervals (..., 2) [m, plate_home] to the safe area behind the wall for parts of a
+    class. An interval outside this area is reduced to its bound nearest to the area."""
     room = np.maximum(rig.plate.half - rig.edge_margin(label).wall_m, 0.0)
     return np.maximum(low, np.minimum(-room, high)), np.minimum(high, np.maximum(room, low))

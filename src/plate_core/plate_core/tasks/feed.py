@@ -1,4 +1,8 @@
-"""Feeding: its keys read and checked, and which parts are ready to be gripped."""
+"""The feed task: reading and checking of its keys, and the rule which parts a robot may grip.
+
+A part is ready if it is of the right class, in the pick window, at the requested angle, and far
+enough from all other parts (`ready_parts`).
+"""
 
 from __future__ import annotations
 
@@ -18,21 +22,21 @@ from .edges import nowhere_text
 from .tasks import FeedTask, Hopper, PartGroup, Pick
 
 ROUNDING_RAD = 1e-6
-"""Angles that were degrees are rounded by less [rad]."""
+"""Tolerance for the rounding of angles converted from degrees [rad]."""
 
 LONGEST_OPEN_S = 60.0
-"""Maximum duration of one opening of a hopper [s]: the feeder asks for no longer one, and the
-simulator's hopper refuses it."""
+"""Maximum duration of one opening of a hopper [s]. The feeder requests no longer opening, and the
+simulated hopper refuses one."""
 
 WHOLE = 1e-6
-"""How near to 1 fractions have to sum up."""
+"""Tolerance of the sum of fractions, which must be 1."""
 
 FULL = ((-math.inf, -math.inf), (math.inf, math.inf))
-"""A window that is not given: cut to the plate by the rig."""
+"""Default pick window. `pick_window` limits it to the plate."""
 
 
 def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
-    """Return the task of these keys; errors as `load_scenario`."""
+    """Read the keys of a feed task. Raises the same errors as `load_scenario`."""
     labels = tuple(group.label for group in parts)
     picks = tuple(_pick(child, labels) for child in fields.children("picks"))
     if not picks or len({pick.label for pick in picks}) < len(picks):
@@ -112,12 +116,13 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
 
 
 def check_feed(task: FeedTask, where: str, rig: Rig) -> None:
-    """Refuse a task that does not fit this rig.
+    """Check a feed task against a rig.
 
     Raises
     ------
     ScenarioError
-        Names the file, the key, its value and what is allowed.
+        If the task is impossible. The message states the file, the key, its value and the allowed
+        values.
     """
     for pick in task.picks:
         if problem := pick_problem(pick, rig) or _room_problem(pick, task.clearance_m, rig):
@@ -134,18 +139,20 @@ def check_feed(task: FeedTask, where: str, rig: Rig) -> None:
 
 
 def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
-    """Say why so many parts cannot be ready at once; empty unless that is sure.
+    """Return the reason why the window is too small for `pick.ready` parts. Empty if it may be
+    large enough.
 
-    Each has about itself the disc that fits into it, and half the clearance more; these discs do
-    not overlap, and lie in the window and so much about it.
+    The estimate gives each part the largest disc about its centre inside its outline, enlarged by
+    half the clearance. These discs cannot overlap, and they lie in the window enlarged by their
+    radius.
     """
     (low, high), centre = pick_window(pick, rig), np.zeros((1, 2))
     outline = rig.part_type(pick.label).polygon
-    if not np.all(contains(outline, centre)):  # of an L
+    if not np.all(contains(outline, centre)):  # for example, an L-shaped part
         return ""
     free = clearance_m / 2 + float(np.min(rim_distance(outline, centre)))
     most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
-    if np.hypot(*(high - low)) < 2 * free:  # from one corner to the other
+    if np.hypot(*(high - low)) < 2 * free:  # the window's diagonal is too short for two parts
         most = 1
     if pick.ready <= max(most, 1):
         return ""
@@ -157,7 +164,7 @@ def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
 
 
 def pick_problem(pick: Pick, rig: Rig) -> str:
-    """Say why parts cannot be got ready as asked; empty if they can."""
+    """Return the reason why a pick is impossible on this rig. Empty if it is possible."""
     low, high = pick_window(pick, rig)
     room = rig.plate.half - rig.part_type(pick.label).reach_m
     if not (np.all(low <= high) and np.all(low >= -room - 1e-9) and np.all(high <= room + 1e-9)):
@@ -183,15 +190,16 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
 
 
 def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners (2,), (2,) [m, plate_home] of a pick window on this rig's plate: unless
-    it is given, all behind the wall."""
+    """Return the lower and the upper corner (2,), (2,) [m, plate_home] of a pick window on this
+    rig's plate. The default is the whole safe area behind the wall."""
     room = rig.plate.half - rig.edge_margin(pick.label).wall_m
     low, high = np.array(pick.low, dtype=float), np.array(pick.high, dtype=float)
     return np.where(np.isinf(low), -room, low), np.where(np.isinf(high), room, high)
 
 
 def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
-    """Return the angle (M,) that parts have to turn to lie in one [rad], the shorter way."""
+    """Return the smallest rotation (M,) that brings parts to an angle [rad], given their order of
+    rotational symmetry."""
     period = 2 * np.pi / max(symmetry, 1)
     return np.asarray((angle - parts.angle + period / 2) % period - period / 2)
 
@@ -199,25 +207,26 @@ def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
 def ready_parts(
     parts: Parts, pick: Pick, clearance_m: float, rig: Rig, gap: np.ndarray | None = None
 ) -> np.ndarray:
-    """Whether parts (M,) may be gripped: of the class, in the window, at the angle, alone.
+    """Whether parts (M,) may be gripped: right class, inside the window, right angle, clear of
+    others.
 
     Parameters
     ----------
     parts : Parts
-        All that are on the plate.
+        All parts on the plate.
     pick : Pick
     clearance_m : float
-        Least distance from any other part, rim to rim [m].
+        Minimum distance between the edges of a part and of any other part [m].
     rig : Rig
     gap : (M,) or None
-        What `free_gap` says of them; None: found out.
+        Result of `free_gap` for these parts. None: compute it.
     """
     gap = free_gap(parts, rig) if gap is None else gap
     return np.asarray(as_picked(parts, pick, rig) & (gap >= clearance_m))
 
 
 def as_picked(parts: Parts, pick: Pick, rig: Rig) -> np.ndarray:
-    """Whether parts (M,) are of the class, in the window, and at the angle."""
+    """Whether parts (M,) have the class of the pick, and are in its window and at its angle."""
     mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
     low, high = pick_window(pick, rig)
     mine &= np.all((parts.position >= low) & (parts.position <= high), axis=1)
@@ -228,14 +237,14 @@ def as_picked(parts: Parts, pick: Pick, rig: Rig) -> np.ndarray:
 
 
 def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
-    """Return the distance (M,) [m] of each part's rim from the nearest of another; at most 0 where
-    they overlap, infinite for one that is alone."""
+    """Return the distance (M,) [m] between the edge of each part and the nearest edge of another
+    part. At most 0 if they overlap, infinite if there is no other part."""
     types = [rig.part_type(part_class(name)) for name in parts.ids]
     count, reach = len(parts), np.array([kind.reach_m for kind in types])
     if count < 2:
         return np.full(count, np.inf)
     apart = np.hypot(*(parts.position[:, None] - parts.position[None]).transpose(2, 0, 1))
-    gap = apart - reach[:, None] - reach[None]  # of the discs about them: too little, if at all
+    gap = apart - reach[:, None] - reach[None]  # of the circumscribed discs: a lower bound
     np.fill_diagonal(gap, np.inf)
     if all(kind.radius_m for kind in types):
         return np.asarray(gap.min(axis=1))
@@ -261,7 +270,7 @@ def _outline(kind: PartType, parts: Parts, row: int) -> np.ndarray:
 
 
 def outline_gap(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the distance of two polygons (n, 2), (k, 2) [m]; at most 0 where they overlap."""
+    """Return the distance of two polygons (n, 2), (k, 2) [m]. At most 0 if they overlap."""
     if np.any(contains(one, other)) or np.any(contains(other, one)):
         return 0.0
     return float(min(np.min(rim_distance(one, other)), np.min(rim_distance(other, one))))

@@ -1,4 +1,4 @@
-"""The keys of a scenario file: what may stand there, and what it means (docs/reference.md)."""
+"""Definitions of the keys of a scenario file: type, range and meaning (docs/reference.md)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ KINDS = ("sort", "follow", "assemble", "pose", "move", "feed")
 """Kinds of task."""
 
 CLASSES = ("black", "grey")
-"""Classes of parts: those that detector and simulator tell apart."""
+"""Default classes of parts that detector and simulator can distinguish."""
 
 CURVES = ("waypoints_m", "circle", "spline_m")
-"""What a path may be given by: one of these."""
+"""Alternative keys that define a path."""
 
 SLOWEST_MPS, FASTEST_MPS = 1e-5, 10.0
-"""Speeds along a path [m/s]."""
+"""Allowed range of the speed along a path [m/s]."""
 
 ALL_DIFFERENT = "each class once"
 PLACE = Numbers((2,), -FAR_M, FAR_M)

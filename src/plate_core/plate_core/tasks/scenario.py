@@ -1,4 +1,4 @@
-"""Scenarios: read from their files, checked against a rig, and their parts put down."""
+"""Reading of scenario files, check of a scenario against a rig, and placement of its parts."""
 
 from __future__ import annotations
 
@@ -40,19 +40,20 @@ from .tasks import (
 )
 
 SCATTER_GAPS = (5.0, 4.0, 3.0, 2.5)
-"""Least distances of scattered centres [part radii]: the first at which all parts find room."""
+"""Candidate minimum distances between random start positions [mean radii of two parts]. The first
+one with which all parts can be placed is used."""
 
 SCATTER_FRACTION = (0.85, 0.80)
-"""Fraction of the half sides (x, y) within which parts are scattered: clear of the edges."""
+"""Limits of random start positions, as fractions of the plate's half sides (x, y)."""
 
 SCATTER_CLEAR = 1.5
-"""And at least so far from the edges [part radii]."""
+"""Minimum distance of random start positions from the edges [part radii]."""
 
 SCATTER_TRIES, SCATTER_STARTS = 80, 20
-"""Tries to place one part, and to place all of them, before they count as too many."""
+"""Maximum number of attempts to place one part, and to place all of them, for each distance."""
 
 APART_M = 1e-6
-"""Points nearer to each other are the same [m]."""
+"""Points at a smaller distance count as equal [m]."""
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -70,7 +71,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     Parameters
     ----------
     name_or_path : str or path
-        Name of a file in config/scenarios, without `.yaml`; or the path of any YAML file.
+        Name of a file in config/scenarios, without `.yaml`, or the path of a YAML file.
 
     Returns
     -------
@@ -79,8 +80,9 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     Raises
     ------
     ScenarioError
-        If there is no such scenario (the message lists those there are), a key is missing or
-        unknown, or its value is not allowed: the message names key, value and what is allowed.
+        If the scenario does not exist (the message lists the available ones), a key is missing or
+        unknown, or a value is not allowed. The message states the key, the value and the allowed
+        values.
     """
     text = str(name_or_path)
     if text.endswith((".yaml", ".yml")):
@@ -97,7 +99,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
-    """Return the scenario of a file in `folder`, or of an action's goal; errors as
+    """Return the scenario of a file in `folder`, or of an action's goal. Raises the same errors as
     `load_scenario`."""
     parts = tuple(_group(child) for child in fields.children("parts"))
     if not parts:
@@ -135,7 +137,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
 
 
 def _rig(fields: Fields, folder: Path) -> str:
-    """Return the rig as `load_rig` takes it, or nothing."""
+    """Return the rig in the form that `load_rig` accepts. Empty if none is given."""
     text = fields.value(keys.FILE["rig"])
     if text.endswith((".yaml", ".yml")):
         return str(folder / text)
@@ -175,7 +177,7 @@ def _pairs(array: np.ndarray) -> tuple[Point, ...]:
 
 
 def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
-    # Files with two classes and two sides say `sides`.
+    # Files with two classes and two sides use the key `sides`.
     child = fields.child("sides" if fields.has("sides") else "regions")
     regions = {group.label: _region(child, group.label) for group in parts}
     child.finish()
@@ -254,7 +256,7 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
 
 
 def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
-    """Return speeds [m/s] at fractions of a lap; one pair if the speed is the same all the way."""
+    """Return pairs of a fraction of a lap and the speed there [m/s]. One pair: constant speed."""
     if not fields.holds_list("speed_mps"):
         return ((0.0, fields.value(keys.PATH["speed_mps"])),)
     profile = fields.array("speed_mps", (None, 2), 0, keys.FASTEST_MPS)
@@ -335,7 +337,7 @@ def _move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
 def _one_each(
     fields: Fields, key: str, labels: Sequence[str], parts: tuple[PartGroup, ...]
 ) -> None:
-    """Refuse a task that has not as many goals of a class as there are parts of it."""
+    """Raise an error if the numbers of goals and parts of a class differ."""
     have = Counter(labels)
     for group in parts:
         if have[group.label] != group.count:
@@ -346,17 +348,18 @@ def _one_each(
 
 
 def check_scenario(scenario: Scenario, rig: Rig) -> None:
-    """Refuse a scenario of too many parts, or whose positions, paths, regions or places do not fit
-    on this rig's plate.
+    """Check a scenario against a rig: number and classes of the parts, angles, positions, paths
+    and regions.
 
     Raises
     ------
     ScenarioError
-        Names the file, the key, the class, and the point and the greatest `|x|` and `|y|` allowed
-        for a part's centre; or two points too near each other, or two regions that overlap.
+        If the scenario is impossible on this rig. The message states the file, the key, the class,
+        and a point with the allowed coordinates of a part's centre, two points that are too close,
+        or two regions that overlap.
     """
     task = scenario.task
-    known = tuple(rig.types) or keys.CLASSES  # with types the detector knows no others
+    known = tuple(rig.types) or keys.CLASSES  # if the rig has types, the detector knows only these
     for group in scenario.parts:
         if group.label not in known:
             raise ScenarioError(
@@ -401,7 +404,7 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
             if isinstance(region, Bin)
             for point in region.corner
         ]
-        edge = dict.fromkeys(reach, 0.0)  # these may be on it
+        edge = dict.fromkeys(reach, 0.0)  # corners of bins may be on the plate's edge
         _check_on_plate(scenario, corners, rig.plate.half, edge)
         _check_bins(scenario, task, rig)
         _check_regions(scenario, task, rig.plate.half)
@@ -409,7 +412,7 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
 
 
 def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
-    """Say why a part cannot be asked to come to a target; empty if it can."""
+    """Return the reason why a target of a part is impossible. Empty if it is possible."""
     label = part_class(target.id)
     if label not in scenario.labels:
         known = ", ".join(sorted(set(scenario.labels)))
@@ -427,7 +430,7 @@ def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
 
 
 def _turned(task: Task) -> list[str]:
-    """Return the classes whose angles a task asks for."""
+    """Return the classes for which a task requests angles."""
     if isinstance(task, FeedTask):
         return [pick.label for pick in task.picks if pick.angle is not None]
     return [pose.label for pose in task.poses] if isinstance(task, PoseTask) else []
@@ -460,7 +463,8 @@ def _check_apart(
 
 
 def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
-    """Refuse a bin whose parts would all lie where they are lost."""
+    """Raise an error if a bin is completely within the minimum distance from the plate's edges,
+    where parts are lost."""
     for label, region in task.regions.items():
         if not isinstance(region, Bin):
             continue
@@ -475,12 +479,12 @@ def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
 
 
 def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None:
-    """Refuse a side or corner that has an area in common with the region of another class.
+    """Raise an error if a side or corner overlaps the region of another class.
 
-    Two bins in one place are refused by the planner, by the places of their parts.
+    The planner refuses two overlapping bins, according to the positions of their parts.
     """
     for pair in combinations(task.regions, 2):
-        # a side first: the other one is cut at its goal lines
+        # sort a side first, because the other region is cut at its goal lines
         one, other = sorted(pair, key=lambda label: isinstance(task.regions[label], Bin))
         if isinstance(task.regions[one], Bin):
             continue
@@ -498,8 +502,8 @@ def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None
 
 
 def region_outline(task: SortTask, label: str, half: np.ndarray) -> np.ndarray:
-    """Return the corners (n, 2) [m, plate_home] of a class's region, on a plate of half sides
-    (2,) [m]."""
+    """Return the corners (n, 2) [m, plate_home] of the region of a class. `half` (2,) are the half
+    sides of the plate [m]."""
     region, goal = task.regions[label], task.goal_fraction
     if isinstance(region, Bin):
         return np.array(region.corner)
@@ -511,7 +515,7 @@ def region_outline(task: SortTask, label: str, half: np.ndarray) -> np.ndarray:
 
 
 def _region_text(task: SortTask, label: str, half: np.ndarray) -> str:
-    """Return a region in words: `left, x from -0.3 to -0.18, y from ...`."""
+    """Return a description of a region, such as `left (x from -0.3 to -0.18, y from ...)`."""
     names = (name for name, side in keys.SIDES.items() if side == task.regions[label])
     outline = region_outline(task, label, half)
     (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
@@ -519,7 +523,8 @@ def _region_text(task: SortTask, label: str, half: np.ndarray) -> str:
 
 
 def _cut(polygon: np.ndarray, axis: int, sign: int, least: float) -> np.ndarray:
-    """Return what of a polygon (n, 2) has sign * x[axis] >= least (Sutherland and Hodgman 1974)."""
+    """Return the part of a polygon (n, 2) with sign * x[axis] >= least (Sutherland and Hodgman
+    1974)."""
     corners: list[np.ndarray] = []
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         beyond_a, beyond_b = sign * a[axis] - least, sign * b[axis] - least
@@ -533,17 +538,18 @@ def _cut(polygon: np.ndarray, axis: int, sign: int, least: float) -> np.ndarray:
 def start_positions(
     scenario: Scenario, rig: Rig, rng: np.random.Generator
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Place the parts: the given ones where given, the others at random.
+    """Return start positions of all parts: the given ones, and random ones for the others.
 
-    Scattered parts keep the first of `SCATTER_GAPS` that leaves room for all, from all others, and
-    are clear of the edges (`SCATTER_FRACTION`, `SCATTER_CLEAR`).
+    The minimum distance between a random position and all other parts is the first of
+    `SCATTER_GAPS` with which all parts can be placed. `SCATTER_FRACTION` and `SCATTER_CLEAR` limit
+    the positions near the edges.
 
     Parameters
     ----------
     scenario : Scenario
     rig : Rig
     rng : numpy.random.Generator
-        Source of the scattered positions.
+        Source of the random positions.
 
     Returns
     -------
@@ -555,7 +561,7 @@ def start_positions(
     Raises
     ------
     ScenarioError
-        If a given position is off the plate, or there is no room for all parts.
+        If the scenario is impossible on this rig, or the plate has no space for all parts.
     """
     check_scenario(scenario, rig)
     given = [p for group in scenario.parts for p in group.position or ()]
@@ -592,9 +598,12 @@ def start_positions(
 def _scatter(
     radius: np.ndarray, taken: np.ndarray, limit: np.ndarray, gap: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Throw up to N - T points (k, 2) beside T that are taken, of parts of radii (N,) [m]; each is
-    `gap` mean radii from all before it, and within its limits (N, 2) [m]; fewer if one finds no
-    room."""
+    """Return up to N - T random points (k, 2) [m], in addition to T `taken` ones (T, 2).
+
+    `radius` (N,) are the radii of all parts [m]. The distance between two points is at least `gap`
+    times the mean of their radii. Each point is within its `limit` (N, 2) [m]. If no position is
+    found for a part, only the points before it are returned.
+    """
     start = len(taken)
     points = np.vstack([taken, np.zeros((len(radius) - start, 2))])
     for i in range(start, len(radius)):

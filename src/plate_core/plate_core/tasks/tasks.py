@@ -1,4 +1,4 @@
-"""The words of a scenario: groups of parts, and the tasks that can be set them."""
+"""Data classes of a scenario: groups of parts, the kinds of task, and the scenario itself."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class PartGroup:
-    """Parts of one class: given positions, or a count to be scattered.
+    """Parts of one class, with given or random start positions.
 
     Attributes
     ----------
@@ -21,7 +21,7 @@ class PartGroup:
     count : int
         Number of parts.
     position : tuple of (x, y), or None
-        Start positions [m, plate_home], one for each part; None: at random.
+        Start positions [m, plate_home], one for each part. None: random positions.
     """
 
     label: str
@@ -31,9 +31,10 @@ class PartGroup:
 
 @dataclass(frozen=True)
 class Side:
-    """A side or corner of the plate: where x and y have these signs, 0 for any.
+    """A side or corner of the plate.
 
-    Beyond the goal line along x, along y, or along both.
+    `x` and `y` are the signs of the coordinates there, 1 or -1, or 0 for any sign. A part is there
+    if it is beyond the goal line along x, along y, or along both.
     """
 
     x: int
@@ -52,16 +53,16 @@ Region = Side | Bin
 
 @dataclass(frozen=True)
 class SortTask:
-    """Bring every class to its region of the plate.
+    """Move the parts of every class to the region of their class.
 
     Attributes
     ----------
     regions : mapping of str to Side or Bin
-        Where each class belongs.
+        Region of each class.
     goal_fraction : float
-        A part has come to a side beyond this fraction of the plate's half length or half width.
+        Position of the goal line of a side, as a fraction of the plate's half length or half width.
     hold_s : float
-        The task is done when all parts have been sorted for this time [s].
+        The task succeeds when all parts have been in their regions for this time [s].
     """
 
     regions: Mapping[str, Region]
@@ -71,23 +72,23 @@ class SortTask:
 
 @dataclass(frozen=True)
 class PathTask:
-    """A polygon that one part is to follow; circles and splines are polygons of fine chords.
+    """A polygon that one part must follow. Circles and splines are polygons with short chords.
 
     Attributes
     ----------
     label : str
         Class of the part.
     waypoint : tuple of (x, y)
-        Corners [m, plate_home]; the first is the start.
+        Corners [m, plate_home]. The path starts at the first one.
     speed : float
-        Greatest speed along the path [m/s].
+        Maximum speed along the path [m/s].
     closed : bool
         Whether the last corner leads back to the first.
     laps : float
-        How many times round, for closed paths; 1 otherwise.
+        Number of laps of a closed path. 1 for an open path.
     profile : tuple of (fraction, speed)
-        Speed [m/s] at fractions of a lap's length from 0 to 1, linear in length between them;
-        empty: `speed` all the way.
+        Speed [m/s] at fractions of a lap's length from 0 to 1, interpolated linearly over the
+        length. Empty: constant `speed`.
     """
 
     label: str
@@ -100,7 +101,8 @@ class PathTask:
 
 @dataclass(frozen=True)
 class FollowTask:
-    """Every part follows its own path; a part further off than `max_error_m` ends the task."""
+    """Each part follows its own path. The task ends if the error of a part exceeds `max_error_m`
+    [m]."""
 
     paths: tuple[PathTask, ...]
     max_error_m: float
@@ -108,18 +110,18 @@ class FollowTask:
 
 @dataclass(frozen=True)
 class AssembleTask:
-    """Bring parts to places, any part of its class to each.
+    """Move parts to positions. Any part of the right class may go to each position.
 
     Attributes
     ----------
     labels : tuple of str, length P
-        Class of the part that belongs to each place.
+        Class of the part at each position.
     place : tuple of (x, y), length P
-        [m, plate_home].
+        Positions [m, plate_home].
     tolerance_m : float
-        A part is there when its centre is this near [m].
+        Maximum distance between a part's centre and its position [m].
     hold_s : float
-        The task is done when all parts have been there for this time [s].
+        The task succeeds when all parts have been within the tolerance for this time [s].
     """
 
     labels: tuple[str, ...]
@@ -130,18 +132,18 @@ class AssembleTask:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where one part is to be, and which way its mark is to point.
+    """Requested position and angle of one part.
 
     Attributes
     ----------
     label : str
         Class of the part.
     place : (x, y), or None
-        [m, plate_home]; None: where the part is when the task begins, and there it has to stay,
-        unless it may be anywhere.
+        Position [m, plate_home]. None: the part stays where it is at the start of the task, or may
+        be anywhere if `PoseTask.anywhere` is true.
     angle : float
-        Counter-clockwise from x [rad]; of a part that looks the same in several directions, of any
-        of them.
+        Angle of the part's mark, counter-clockwise from x [rad]. If the part has rotational
+        symmetry, all equivalent angles are accepted.
     """
 
     label: str
@@ -151,21 +153,21 @@ class Pose:
 
 @dataclass(frozen=True)
 class PoseTask:
-    """Bring parts to places and angles.
+    """Move parts to positions and angles.
 
     Attributes
     ----------
     poses : tuple of Pose
         One for each part.
     tolerance_m : float
-        A part is there when its centre is this near [m]; one that is to stay where it is may never
-        be further off.
+        Maximum distance between a part's centre and its position [m]. A part that must stay may
+        never exceed it.
     tolerance_rad : float
-        It has turned when its angle is this near [rad].
+        Maximum error of a part's angle [rad].
     hold_s : float
-        The task is done when all parts have been so for this time [s].
+        The task succeeds when all parts have been within the tolerances for this time [s].
     anywhere : bool
-        Whether parts without a place may be anywhere on the plate.
+        Whether parts without a position may be anywhere on the plate.
     """
 
     poses: tuple[Pose, ...]
@@ -177,16 +179,16 @@ class PoseTask:
 
 @dataclass(frozen=True)
 class PartTarget:
-    """Where one part is to come.
+    """Target of one part.
 
     Attributes
     ----------
     id : str
-        Of the part, such as `black_3`.
+        Id of the part, such as `black_3`.
     place : (x, y)
-        [m, plate_home].
+        Target position [m, plate_home].
     angle : float or None
-        Counter-clockwise from x [rad], as in `Pose`; None: any.
+        Target angle, counter-clockwise from x [rad], as in `Pose`. None: any angle.
     """
 
     id: str
@@ -196,20 +198,21 @@ class PartTarget:
 
 @dataclass(frozen=True)
 class MoveTask:
-    """Bring parts to targets of their own, which may be changed while it runs.
+    """Move individual parts to targets. The targets may be changed while the task runs.
 
     Attributes
     ----------
     targets : tuple of PartTarget
-        Of as many parts as are to be moved; the others are to stay where they are, but give way.
+        One for each part to be moved. The other parts stay where they are but may move aside.
     tolerance_m : float
-        A part is there when its centre is this near [m].
+        Maximum distance between a part's centre and its target [m].
     tolerance_rad : float
-        And has turned when its angle is this near [rad], if its target has one.
+        Maximum error of a part's angle, if its target has one [rad].
     hold_s : float
-        The task is done when all have been there for this time [s].
+        The task succeeds when all parts have been within the tolerances for this time [s].
     until_canceled : bool
-        Whether it goes on until it is canceled: it is never done, and never stuck.
+        Whether the task runs until it is canceled. It then never succeeds and never counts as
+        stuck.
     """
 
     targets: tuple[PartTarget, ...]
@@ -221,20 +224,20 @@ class MoveTask:
 
 @dataclass(frozen=True)
 class Pick:
-    """Parts of one class that are to be ready for a robot.
+    """Request for parts of one class that a robot can grip.
 
     Attributes
     ----------
     label : str
         Class of the parts.
     ready : int
-        How many are to be ready at once.
+        Number of parts that must be ready at the same time.
     low, high : (x, y)
-        Corners of the pick window: their centres are to lie in it [m, plate_home].
+        Lower and upper corner of the pick window for the parts' centres [m, plate_home].
     angle : float or None
-        In which they are to lie, counter-clockwise from x [rad]; None: any.
+        Required angle, counter-clockwise from x [rad]. None: any angle.
     tolerance_rad : float
-        How far from that angle they may lie [rad].
+        Maximum error of the angle [rad].
     """
 
     label: str
@@ -247,22 +250,22 @@ class Pick:
 
 @dataclass(frozen=True)
 class Hopper:
-    """Where new parts come from.
+    """A hopper, which drops new parts onto the plate.
 
     Attributes
     ----------
     fill : int
-        It is opened when fewer parts than `least` are on the plate, for as long as those take that
-        are missing to `fill`.
+        Number of parts on the plate after a refill. It determines how long the hopper stays open.
     least : int
+        The hopper opens when fewer parts than this are on the plate.
     rate : float
-        Parts that drop while it is open [1/s].
+        Number of dropped parts per second while the hopper is open [1/s].
     place : (x, y)
-        Where they drop [m, plate_home].
+        Centre of the area where parts drop [m, plate_home].
     spread_m : float
-        And how far around it [m].
+        Radius of this area, a disc [m].
     mix : mapping of str to float
-        Fractions of the classes among them; their sum is 1.
+        Fraction of each class among the dropped parts. The sum is 1.
     """
 
     fill: int
@@ -274,28 +277,28 @@ class Hopper:
 
 
 class FeedMode(IntEnum):
-    """What a feeder does now."""
+    """Mode of a feed task."""
 
     FEED = 0
-    """Get parts ready; the plate rests when enough are."""
+    """Make parts ready. The plate rests when enough parts are ready."""
     REST = 1
-    """The plate rests: a robot is over it."""
+    """Keep the plate at rest, because a robot is above it."""
     PURGE = 2
-    """All parts to the chute."""
+    """Move all parts to the chute."""
 
 
 @dataclass(frozen=True)
 class FeedOrder:
-    """What a running task of `feed` is to do from now on.
+    """Order that changes a running feed task.
 
     Attributes
     ----------
     mode : FeedMode
     picks : tuple of Pick
-        What is to be ready; none: what the task has.
+        Picks that replace those of the task. Empty: use those of the task.
     hidden : bool
-        Whether a robot may hide parts from the camera, while the plate rests: they lie where they
-        were seen before.
+        Whether a robot may hide parts from the camera while the plate rests. Hidden parts are
+        assumed at their last detected positions.
     """
 
     mode: FeedMode = FeedMode.FEED
@@ -305,24 +308,25 @@ class FeedOrder:
 
 @dataclass(frozen=True)
 class FeedTask:
-    """Have parts ready for a robot while parts come and go, until it is canceled.
+    """Keep parts ready for a robot while parts are added and removed, until the task is canceled.
 
     Attributes
     ----------
     picks : tuple of Pick
-        Each class once; parts of other classes are brought to the chute.
+        At most one per class. Parts of other classes are moved to the chute.
     clearance_m : float
-        The gripper's: least distance of a ready part's rim from that of any other part [m].
+        Minimum distance between the edges of a ready part and of any other part [m], required by
+        the gripper.
     chute : Side or None
-        Over this side parts leave the plate that nobody wants; None: they stay.
+        Side over which unwanted parts leave the plate. None: they stay on the plate.
     hopper : Hopper or None
-        None: parts are put on the plate by others.
+        None: parts are added to the plate by other means.
     timeout_s : float
-        Longest wait for a part [s].
+        Maximum wait for a part [s].
     valid_s : float
-        So long a part is reserved for the robot [s].
+        Time for which a part is reserved for the robot [s].
     order : FeedOrder
-        What is done now; it may be changed while it runs.
+        Present order. It may be changed while the task runs.
     """
 
     picks: tuple[Pick, ...]
@@ -339,11 +343,11 @@ Task = SortTask | FollowTask | AssembleTask | PoseTask | MoveTask | FeedTask
 
 @dataclass(frozen=True)
 class Scenario:
-    """One task: its parts, what is to be done, and the time it may take [s], infinite if any.
+    """A task with its parts and its time limit [s], infinite if there is no limit.
 
-    Parts that are `marked` show their angle by a spot, and start at any angle. `rig` is the one
-    that it is made for, as `load_rig` takes it; empty: any. `file` is the name of the file that it
-    was read from; empty if it comes from none.
+    Parts that are `marked` show their angle by a spot and start at a random angle. `rig` is the rig
+    for which the scenario is made, in the form that `load_rig` accepts. Empty: any rig. `file` is
+    the name of the scenario's file. Empty if it was not read from a file.
     """
 
     name: str
@@ -357,7 +361,7 @@ class Scenario:
 
     @property
     def where(self) -> str:
-        """Beginning of every message about it."""
+        """Beginning of every message about the scenario."""
         return self.file or f"scenario {self.name}"
 
     @property
