@@ -1,4 +1,4 @@
-"""The parts' world: their state, a step of it, what disturbs it, and a run with its camera.
+"""Simulated world: the state of the parts, its steps, disturbances, and a run with a camera.
 Public: the names below."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies

@@ -1,4 +1,5 @@
-// All parts through cycles of the plate: friction, then contacts, step by step. See bodies.py.
+// Simulation of all parts during cycles of the plate: in each step friction, then contacts. See
+// bodies.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -19,7 +20,7 @@
 
 namespace plate {
 
-// What is needed of the footprints of parts: `Shapes` of bodies.py.
+// Data of the parts' footprints: `Shapes` of bodies.py.
 struct Shapes {
     std::span<const Body> bodies;
     View<const double, 2> mesh;
@@ -27,8 +28,8 @@ struct Shapes {
     contacts::Corners corners;
 };
 
-// What one plate's parts are to do: as bodies.py says, states (M, 6), mu g (M,) and `here` (M,) in
-// their own order, as are records (k, M, 6).
+// Inputs and outputs of one plate, see bodies.py: states (M, 6), mu g (M,), `here` (M,) and records
+// (k, M, 6), all in the caller's order of parts.
 struct Job {
     const double *times, *factors;  // of `Course`
     int legs, steps, cycles, every;
@@ -39,11 +40,11 @@ struct Job {
     View<double, 3> record;
 };
 
-// More than what rounding makes of 1 in a few sums and products.
+// Upper bound of 1 after the rounding errors of a few sums and products.
 constexpr double ROUNDED = 1 + 1e-12;
 
-// Of the parts on the plate, least and greatest x and y [m], and how far they have moved along x
-// and along y from their marks [m].
+// Minimum and maximum over the parts on the plate: of x and y [m], and of their displacements from
+// their marks along x and y [m].
 struct Extent {
     double low[4], high[4];
 
@@ -68,25 +69,25 @@ struct Extent {
         }
     }
 
-    // Bound on how far [m] any two parts moved towards each other since they were at their marks.
+    // Upper bound of the approach [m] of any two parts since they were at their marks.
     double approach() const {
-        if (high[2] < low[2]) return 0.0;  // there are none
+        if (high[2] < low[2]) return 0.0;  // no parts
         const double wide = high[2] - low[2], tall = high[3] - low[3];
         return std::sqrt(wide * wide + tall * tall);
     }
 
-    // Whether all are within a plate's edges, and by more than rounding.
+    // Whether all parts are inside the plate's edges by more than rounding.
     bool within(const PlateSample& plate, const double* half) const {
         const double x = std::max(std::abs(low[0] - plate.x), std::abs(high[0] - plate.x));
         const double y = std::max(std::abs(low[1] - plate.y), std::abs(high[1] - plate.y));
-        const double turn = std::abs(plate.theta);  // at least its sine
+        const double turn = std::abs(plate.theta);  // upper bound of its sine
         return ROUNDED * (x + turn * y) <= half[0] && ROUNDED * (y + turn * x) <= half[1];
     }
 };
 
-// Make steps, at most so many, as long as all of `count` parts glide, none comes nearer to another
-// by a gap [m], and none is near an edge; return how many. Of the step that needs more the gliding
-// is done.
+// Make up to `most` steps while all `count` parts glide, no two approach by `gap` [m] or more, and
+// no part is near an edge. Return the number of complete steps. In the next, incomplete step the
+// gliding parts have already moved.
 PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
                              const GroundEffect& ground, const double* half, double gap, int count,
                              int most) {
@@ -98,7 +99,7 @@ PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, 
     return most;
 }
 
-// Take parts whose centre is beyond the plate's edge away; return whether there were any.
+// Remove parts whose centre is beyond the plate's edge. Return whether any was removed.
 inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plate,
                  const double* half) {
     const double c = std::cos(plate.theta), s = std::sin(plate.theta);
@@ -118,8 +119,8 @@ inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plat
     return any;
 }
 
-// Advance parts through cycles of the plate, in place, as bodies.py says; return what overlaps most
-// at the start: if by a greater share than `allowed` nothing has moved.
+// Advance parts during cycles of the plate, in place, see bodies.py. Return the deepest overlap at
+// the start. If its fraction exceeds `allowed`, no part has moved.
 inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contacts::Rules& rules,
                              double allowed, const double* half) {
     const int count = job.states.size(0);
@@ -176,7 +177,7 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
             end = std::min(end, at + job.every - since);
         }
         if (together) {
-            const double gap = rules.walls ? 0 : near.gap;  // near walls every step needs more
+            const double gap = rules.walls ? 0 : near.gap;  // with walls every step checks contacts
             const int cruised =
                 cruise(parts, &plate[2 * at], step, job.ground, half, gap, left, end - at);
             made += cruised, at += cruised;

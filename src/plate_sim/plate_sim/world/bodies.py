@@ -1,11 +1,10 @@
-"""All parts through cycles of the plate: friction, then contacts, step by step.
+"""Simulation of all parts during cycles of the plate: in each step friction, then contacts.
 
-One model serves every scene. Parts are finite: friction acts all over a footprint, so they slide,
-turn and stick; the plate's exact motion (equation (2) of the paper, with its pose) moves the
-surface under them. Steps are of equal length; within them each part's friction is integrated in as
-small ones as it needs (`friction.step`), and at their ends parts that touch collide (`contacts`).
-What a scene does not have costs nothing: pairs are looked at only once they may have come near, and
-parts that slide steadily are moved together.
+One model covers all scenes. Friction acts on the whole footprint of a part, so parts slide, rotate
+and stick. The plate's exact motion (equation (2) of the paper, with its pose) moves the surface
+under them. Steps have equal length. Within a step each part's friction is integrated in as many
+substeps as it needs (`friction.step`), and at the end touching parts collide (`contacts`). Pairs
+are checked only if they may have come near, and parts that slide steadily are advanced together.
 """
 
 from __future__ import annotations
@@ -28,19 +27,20 @@ from ..plate.ground import LEVEL, Ground, GroundEffect
 from ..plate.motion import PlateMotion
 
 STEP = 2e-4
-"""Default longest integration step [s]: parts then move at most some 0.2 mm between contacts."""
+"""Default maximum integration step [s]. Parts move at most about 0.2 mm between contact checks."""
 
 SAMPLES = 64
-"""Default output samples per cycle: eight in the shortest wave of a usual motion."""
+"""Default number of output samples per cycle: eight per period of a usual motion's highest
+harmonic."""
 
 START_OVERLAP = 0.1
-"""Greatest overlap at the start, as a share of half the slimmer part's width."""
+"""Maximum overlap at the start, as a fraction of half the slimmer part's width."""
 
 COLUMNS: tuple[slice | int, ...] = slice(2), 2, slice(3, 5), 5
-"""Of a state: position, angle, velocity, spin."""
+"""Columns of position, angle, velocity and spin in a state."""
 
 ENDLESS = np.full(2, np.inf)
-"""Half sides of an endless plate [m]."""
+"""Half sides of an unbounded plate [m]."""
 
 
 @dataclass(frozen=True)
@@ -81,20 +81,21 @@ class BodyTrajectory:
 
 
 class Shapes(NamedTuple):
-    """What compiled code needs of the footprints of M parts.
+    """Footprints of M parts, for compiled code.
 
     Attributes
     ----------
     bodies : (M, 10)
-        `BODY` of each.
+        Record `BODY` of each part.
     mesh : (4, n)
-        Points of all footprints but discs: x, y [m, part's axes], share of the weight, size of the
-        cell (see `Footprint.blur`) [m].
+        Points of all footprints except discs: x, y [m, part's axes], fraction of the weight, size
+        of the cell (see `Footprint.blur`) [m].
     pieces : (p, 2)
-        First corner, and last + 1, of each convex piece of the rims of all parts but discs.
+        First corner, and last + 1, of each convex piece of all outlines except discs.
     corners : (c, 5)
-        Place, outward normal of the side that begins there, in the parts' axes, and 1 if that side
-        is part of the rim, or 0 if another piece of the part begins there.
+        Position and outward normal of the side that begins there, in the part's axes. The last
+        column is 1 if that side is part of the outline, or 0 if it adjoins another piece of the
+        part.
     """
 
     bodies: np.ndarray
@@ -104,7 +105,7 @@ class Shapes(NamedTuple):
 
     @classmethod
     def of(cls, footprints: Sequence[Footprint]) -> Shapes:
-        """Put footprints one after the other."""
+        """Concatenate footprints."""
         bodies = np.zeros(len(footprints), BODY)
         mesh, corners, pieces = [np.empty((0, 4))], [np.empty((0, 5))], [np.empty((0, 2), np.int64)]
         point = piece = corner = 0
@@ -151,7 +152,7 @@ def simulate_bodies(
     cycle : PlateCycle or PlateMotion
         Motion of the plate; a PlateCycle is repeated.
     footprint : Footprint, or M of them
-        Of all parts or of each.
+        Footprint of all parts or of each.
     position, velocity : (M, 2)
         Centres of mass at the start of the first cycle [m], [m/s], plate_home.
     angle, spin : float or (M,)
@@ -161,29 +162,29 @@ def simulate_bodies(
     gravity : float
         [m/s2].
     cycles : int
-        How often the cycle is run.
+        Number of cycles.
     samples : int, optional
-        Output samples per cycle, by default `SAMPLES`; 0: the end alone.
+        Output samples per cycle. 0 returns only the end. Default: `SAMPLES`.
     step : float
-        Longest integration step [s].
+        Maximum integration step [s].
     contacts : Contacts, optional
-        How parts touch each other; if missing they never meet.
+        Contact model of the parts. Default: parts never collide.
     ground : Ground
         Tilt, static friction, and friction that changes with the slip.
     half : (2,), optional
-        Half sides of the plate [m]: a part whose centre passes its edge is gone, unless contacts
-        have walls. If missing the plate is endless.
+        Half sides of the plate [m]. A part whose centre passes its edge is removed, unless contacts
+        have walls. Default: unbounded.
 
     Returns
     -------
     BodyTrajectory
-        The start and every sample: k = cycles * samples + 1; or the end, k = 1.
+        Start and all samples, k = cycles * samples + 1; or only the end, k = 1.
 
     Raises
     ------
     PlateError
         If shapes disagree, a value is not finite, a count or coefficient is out of range, parts
-        overlap at the start, or walls are asked for on an endless plate.
+        overlap at the start, or contacts have walls on an unbounded plate.
     """
     cycles = whole("cycles", cycles)
     check_motion(cycle, cycles)
@@ -227,40 +228,41 @@ def run_plates(
     names: Sequence[Any],
     threads: int = 1,
 ) -> np.ndarray:
-    """Advance parts on N plates, M alike on each, through cycles of the plates' motions, in place.
+    """Advance parts on N plates, the same M parts on each, during cycles of the plates, in place.
 
-    The kernel sorts them by place first: results do not depend on the order of their names.
+    The kernel first sorts the parts by position, so that results do not depend on the order of
+    names.
 
     Parameters
     ----------
     motions, steps, grounds : N of each
-        Of each plate; a cycle is made in so many equal steps.
+        Motion, number of equal steps per cycle, and ground of each plate.
     shapes : Shapes
     states : (N, M, 6)
-        x, y, angle and their rates: changed.
+        x, y, angle and their rates. Modified.
     here : (N, M) bool
-        Which parts are there: changed. One that is gone stays where it is, at rest, and touches
-        nothing.
+        Whether each part is on the plate. Modified. A removed part stays at its place, at rest, and
+        does not touch others.
     limit : (N, M)
         mu g of each part [m/s2].
     contacts, half
         As of `simulate_bodies`.
     every : int
-        Steps from one recorded state to the next; 0: none.
+        Number of steps between recorded states. 0 records none.
     names : M
-        Of the parts, in messages.
+        Names of the parts, for messages.
     threads : int
-        Cores that may work at the same time.
+        Number of threads.
 
     Returns
     -------
     (N, k, M, 6)
-        The states at the start and after every so many steps; k = 0 if none are asked for.
+        States at the start and after every `every` steps. k = 0 if `every` is 0.
 
     Raises
     ------
     PlateError
-        If a motion is none or parts overlap at the start.
+        If a motion is invalid or parts overlap at the start.
     """
     for motion in motions:
         check_motion(motion, cycles)
@@ -285,8 +287,8 @@ def run_plates(
 
 
 def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
-    """Return states (N, M, 6) of parts on N plates, checked: position, angle, velocity and spin of
-    those on each, as `simulate_bodies` has them."""
+    """Check and combine position, angle, velocity and spin of the parts on N plates, given as in
+    `simulate_bodies`. Return states (N, M, 6)."""
     count = len(starts[0][0])
     if {tuple(map(np.shape, s)) for s in starts} == {((count, 2), (count,), (count, 2), (count,))}:
         states = np.empty((len(starts), count, 6))
@@ -294,7 +296,7 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
             states[..., own] = each
         if np.abs(states).max(initial=0.0) <= LARGEST:
             return states
-    return np.stack([_columns(*start) for start in starts])  # says what is wrong
+    return np.stack([_columns(*start) for start in starts])  # raises a detailed error
 
 
 def _columns(
@@ -309,7 +311,7 @@ def _columns(
 
 
 def equal_steps(time: float, step: float) -> int:
-    """Return how many equal steps of at most `step` [s] fill a time [s]."""
+    """Return the number of equal steps of at most `step` [s] in `time` [s]."""
     if not 0 < step < np.inf:
         raise PlateError(f"step is {step!r} s, allowed: a positive number")
     return max(1, ceil(time / step - 1e-9))

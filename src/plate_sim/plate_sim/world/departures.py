@@ -1,4 +1,4 @@
-"""Parts that have left the plate: how many, and over which side."""
+"""Counts of parts that have left the plate, by side and class."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from plate_core.tasks import Side
 from .state import WorldState
 
 OVER_EDGE_M = 0.03
-"""A part has left the plate over a side if it is not further inside of it [m]: the plate moves."""
+"""A part has left over a side if its last position is at most this far inside it [m]. The margin
+covers the motion of the plate."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a real rig has and a model leaves out. All of it off by default."""
+"""Disturbances: effects of a real rig that the model neglects. All are off by default."""
 
 from __future__ import annotations
 
@@ -55,76 +55,79 @@ RANGES: dict[str, tuple[float, float]] = {
     "black_grey": (0.0, 255.0),
     "grey_grey": (0.0, 255.0),
 }
-"""Allowed values."""
+"""Allowed range of each disturbance."""
 
 FLICKER_HZ = 97.0
-"""Default frequency of flicker [Hz]: that of mains light, but no multiple of the images' rate."""
+"""Default frequency of flicker [Hz]: close to that of mains light, but not a multiple of the image
+rate."""
 
 SLOWEST_RATE = 1.0
-"""Of a camera that runs free [1/s]: the next image of a slower one is taken for missing."""
+"""Minimum image rate of a free-running camera [1/s]. If it is slower, the next image counts as
+missing."""
 
 
 @dataclass(frozen=True)
 class Disturbances:
-    """How far the world is from the model.
+    """Deviations of the simulated world from the model.
 
     Attributes
     ----------
     friction_spread : float
-        Friction differs between parts by up to this share, evenly.
+        Friction differs between parts by up to this fraction, uniformly distributed.
     friction_patches : float
-        Friction differs over the plate by up to this share, evenly (`friction_field`).
+        Friction varies over the plate by up to this fraction, uniformly distributed
+        (`friction_field`).
     static_ratio : float
         Static over dynamic friction.
     friction_slope : float
-        How friction changes with the slip [1/(m/s)] (`Ground`).
+        Change of friction with the slip [1/(m/s)] (`Ground`).
     heave : float
-        How far the plate moves up and down, over its motion along x (`Ground`).
+        Ratio of the plate's vertical motion to its motion along x (`Ground`).
     tilt_x, tilt_y : float
-        How far the plate leans [rad]: parts are pulled along +x and +y if positive.
+        Tilt of the plate [rad]. Positive values pull parts along +x and +y.
     latency : float
-        An image is this old [s] when it is delivered. Its stamp is the time of delivery, as a
-        camera's driver gives it that does not know better.
+        Age of an image at its delivery [s]. Its stamp is the time of delivery, as from a camera
+        driver that does not know the time of exposure.
     image_rate : float
-        Images a second of a camera that runs free; 0: it is triggered at the start of each cycle.
-        Their latency counts from the middle of the exposure, with a trigger from its beginning.
+        Image rate of a free-running camera [1/s]. 0 means that each cycle's start triggers an
+        image. The latency of a free-running camera counts from the middle of the exposure, that of
+        a triggered one from the beginning.
     stamp_jitter : float
-        Standard deviation of the stamps of a camera that runs free [s]; they keep their order.
+        Standard deviation of the stamps of a free-running camera [s]. Stamps stay in order.
     blur : bool
         Whether motion blurs images over the rig's exposure.
     missed_images : float
-        Share of images that are never delivered.
+        Fraction of images that are not delivered.
     missed_parts : float
-        Share of parts that an image does not show.
+        Fraction of parts that an image does not show.
     false_parts : float
-        False parts, over true ones, that an image shows: reflections and specks.
+        Number of false parts per true part in an image (reflections and specks).
     highlights : float
-        Share of each part's area on which it mirrors the light.
+        Fraction of each part's area that shows a highlight.
     shadows : float
-        How much darker the plate is in the parts' shadows, as a share.
+        Fraction by which the plate is darker in the parts' shadows.
     pick_failure : float
-        Share of the robot's grips in which the part slips.
+        Fraction of the robot's grips in which the part slips.
     part_height_m : float
-        Height of all parts in images [m], whatever the rig file says; 0: that of the rig file.
-        Height changes images only: parts neither roll nor topple.
+        Height of all parts in images [m]. 0 uses the height of the rig file. Height affects only
+        images: parts neither roll nor topple.
     side_shade : float
-        Brightness of parts' side faces, over that of their tops.
+        Brightness of parts' side faces relative to their tops.
     size_spread : float
-        In images, parts are larger or smaller than their type by up to this fraction, evenly. Parts
-        touch each other as their types do.
+        Maximum relative deviation of parts' sizes from their type in images, uniformly distributed.
+        Contacts use the sizes of the types.
     gloss : float
-        Radius of the lamp's image on each part, over the part's radius (`Lighting`).
+        Radius of the lamp's image on each part relative to the part's radius (`Lighting`).
     shadow_length_m, shadow_deg, penumbra_m : float
         Length [m], direction from x [degrees], and width of the soft edge [m] of `shadows`.
     light_step, light_step_s : float
-        The light changes by this fraction at this time [s] from the beginning, and stays so.
+        Relative change of the light, and its time since the beginning [s]. The change is permanent.
     flicker, flicker_hz : float
-        The light of each image differs by up to this fraction to either side, as a sinusoid of
-        this frequency [Hz].
+        Relative amplitude and frequency [Hz] of a sinusoidal change of the light between images.
     defocus_px : float
-        Standard deviation of the Gaussian by which images are soft [px].
+        Standard deviation of the Gaussian blur of images [px].
     plate_grey, room_grey, black_grey, grey_grey : float
-        Grey values at full light: of plate and room, and of black and grey parts.
+        Grey values of the plate, the room, black parts and grey parts at full light.
 
     Raises
     ------
@@ -176,7 +179,7 @@ class Disturbances:
             raise PlateError(f"image_rate is {self.image_rate:g}, allowed: {allowed}")
         if not isinstance(self.blur, bool):
             raise PlateError(f"blur is {self.blur!r}, allowed: true or false")
-        self.ground  # the two tilts together, too  # noqa: B018
+        self.ground  # also checks the total tilt  # noqa: B018
 
     @cached_property
     def ground(self) -> Ground:
@@ -190,7 +193,7 @@ class Disturbances:
         return {"black": self.black_grey, "grey": self.grey_grey}
 
     def lighting(self, time_s: float) -> Lighting:
-        """Return the light of an image that is taken at a time from the beginning [s]."""
+        """Return the light of an image taken at `time_s` [s] since the beginning."""
         level = 1 + self.flicker * math.sin(2 * math.pi * self.flicker_hz * time_s)
         if time_s >= self.light_step_s:
             level *= 1 + self.light_step
@@ -201,7 +204,7 @@ class Disturbances:
 
     @property
     def summary(self) -> str:
-        """What differs from an undisturbed world: `latency 0.05, tilt_x 0.01`; `none`."""
+        """Non-default values as text, such as `latency 0.05, tilt_x 0.01`, or `none`."""
         unlike = [
             f"{f.name} {getattr(self, f.name)}"
             for f in fields(self)
@@ -211,4 +214,4 @@ class Disturbances:
 
 
 NONE = Disturbances()
-"""A world as the model has it."""
+"""World without disturbances."""

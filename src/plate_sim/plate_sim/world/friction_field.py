@@ -1,11 +1,11 @@
-"""Where friction is more and where less: between parts, and over the plate.
+"""Variation of friction between parts and over the plate.
 
-Friction varies over the plate as a smooth field fixed in it, and between parts. It is read once per
-cycle, where each part then is, though the plate swings by up to 1 cm under it: the worst part of a
-cycle so ends 0.02 mm (4 parts) to 0.08 mm (10 parts) from where it would if friction were read 200
-times (medians of 34 cycles of sort_4 and sort_10, +-10 %), at most 0.2 mm, or 0.3 mm in random
-cycles that use the whole stroke. As much comes from mu wrong by 1 to 3 %; the field itself moves
-that part by 0.1 to 0.2 mm.
+Friction varies over the plate as a smooth field fixed to it, and between parts. It is evaluated
+once per cycle at each part's position, although the plate moves by up to 1 cm under the part.
+Compared with 200 evaluations per cycle, the worst part of a cycle ends 0.02 mm (4 parts) to 0.08 mm
+(10 parts) off (medians of 34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm, or 0.3
+mm in random cycles that use the whole stroke. An error of mu of 1 to 3 % has the same effect. The
+field itself moves that part by 0.1 to 0.2 mm.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from plate_core.rig import to_plate
 from .disturbances import Disturbances
 
 WAVELENGTH = 0.1
-"""Length [m] of the waves in which friction varies over the plate: a few of them along it."""
+"""Wavelength of the variation over the plate [m]. A few waves fit along the plate."""
 
 WAVES = 32
-"""Waves in the field: enough that no direction and no place stands out."""
+"""Number of waves in the field, enough for an isotropic and homogeneous field."""
 
 
 @dataclass(frozen=True)
 class FrictionField:
-    """Where friction is more and where less, drawn once for a run.
+    """Friction field of a run, drawn once.
 
     Attributes
     ----------
     unit : (M,)
-        How much more friction each part has than the nominal one, from -1 to 1 times `spread`.
+        Relative deviation of each part's friction in units of `spread`, from -1 to 1.
     spread : float
-        How far friction goes up and down between parts.
+        Maximum relative deviation of friction between parts.
     share : float
-        How far friction goes up and down over the plate.
+        Maximum relative deviation of friction over the plate.
     wave : (K, 2)
-        Waves of the field [rad/m], in the plate's frame.
+        Wave vectors of the field [rad/m], in the plate's frame.
     phase : (K,)
-        Their phases [rad].
+        Phases of the waves [rad].
     """
 
     unit: np.ndarray
@@ -55,7 +55,8 @@ class FrictionField:
     def draw(
         cls, disturbances: Disturbances, count: int, rng: np.random.Generator
     ) -> FrictionField:
-        """Draw the friction of `count` parts and of the plate; the same numbers at any share."""
+        """Draw the field of the plate and the friction of `count` parts. The random numbers do not
+        depend on the magnitudes."""
         unit = rng.uniform(-1, 1, count)
         direction, phase = rng.uniform(0, 2 * pi, (2, WAVES))
         wave = 2 * pi / WAVELENGTH * np.column_stack([np.cos(direction), np.sin(direction)])
@@ -63,7 +64,7 @@ class FrictionField:
 
     @property
     def part(self) -> np.ndarray:
-        """Friction of each part over the nominal one (M,)."""
+        """Friction of each part relative to the nominal one (M,)."""
         return 1 + self.spread * self.unit
 
     def friction(
@@ -78,11 +79,11 @@ class FrictionField:
         position : (M, 2)
             Parts [m], plate_home.
         pose : (3,)
-            Of the plate [m, m, rad].
+            Pose of the plate [m, m, rad].
         """
         if self.share == 0:
             return np.asarray(mu * self.part)
         place = to_plate(pose, position)
-        # A sum of many waves is normal, of variance 1: erf makes it even from -1 to 1.
+        # The sum of many waves is normal with variance 1. erf makes it uniform from -1 to 1.
         height = np.sqrt(2 / len(self.phase)) * np.cos(place @ self.wave.T + self.phase).sum(1)
         return np.asarray(mu * self.part * (1 + self.share * erf(height / np.sqrt(2))))

@@ -1,4 +1,4 @@
-"""The hand that puts parts on the plate, and takes them off."""
+"""Simulated hand that places parts on the plate."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .state import WorldState
 
 
 class Hand:
-    """A hand.
+    """Simulated hand.
 
     Parameters
     ----------
     rig : Rig
     rng : Generator
-        For the friction of new parts.
+        Generator for the friction of new parts.
     """
 
     def __init__(self, rig: Rig, rng: np.random.Generator) -> None:
@@ -35,17 +35,17 @@ class Hand:
         angle: float,
         number: Callable[[str], int],
     ) -> tuple[WorldState, str, float | None]:
-        """Put a part down at rest; the parameters are those of `Simulation.place`.
+        """Place a part at rest. The parameters are those of `Simulation.place`.
 
         `number` returns the number of the next part of a class.
 
         Returns
         -------
         state : WorldState
-            Other parts may lie there, too.
+            New state. Other parts may overlap the placed one.
         part_id : str
         unit : float or None
-            Of a new part: how much more friction it has (`FrictionField.unit`).
+            Relative friction of a new part (`FrictionField.unit`).
 
         Raises
         ------
@@ -72,7 +72,7 @@ class Hand:
     def _checked(
         self, state: WorldState, part_id: str, label: str, position: np.ndarray, angle: float
     ) -> str:
-        """Return the class of a part that may be put there."""
+        """Return the class of a part, after checks of its id, class, place and angle."""
         if part_id:
             check_id(state, part_id)
         kinds = tuple(self._rig.types) or CLASSES
@@ -83,7 +83,7 @@ class Hand:
         if not part_id and len(state.ids) >= MOST_PARTS:
             raise PlateError(f"{len(state.ids)} parts are there, allowed: at most {MOST_PARTS}")
         room = self._rig.plate.half - self._rig.part_type(label).reach_m
-        if not np.all(np.abs(position) <= room + 1e-9):  # so where one is NaN
+        if not np.all(np.abs(position) <= room + 1e-9):  # also refuses NaN
             raise PlateError(
                 f"place is ({position[0]:g}, {position[1]:g}) m, allowed for {label}: |x| up to "
                 f"{room[0]:g}, |y| up to {room[1]:g} m"
@@ -94,7 +94,7 @@ class Hand:
 
 
 def check_id(state: WorldState, part_id: str) -> None:
-    """Refuse a part that is not there: a PlateError."""
+    """Raise a PlateError if there is no part with this id."""
     if part_id not in state.ids:
         hint = did_you_mean(part_id[:50], state.ids)
         known = ", ".join(state.ids) or "none"

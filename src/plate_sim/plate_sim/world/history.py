@@ -1,4 +1,4 @@
-"""Where parts and plate were a little while ago: what a camera with latency shows."""
+"""Recent motion of parts and plate, for images of a camera with latency."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from .bodies import BodyTrajectory
 
 @dataclass(frozen=True)
 class Passage:
-    """One cycle gone by.
+    """A past cycle.
 
     Attributes
     ----------
     motion : PlateMotion
-        Of the plate.
+        Motion of the plate.
     run : BodyTrajectory
-        Of the parts, from the cycle's start to its end.
+        Motion of the parts from the cycle's start to its end.
     on_plate : (M,)
-        Which parts were there when it ended.
+        Which parts were on the plate at its end.
     """
 
     motion: PlateMotion
@@ -31,7 +31,7 @@ class Passage:
 
 @dataclass(frozen=True)
 class View:
-    """Parts and plate at one instant, in plate_home.
+    """Parts and plate at one time, in plate_home.
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class View:
     angle : (M,)
         [rad].
     on_plate : (M,)
-        Which parts were there.
+        Which parts were on the plate.
     pose : (3,)
-        Of the plate [m, m, rad].
+        Pose of the plate [m, m, rad].
     """
 
     position: np.ndarray
@@ -53,12 +53,12 @@ class View:
 
 @dataclass(frozen=True)
 class History:
-    """The last cycles, oldest first; at least as much as was asked to be kept."""
+    """The last cycles, oldest first. They cover at least the requested time."""
 
     passages: tuple[Passage, ...] = ()
 
     def after(self, passage: Passage, keep: float) -> History:
-        """Return the past one cycle later; what is more than `keep` [s] ago is forgotten."""
+        """Return the history one cycle later. Cycles more than `keep` [s] ago are dropped."""
         kept: tuple[Passage, ...] = (passage,)
         age = passage.motion.period
         for older in reversed(self.passages):
@@ -68,7 +68,7 @@ class History:
         return History(kept)
 
     def take(self, rows: np.ndarray) -> History:
-        """Return the past of the parts in these rows (M,), bool."""
+        """Return the history of the parts in these rows (M,), bool."""
         return History(
             tuple(
                 Passage(
@@ -85,7 +85,7 @@ class History:
         )  # fmt: skip
 
     def joined(self, position: np.ndarray) -> History:
-        """Return the same past with a part more at a place (2,) [m]: it was not there yet."""
+        """Return the history with one more part at (2,) [m], which was not on the plate before."""
 
         def beside(values: np.ndarray, value: np.ndarray | float) -> np.ndarray:
             new = np.broadcast_to(value, (len(values), 1, *values.shape[2:]))
@@ -108,14 +108,14 @@ class History:
         )  # fmt: skip
 
     def shows(self, count: int) -> np.ndarray:
-        """Whether each of M parts was there at the end of a cycle that is kept (M,)."""
+        """Return whether each of M parts was on the plate at the end of a kept cycle (M,)."""
         return np.any([np.zeros(count, bool), *(each.on_plate for each in self.passages)], axis=0)
 
     def ago(self, age: float) -> View:
-        """Return what there was `age` [s] before the end of the last cycle.
+        """Return the state `age` [s] before the end of the last cycle.
 
-        Before the first cycle that is kept all stood still; after the end of the last (age below
-        0) all goes on as it then did. There must be one cycle at least.
+        Before the first kept cycle everything is at rest. For age below 0 the last velocities are
+        extrapolated. At least one cycle is required.
         """
         first = self.passages[0]
         for passage in reversed(self.passages):
@@ -128,7 +128,7 @@ class History:
         position, velocity = _between(run.time, run.position, run.velocity, inside)
         angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
-        # A part that falls off stays where it did: from then on it is at its last place.
+        # A part that fell off keeps its last position. It left when it first was there.
         left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
         return View(
             position + beyond * velocity, angle + beyond * spin, ~left, pose + beyond * twist
@@ -138,11 +138,11 @@ class History:
 def _between(
     time: np.ndarray, place: np.ndarray, rate: np.ndarray, t: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and rates (M, ...) at t [s]: between two samples the rate is linear."""
+    """Return positions and rates (M, ...) at t [s]. The rate is linear between two samples."""
     k = int(np.clip(np.searchsorted(time, t, "right") - 1, 0, len(time) - 2))
     h = time[k + 1] - time[k]
     share = (t - time[k]) / h
     start, end = rate[k], rate[k + 1]
-    # The line between both places, and the bow that the change of the rate gives
+    # Linear interpolation of the position plus a quadratic term from the change of the rate
     line = place[k] + share * (place[k + 1] - place[k])
     return line - 0.5 * h * share * (1 - share) * (end - start), start + share * (end - start)

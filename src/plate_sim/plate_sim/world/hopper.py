@@ -1,7 +1,7 @@
-"""The hopper that drops parts on the plate.
+"""Simulated hopper that drops parts on the plate.
 
-Parts come to lie in the plane: one that falls on another slides off it, so that heaps are dense and
-their parts touch, but none lies on another.
+All parts end in the plane: a part that falls on another slides off it. Heaps are dense and their
+parts touch, but no part is on top of another.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ from plate_core.tasks import LONGEST_OPEN_S, Hopper
 from .state import WorldState
 
 WHOLE = 1e-6
-"""So much less than a whole part is one [parts]: times are sums of rounded ones."""
+"""Tolerance for a whole part [parts], because times are sums of rounded times."""
 
 TRIES = 20
-"""Places at which a part is dropped, one after the other, until there is room for it."""
+"""Maximum number of places that are tried for a dropped part."""
 
 SLIDE_STEP_M, TOUCH_M = 1e-3, 1e-6
-"""Step in which a part slides off another, and how near it then lies to it [m]."""
+"""Step by which a part slides off another, and maximum final gap between them [m]."""
 
 
 @dataclass(frozen=True)
 class Flow:
-    """How far a hopper has got.
+    """State of a hopper.
 
     Attributes
     ----------
     left_s : float
-        It is open for so long still [s].
+        Remaining time for which it is open [s].
     waited_s : float
-        How long it was open since the last part fell [s].
+        Time for which it was open since the last part fell [s].
     """
 
     left_s: float = 0.0
     waited_s: float = 0.0
 
     def after(self, time_s: float, rate: float) -> tuple[Flow, np.ndarray]:
-        """Return it a time [s] later, and when parts fall in that time (n,) [s], at a rate [1/s]
-        while it is open."""
+        """Return the state `time_s` [s] later, and the drop times (n,) [s] in this interval. While
+        it is open, parts fall at `rate` [1/s]."""
         open_s = min(self.left_s, time_s)
         waited = self.waited_s + open_s
         count = int(waited * rate + WHOLE)
@@ -54,18 +54,18 @@ class Flow:
 
 @dataclass(frozen=True)
 class Dropped:
-    """A part that has come out of the hopper.
+    """A dropped part.
 
     Attributes
     ----------
     label : str
         Its class.
     position : (2,)
-        Where it comes to lie [m, plate_home].
+        Its final position [m, plate_home].
     angle : float
         [rad].
     unit : float
-        How much more friction it has, from -1 to 1 (`FrictionField.unit`).
+        Its relative friction, from -1 to 1 (`FrictionField.unit`).
     """
 
     label: str
@@ -75,8 +75,8 @@ class Dropped:
 
 
 def check_duration(duration_s: float) -> None:
-    """Refuse a time for which a hopper cannot be opened [s]: a PlateError."""
-    if not 0 <= duration_s <= LONGEST_OPEN_S:  # so if it is NaN
+    """Raise a PlateError if a hopper cannot be opened for this time [s]."""
+    if not 0 <= duration_s <= LONGEST_OPEN_S:  # also refuses NaN
         raise PlateError(
             f"duration is {duration_s:g} s, allowed: 0, which shuts it, to {LONGEST_OPEN_S:g} s"
         )
@@ -85,10 +85,10 @@ def check_duration(duration_s: float) -> None:
 def drop_part(
     hopper: Hopper, state: WorldState, rig: Rig, rng: np.random.Generator
 ) -> Dropped | None:
-    """Let a part fall; None if there is no room for it.
+    """Drop a part. Return None if there is no free place for it.
 
-    It falls on a place that is drawn evenly from the disc of `spread_m` about the hopper's. If it
-    hits a part there, it slides away from that one's centre until it touches none.
+    The place is drawn uniformly from the disc of radius `spread_m` around the hopper's place. If
+    the part hits another one there, it slides away from that part's centre until it touches none.
     """
     label = str(rng.choice(list(hopper.mix), p=list(hopper.mix.values())))
     kind, angle, unit = rig.part_type(label), rng.uniform(-np.pi, np.pi), rng.uniform(-1, 1)
@@ -105,7 +105,7 @@ def drop_part(
 def _slid_off(
     others: Lying, kind: PartType, place: np.ndarray, angle: float, room: np.ndarray
 ) -> np.ndarray | None:
-    """Return where a part that falls on a place (2,) [m] comes to lie; None if not on the plate."""
+    """Return the final position of a part that falls on (2,) [m]. None if it is off the plate."""
     hit = others.met(kind, place, angle)
     if not hit:
         return place if np.all(np.abs(place) <= room) else None
@@ -130,7 +130,7 @@ def _slid_off(
 
 @dataclass(frozen=True)
 class Lying:
-    """Parts that lie on the plate.
+    """Parts on the plate.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Lying:
     position : (M, 2)
         [m, plate_home].
     reach : (M,)
-        How far they reach from their centres [m].
+        Maximum distances of their outlines from their centres [m].
     outline : tuple of M (n, 2)
         Corners [m, plate_home].
     """
@@ -150,7 +150,7 @@ class Lying:
 
     @classmethod
     def of(cls, state: WorldState, rig: Rig, but: str = "") -> Lying:
-        """Return the parts on the plate, but one."""
+        """Return the parts on the plate, except the part `but`."""
         rows = [i for i, name in enumerate(state.ids) if state.on_plate[i] and name != but]
         types = tuple(rig.part_type(part_class(state.ids[i])) for i in rows)
         position = state.position[rows]
@@ -161,7 +161,7 @@ class Lying:
         return cls(types, position, np.array([kind.reach_m for kind in types]), outline)
 
     def met(self, kind: PartType, place: np.ndarray, angle: float) -> list[int]:
-        """Return which of them a part there would overlap, the nearest first."""
+        """Return the indices of parts that a part at this place would overlap, nearest first."""
         apart = np.hypot(*(self.position - place).T)
         near = [i for i in np.argsort(apart) if apart[i] < self.reach[i] + kind.reach_m]
         corner = _placed(kind, place, angle) if near and not kind.radius_m else np.empty((0, 2))
@@ -189,15 +189,15 @@ def _placed(kind: PartType, place: np.ndarray, angle: float) -> np.ndarray:
 
 
 class Dispenser:
-    """A hopper that opens for a time, and lets parts fall meanwhile.
+    """Hopper that opens for a time and drops parts in this time.
 
     Parameters
     ----------
     hopper : Hopper or None
-        The task's; None: it has none.
+        Hopper of the task. None if it has none.
     rig : Rig
     rng : Generator
-        For the parts that fall.
+        Generator for the dropped parts.
     """
 
     def __init__(self, hopper: Hopper | None, rig: Rig, rng: np.random.Generator) -> None:
@@ -209,8 +209,8 @@ class Dispenser:
         return self._flow.left_s > 0
 
     def open(self, duration_s: float, state: WorldState) -> int:
-        """Open it for a time from now [s], in place of the rest of an earlier one; returns how many
-        parts fall if there is room.
+        """Open it for `duration_s` from now [s], which replaces an earlier opening. Return the
+        number of parts that fall if there is room.
 
         Raises
         ------
@@ -227,15 +227,15 @@ class Dispenser:
         return len(self._flow.after(duration_s, self._hopper.rate)[1])
 
     def after(self, time_s: float) -> np.ndarray:
-        """Let a time [s] pass; returns when parts fall in it (n,) [s]."""
+        """Advance the time by `time_s` [s], and return the drop times (n,) in this interval [s]."""
         assert self._hopper is not None
         self._flow, drops = self._flow.after(time_s, self._hopper.rate)
         return drops
 
     def drop(self, state: WorldState) -> Dropped | None:
-        """Let a part fall; None if there is no room for it."""
+        """Drop a part. Return None if there is no room for it."""
         assert self._hopper is not None
         if np.count_nonzero(state.on_plate) >= MOST_PARTS:
             return None
-        rng = self._rng.spawn(1)[0]  # so that what is drawn for a part is its own
+        rng = self._rng.spawn(1)[0]  # random numbers of one part do not depend on others
         return drop_part(self._hopper, state, self._rig, rng)
