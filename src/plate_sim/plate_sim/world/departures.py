@@ -17,13 +17,13 @@ covers the motion of the plate."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
-    """Whether parts that left the plate at places (M, 2) [m, plate_home] did so over a side."""
+    """Return whether parts that left at positions (M, 2) [m, plate_home] left over a side."""
     sign = np.array([side.x, side.y])
     return np.asarray(np.any(sign * position > rig.plate.half - OVER_EDGE_M, axis=1))
 
 
 class Departures:
-    """Counts of parts that have left the plate otherwise than by hand or robot.
+    """Counts of parts that left the plate, except those removed by hand or robot.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class Departures:
     Attributes
     ----------
     dropped : int
-        Parts that left elsewhere than over the chute, and are forgotten.
+        Number of forgotten parts that did not leave over the chute.
     chuted : Counter of str
-        Parts that left over it, and are forgotten, by class.
+        Number of forgotten parts that left over the chute, by class.
     """
 
     def __init__(self, rig: Rig, chute: Side | None) -> None:
@@ -44,8 +44,8 @@ class Departures:
         self.dropped, self.chuted = 0, Counter[str]()
 
     def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
-        """Return how many of the parts that `left` (M,) bool the plate did so elsewhere than over
-        the chute, and by class over it."""
+        """Return the number of the parts `left` (M,) bool that did not leave over the chute, and
+        the numbers by class of those that did."""
         if self._chute is None:
             return int(np.count_nonzero(left)), Counter()
         over = went_over(self._chute, state.position, self._rig)
@@ -53,6 +53,6 @@ class Departures:
         return int(np.count_nonzero(left & ~over)), labels
 
     def forget(self, state: WorldState, left: np.ndarray) -> None:
-        """Count parts (M,) bool before they are forgotten."""
+        """Add parts (M,) bool to the counts before they are forgotten."""
         dropped, chuted = self.count(state, left)
         self.dropped, self.chuted = self.dropped + dropped, self.chuted + chuted

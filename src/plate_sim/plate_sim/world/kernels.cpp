@@ -1,4 +1,4 @@
-// What Python sees of the kernels that move all parts.
+// Python bindings of the kernels that simulate all parts.
 #include <plate/bind.hpp>
 
 #include <atomic>
@@ -25,8 +25,9 @@ View<T, N - 1> entry(const View<T, N>& all, int k) {
     return one;
 }
 
-// What bodies.py says of the parts on N plates, on several cores: all is checked before the first
-// begins. Returns for each plate which parts overlap most at the start, how deep, and the share.
+// Simulate the parts on N plates with several threads, see bodies.py. All arguments are checked
+// before the first plate starts. Return for each plate the two parts with the deepest overlap at
+// the start, its depth [m] and its fraction.
 nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
     Array<const double, 1> times, Array<const double, 3> coefficients,
     Array<const int64_t, 2> counts, int cycles, int every, Array<const double, 2> ground,

@@ -1,4 +1,4 @@
-"""The robot that takes parts off the plate, and hides what is below its arm."""
+"""Simulated robot that grips parts. Its arm hides the plate below it in images."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from .hopper import Lying
 from .state import WorldState
 
 GRIP_REACH_M = 5e-3
-"""A gripper takes no part whose centre is further off [m]."""
+"""Maximum distance of a part's centre from the gripper for a grip [m]."""
 
 FINGER_M = 3e-3
-"""Thickness of a gripper's finger [m]: it has to go between the part and its neighbours."""
+"""Thickness of a gripper's finger [m]. It must fit between the part and its neighbours."""
 
 NUDGE_M, NUDGE_RAD = 2e-3, 0.1
-"""How far at most a part is moved and turned by a grip that fails [m], [rad]."""
+"""Maximum displacement [m] and rotation [rad] of a part by a failed grip."""
 
 
 class Move(IntEnum):
-    """What a robot is to do, as in the service MoveRobot."""
+    """Command to the robot, as in the service MoveRobot."""
 
     AWAY = 0
     OVER = 1
@@ -34,22 +34,22 @@ class Move(IntEnum):
 
 @dataclass(frozen=True)
 class Grip:
-    """What came of a robot's move.
+    """Result of a robot's move.
 
     Attributes
     ----------
     success : bool
-        Of a grip: whether it has a part; else True.
+        Whether a grip has a part. True for other moves.
     id : str
-        Of the part it has, or that slipped; empty: it found none.
+        Id of the gripped part or of the part that slipped. Empty if it found none.
     error_m : float
-        True distance of that part's centre from the gripper, or if it found none, of the nearest
-        part; infinite if there is none [m].
+        True distance of that part's centre from the gripper [m]. If it found no part, that of the
+        nearest part, or infinity if there is none.
     error_rad : float
-        True angle that the gripper would have to turn to lie as the part does, from -pi to pi, less
-        what the part's symmetry hides; 0 if it found none [rad].
+        True angle from the gripper to the part, reduced by the part's symmetry, in -pi to pi [rad].
+        0 if it found no part.
     message : str
-        What was done, or why not.
+        Description of the result or of the failure.
     """
 
     success: bool
@@ -60,7 +60,7 @@ class Grip:
 
 
 def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
-    """Refuse a place at which a gripper cannot be: a PlateError."""
+    """Raise a PlateError if the gripper cannot be at this place."""
     half = rig.plate.half
     if not (abs(x) <= half[0] and abs(y) <= half[1]):
         raise PlateError(
@@ -105,8 +105,8 @@ def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, mar
 def nudged(
     state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Return where (2,) [m, plate_home] and at which angle [rad] a part lies from which a gripper
-    slipped: where it was, if it cannot move freely."""
+    """Return the position (2,) [m, plate_home] and angle [rad] of a part after a failed grip. They
+    are unchanged if the drawn displacement leads to an overlap or off the plate."""
     row = state.ids.index(part_id)
     place, angle = state.position[row], float(state.angle[row])
     radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
@@ -120,7 +120,7 @@ def nudged(
 
 
 class Robot:
-    """The robot: where it is and was, and the parts that it has taken.
+    """Robot with its past positions and the parts that it has taken.
 
     Parameters
     ----------
@@ -128,14 +128,15 @@ class Robot:
     marked : bool
         Whether round parts have an angle.
     rng : Generator
-        For the grips.
+        Generator for the grips.
 
     Attributes
     ----------
     taken : frozenset of str
         Ids of the parts that it has taken, until these are forgotten.
     stations : list of (float, (2,) or None)
-        Since when [s] it has been where [m, plate_home]; None: away. The oldest may still be shown.
+        Start times [s] and positions [m, plate_home]; None means away. Images may still show the
+        oldest.
     """
 
     def __init__(self, rig: Rig, marked: bool, rng: np.random.Generator) -> None:
@@ -164,7 +165,7 @@ class Robot:
         failure : float
             Probability that a part slips.
         now, shown : float
-            It is there from `now` [s] on; images may still show where it was at `shown` [s].
+            `now` is the time of the move [s]. Images may still show the time `shown` [s].
 
         Raises
         ------
@@ -181,7 +182,7 @@ class Robot:
         self._go(np.array([x, y]), now, shown)
         if to == Move.OVER:
             return state, Grip(True, message=f"the robot is over ({x:.4f}, {y:.4f}) m")
-        rng = self._rng.spawn(1)[0]  # so that what a grip draws does not depend on others
+        rng = self._rng.spawn(1)[0]  # random numbers of one grip do not depend on others
         slips = bool(rng.random() < failure)
         result = grip(state, self._rig, gripper, slips, self._marked)
         row = np.array([name == result.id for name in state.ids], bool)
@@ -204,9 +205,9 @@ class Robot:
         self.stations = [*self.stations[oldest:], (now, place)]
 
     def at(self, time: float) -> np.ndarray | None:
-        """Return where the gripper (2,) was at a time [s] [m, plate_home]; None: away."""
+        """Return the gripper's position (2,) [m, plate_home] at a time [s], or None if away."""
         return [place for since, place in self.stations if since <= max(time, 0.0)][-1]
 
     def has(self, ids: tuple[str, ...]) -> np.ndarray:
-        """Whether it has taken each of these parts (M,)."""
+        """Return whether it has taken each of these parts (M,)."""
         return np.array([name in self.taken for name in ids], bool)

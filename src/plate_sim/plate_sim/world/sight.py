@@ -1,4 +1,6 @@
-"""What the camera sees of the world: when images are taken, and what is in them."""
+"""Camera of the simulated world: times and content of images. Inputs are the state and history of
+parts, plate and robot, and the disturbances. Outputs are images, or the exact places of the parts
+that an image shows."""
 
 from __future__ import annotations
 
@@ -20,23 +22,23 @@ from .robot import Robot
 from .state import WorldState
 
 EXPOSURES, LONGEST_STEP_S = 5, 3e-3
-"""Least number of times during an image at which parts and plate are looked up, and the greatest
-distance between two [s]: the plate turns round in no less than 20 ms."""
+"""Minimum number of sample times of parts and plate during an image, and maximum time between two
+samples [s]. The period of the plate's motion is at least 20 ms."""
 
 DRAWN = ("plate_grey", "room_grey", "defocus_px")
-"""Disturbances of which the camera keeps images."""
+"""Disturbances that require a new `Camera`, because it caches images that depend on them."""
 
 FINEST_STAMP_S = 1e-4
-"""Least distance of two stamps [s]."""
+"""Minimum difference between two stamps [s]."""
 
 BANDS = 8
-"""Bands of rows in which a rolling shutter shows the plate's edges."""
+"""Number of bands of rows for which the plate's pose is sampled with a rolling shutter."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """An image of a camera that runs free: the middle of its exposure, its stamp, and when it is
-    delivered [s]."""
+    """An image of a free-running camera: the middle of its exposure, its stamp, and its delivery
+    time [s]."""
 
     middle: float
     stamp: float
@@ -45,8 +47,8 @@ class Shot:
 
 @dataclass(frozen=True)
 class Sight:
-    """What an image shows: place (M, 2) [m, plate_home] and angle (M,) [rad] of each part, which of
-    them are `seen` (M,), and the places (F, 2) of false parts [m]."""
+    """Exact content of an image: positions (M, 2) [m, plate_home] and angles (M,) [rad] of the
+    parts, whether each is `seen` (M,), and the positions (F, 2) of false parts [m]."""
 
     position: np.ndarray
     angle: np.ndarray
@@ -55,25 +57,25 @@ class Sight:
 
 
 class CameraView:
-    """The camera of a simulation, and the appearance and the past of the parts.
+    """Camera of a simulation, with the appearance and the history of the parts.
 
     Parameters
     ----------
     rig : Rig
     seed : int
-        For the sizes of parts.
+        Seed for the sizes of parts.
     marked : bool
         Whether round parts show their angle.
     disturbances : Disturbances
     noise : float
         Standard deviation of a pixel [grey values].
     pixels, images, parts, stamps : Generator
-        For the noise of pixels, missed images, missed and false parts, and stamps.
+        Generators for pixel noise, missed images, missed and false parts, and stamps.
 
     Attributes
     ----------
     history : History
-        The parts and the plate, as far back as an image may show them.
+        Past motion of parts and plate, over the time that an image may show.
     """
 
     def __init__(
@@ -96,7 +98,7 @@ class CameraView:
         self.history = History()
 
     def know(self, ids: tuple[str, ...], types: list[PartType]) -> None:
-        """Look up the appearance of the parts that are there now."""
+        """Set the appearance of the current parts."""
         world = self._disturbances
         self._types = types
         self._grey = part_colours(types, self._rig.camera.colour, world.greys)
@@ -109,15 +111,15 @@ class CameraView:
         self._typed = any(part_class(name) in self._rig.types for name in ids)
 
     def change(self, disturbances: Disturbances, noise: float) -> None:
-        """Go on in another world; `know` must be called next."""
+        """Apply other disturbances. Call `know` afterwards."""
         before, self._disturbances, self._noise = self._disturbances, disturbances, noise
         if any(getattr(before, name) != getattr(disturbances, name) for name in DRAWN):
-            self.__dict__.pop("_camera", None)  # what it keeps is drawn again
+            self.__dict__.pop("_camera", None)  # its cached images are outdated
         self._camera.noise = noise
 
     @cached_property
     def _camera(self) -> Camera:
-        """Made for the first image: it takes as long as a hundred cycles."""
+        """Camera, created at the first image because this takes as long as a hundred cycles."""
         world = self._disturbances
         return Camera(
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
@@ -126,7 +128,7 @@ class CameraView:
 
     @property
     def past(self) -> float:
-        """Time before now of which an image may show something [s]."""
+        """Maximum age of what an image may show [s]."""
         camera = self._rig.camera
         shown = camera.exposure_s + camera.readout_s
         anytime = self._disturbances.image_rate > 0 or camera.trigger is not None
@@ -134,14 +136,14 @@ class CameraView:
         return self._disturbances.latency + (shown if needed else 0.0)
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the images of a camera that runs free, from `begin` [s] on, without end."""
+        """Yield the images of a free-running camera from `begin` [s] on, without end."""
         camera, world, rng = self._rig.camera, self._disturbances, self._stamp_rng
         interval, last = 1 / max(world.image_rate, 1e-9), -np.inf
         shown = camera.exposure_s + camera.readout_s
         middle = begin + interval * rng.random()
         while True:
             jitter = world.stamp_jitter * rng.standard_normal()
-            # A camera's driver stamps images in the order in which they come.
+            # A camera driver's stamps increase.
             last = max(middle + world.latency + jitter, last + FINEST_STAMP_S)
             yield Shot(middle, last, middle + max(world.latency, shown / 2))
             middle += interval
@@ -149,7 +151,7 @@ class CameraView:
     def capture(
         self, state: WorldState, plate: PlateState, robot: Robot, now: float, age: float | None
     ) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered `now` [s]; None if it is
+        """Return the image (height, width), uint8, that is delivered at `now` [s], or None if it is
         missed. See `Simulation.capture`."""
         shown = self._chance()
         if shown is None:
@@ -178,7 +180,7 @@ class CameraView:
         )
 
     def sight(self, state: WorldState, plate: PlateState, age: float | None) -> Sight | None:
-        """Return what that image would show to one who sees exactly; None if it is missed."""
+        """Return the exact content of that image, or None if it is missed."""
         shown = self._chance()
         if shown is None:
             return None
@@ -187,15 +189,15 @@ class CameraView:
         return Sight(path[len(path) // 2], angle, seen & ~hidden, place)
 
     def capture_bare(self, now: float) -> np.ndarray:
-        """Return an image of the bare plate at home, `now` [s]."""
+        """Return an image of the bare plate at home at `now` [s]."""
         return self._camera.render(
             np.zeros((0, 2)), self._grey[:0], self._pixel_rng,
             lighting=self._disturbances.lighting(now),
         )  # fmt: skip
 
     def _chance(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Draw which parts an image hides (M,), the places (F, 2) of false ones [m], and which part
-        (F,) each looks like; None: the image is missed."""
+        """Draw whether parts are hidden in an image (M,), the positions (F, 2) of false parts [m],
+        and the index (F,) of the part that each looks like. Return None if the image is missed."""
         count, world = len(self._types), self._disturbances
         if not (world.missed_images or world.missed_parts or world.false_parts):
             return np.zeros(count, bool), np.zeros((0, 2)), np.zeros(0, np.int64)
@@ -209,8 +211,9 @@ class CameraView:
     def _view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return positions over the exposure (s, M, 2), angles (M,), which parts are there, and the
-        plate's poses (s, 3), or (b, s, 3) by bands of rows; None if it is at home."""
+        """Return positions over the exposure (s, M, 2), angles (M,), whether parts are on the
+        plate, and the plate's poses (s, 3), or (b, s, 3) by bands of rows, or None if it is at
+        home."""
         camera = self._rig.camera
         exposure = camera.exposure_s if self._disturbances.blur else 0.0
         if self.past and self.history.passages:
@@ -227,14 +230,17 @@ class CameraView:
     def _past_view(
         self, state: WorldState, first: float, exposure: float, shown: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the same of an image whose first row began to be exposed `first` [s] ago; from
-        then to the end of its last row it is `shown` [s]."""
+        """Return the same as `_view` for an image whose first row started its exposure `first` [s]
+        ago.
+
+        Its last row ends `shown` [s] after this start.
+        """
         count = max(EXPOSURES, 1 + int(np.ceil(shown / LONGEST_STEP_S)))
         time = shown * np.linspace(0, 1, count)
         views = [self.history.ago(first - t) for t in time]
         path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
         middle, readout = views[count // 2], self._rig.camera.readout_s
-        # Parts that came or were taken since the last cycle are not in its history.
+        # Changes of parts since the last cycle are not in the history.
         there = middle.on_plate if first >= time[count // 2] else state.on_plate
         if readout == 0:
             return path, middle.angle, there, pose
@@ -254,7 +260,7 @@ class CameraView:
 
 
 def check_height(rig: Rig, disturbances: Disturbances) -> None:
-    """Refuse parts with a height if the camera's place is not known."""
+    """Refuse parts with a height if the camera's position is unknown."""
     named = {f"types: {name}: height_m": part.height_m for name, part in rig.types.items()}
     heights = {
         "part_height_m": disturbances.part_height_m,
@@ -275,6 +281,6 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
 
 
 def _own_number(seed: int, part_id: str) -> float:
-    """Return a number of a part's own, -1 to 1, evenly: the same in each run of a seed."""
+    """Return a number of a part, uniform in -1 to 1, that depends only on the seed and its id."""
     rng = np.random.default_rng([seed, zlib.crc32(part_id.encode())])
     return float(rng.uniform(-1, 1))

@@ -1,4 +1,5 @@
-"""One run of the world as node and bench see it: images out, plate cycles in."""
+"""One run of the simulated world, for the node and the bench. Inputs are plate cycles and commands
+to hand, hopper and robot. Outputs are images and the state of the parts."""
 
 from __future__ import annotations
 
@@ -28,32 +29,32 @@ from .state import WorldState
 from .step import run_cycle, run_together
 
 WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
-"""Of a simulation: allowed values."""
+"""Allowed ranges of a simulation's parameters."""
 
 TRIAL_S = 1e-3
-"""Length of the rest in which a part that is put down must lie clear of the others [s]."""
+"""Length of the simulated rest that checks whether a placed part overlaps others [s]."""
 
 SHORTEST_S = 1e-6
-"""Shorter pieces of a cycle are not run for themselves [s]."""
+"""Minimum length of a piece of a cycle that is simulated separately [s]."""
 
 
 class Simulation:
-    """A scenario's parts on a rig's plate.
+    """Parts of a scenario on a rig's plate.
 
     Parameters
     ----------
     rig : Rig
-        What all stages believe of the rig; with a suspension the plate does not quite obey.
+        Rig model that all stages use. With a suspension the plate deviates from its commands.
     scenario : Scenario
-        Gives the parts.
+        Scenario with the parts.
     seed : int
-        Of all chance; what one kind of disturbance draws does not depend on the others.
+        Random seed. The random numbers of each kind of disturbance do not depend on the others.
     disturbances : Disturbances
-        What is unlike the rig's facts.
+        Deviations of the world from the rig model.
     noise : float
         Standard deviation of a pixel [grey values].
     mu_scale : float
-        True friction over the rig's.
+        Ratio of the true friction to the rig's.
     contacts : Contacts
 
     Raises
@@ -64,15 +65,15 @@ class Simulation:
     Attributes
     ----------
     state : WorldState
-        The parts. Where the task is to feed, those that have left the plate are forgotten when the
-        next cycle begins; so are, everywhere, those that the robot has taken.
+        State of the parts. In a feed task, parts that left the plate are forgotten when the next
+        cycle begins. In all tasks this also holds for parts that the robot has taken.
     plate : PlateState
     disturbances : Disturbances
     dropped, chuted : int
-        How many parts have left the plate otherwise than by hand or robot, since the beginning:
-        elsewhere than over the side of the task's chute, and over it.
+        Number of parts that left the plate since the beginning, except those removed by hand or
+        robot: `chuted` over the side of the task's chute, `dropped` elsewhere.
     chuted_classes : Counter of str
-        The latter by class.
+        `chuted` by class.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class Simulation:
         self._know_types()
 
     def _know_types(self) -> None:
-        """Look up what the parts are."""
+        """Set shapes, friction and appearance of the current parts."""
         types = [self._rig.part_type(part_class(name)) for name in self.state.ids]
         self._shapes = Shapes.of([footprint_of(part) for part in types])
         self._mu = np.array([part.mu for part in types], dtype=float)
@@ -123,19 +124,20 @@ class Simulation:
 
     @property
     def mu(self) -> np.ndarray:
-        """True friction coefficients (M,) now."""
+        """Current true friction coefficients (M,)."""
         mu = self._mu * self._mu_scale
         return self._field.friction(mu, self.state.position, self.plate.pose)
 
     @property
     def _limit(self) -> np.ndarray:
-        """Greatest acceleration (M,) that friction gives each part now [m/s2]."""
+        """Current maximum acceleration (M,) of each part by friction [m/s2]."""
         return self.mu * self._rig.friction.gravity
 
     def change(self, disturbances: Disturbances, noise: float, mu_scale: float) -> None:
-        """Go on in another world. When images are taken does not change: `latency`, `image_rate`.
+        """Apply other disturbances. `latency` and `image_rate`, the timing of images, do not
+        change.
 
-        A run is then no longer repeated by its seed alone.
+        Afterwards the seed alone no longer reproduces the run.
 
         Raises
         ------
@@ -153,14 +155,15 @@ class Simulation:
         )
 
     def place(self, part_id: str, label: str, position: np.ndarray, angle: float = 0.0) -> str:
-        """Put a part down at rest, by hand.
+        """Place a part at rest, by hand.
 
         Parameters
         ----------
         part_id : str
-            Of a part that is there, or has left the plate and is not forgotten; empty: a new one.
+            Id of a part on the plate, or of one that left and is not forgotten. Empty for a new
+            part.
         label : str
-            Type of the new one.
+            Type of a new part.
         position : (2,)
             Its centre [m, plate_home].
         angle : float
@@ -169,13 +172,13 @@ class Simulation:
         Returns
         -------
         str
-            Its id: of a new one the next number of its type.
+            Its id. A new part gets the next number of its type.
 
         Raises
         ------
         PlateError
-            If there is no such part or type, no more parts are allowed, or it would not lie on the
-            plate, or on another part. Then nothing has changed.
+            If there is no such part or type, no more parts are allowed, or the part would be off
+            the plate or overlap another part. Then nothing changes.
         """
         state, unit = self.state, self._field.unit
         state, part_id, own = self._hand.put(
@@ -190,11 +193,11 @@ class Simulation:
         return part_id
 
     def show(self, state: WorldState) -> None:
-        """Go on with parts of another run; what is their own of friction is lost."""
+        """Continue with the parts of another run. Their individual friction is lost."""
         self._take_over(state, np.zeros(len(state.ids)), History())
 
     def remove(self, part_id: str) -> None:
-        """Take a part off the plate, by hand.
+        """Remove a part from the plate, by hand.
 
         Raises
         ------
@@ -207,7 +210,7 @@ class Simulation:
         self._take_over(state.take(keep), self._field.unit[keep], History())
 
     def _take_over(self, state: WorldState, unit: np.ndarray, history: History) -> None:
-        """Go on with other parts."""
+        """Continue with other parts."""
         for name in self.state.ids:
             label = part_class(name)
             self._last_number[label] = max(_number(name), self._last_number.get(label, 0))
@@ -216,20 +219,20 @@ class Simulation:
         self._know_types()
 
     def _next_number(self, label: str) -> int:
-        """Return the number of the next part of a class: none is used twice."""
+        """Return the number of the next part of a class. No number is used twice."""
         there = max((_number(i) for i in self.state.ids if part_class(i) == label), default=0)
         return 1 + max(there, self._last_number.get(label, 0))
 
     def open_hopper(self, duration_s: float) -> int:
-        """Let parts drop for a time from now [s], in place of what is left of an earlier one.
+        """Open the hopper for a time from now [s]. This replaces an earlier opening.
 
-        One drops after each 1/rate s in which it is open. A part for which there is no room stays
-        in the hopper: while `MOST_PARTS` are on the plate, or where the heap reaches its edge.
+        One part drops after each 1/rate [s] of open time. If there is no room, the part stays in
+        the hopper: if `MOST_PARTS` are on the plate, or if the heap reaches its edge.
 
         Returns
         -------
         int
-            How many parts drop in that time if there is room.
+            Number of parts that drop in that time if there is room.
 
         Raises
         ------
@@ -239,16 +242,16 @@ class Simulation:
         return self._hopper.open(duration_s, self.state)
 
     def move_robot(self, to: int, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> Grip:
-        """Move the robot, at once: images from now on show it where it then is.
+        """Move the robot without delay. Later images show it at its new place.
 
         Parameters
         ----------
         to : int
-            A `Move`: away; over a place, where its arm hides what is below it; or there, and to
-            grip the nearest part, which then leaves the plate. With the probability `pick_failure`
-            the part slips, and may be moved a little.
+            A `Move`: away; over a place, where its arm hides the plate below; or over a place with
+            a grip of the nearest part, which removes it from the plate. With the probability
+            `pick_failure` the part slips, and may be displaced slightly.
         x, y, angle : float
-            Of the gripper [m, m, rad, plate_home]; not used if it goes away.
+            Pose of the gripper [m, m, rad, plate_home]. Not used for the move away.
 
         Raises
         ------
@@ -278,11 +281,11 @@ class Simulation:
 
     @property
     def _left(self) -> np.ndarray:
-        """Which parts (M,) have left the plate otherwise than by the robot."""
+        """Whether each part (M,) left the plate, except those taken by the robot."""
         return ~self.state.on_plate & ~self._robot.has(self.state.ids)
 
     def _forget(self) -> None:
-        """Forget parts that are gone, and that no image will show."""
+        """Remove parts that left the plate and that no later image can show."""
         state, history = self.state, self._view.history
         if np.all(state.on_plate) or not (self._feeds or self._robot.taken):
             return
@@ -296,7 +299,7 @@ class Simulation:
         self._robot.taken &= set(self.state.ids)
 
     def _drop(self) -> None:
-        """Let a part fall out of the hopper, if there is room for it."""
+        """Drop a part from the hopper if there is room for it."""
         part = self._hopper.drop(self.state)
         if part is None:
             return
@@ -306,19 +309,19 @@ class Simulation:
         self._take_over(state, unit, self._view.history.joined(part.position))
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the images of a camera that runs free, from `begin` [s] on, without end."""
+        """Yield the images of a free-running camera from `begin` [s] on, without end."""
         return self._view.shots(begin)
 
     def capture(self, age: float | None = None) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered now; None if it is missed.
+        """Return the image (height, width), uint8, that is delivered now, or None if it is missed.
 
-        `age` is the time since the middle of its exposure [s]; if None its exposure began
+        `age` is the time since the middle of its exposure [s]. If it is None, the exposure began
         `latency` ago.
         """
         return self._view.capture(self.state, self.plate, self._robot, self._time, age)
 
     def sight(self, age: float | None = None) -> Sight | None:
-        """Return what that image, in place of `capture`, would show to one who sees exactly."""
+        """Return the exact content of the image that `capture` would return. Call one of them."""
         return self._view.sight(self.state, self.plate, age)
 
     def capture_bare(self) -> np.ndarray:
@@ -327,8 +330,10 @@ class Simulation:
         return self._view.capture_bare(self._time)
 
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
-        """Command a cycle, or what a motor controller has played, and move the parts to its end;
-        some may drop out of the hopper meanwhile."""
+        """Run a commanded cycle, or a motion that a motor controller has played.
+
+        The parts move to the end of the cycle. Parts may drop from an open hopper.
+        """
         self._forget()
         if not self._hopper.is_open:
             self._run(cycle)
@@ -346,7 +351,7 @@ class Simulation:
             self._run(PlateMotion.piece(cycle, begin, end))
 
     def _run(self, cycle: PlateCycle | PlateMotion) -> None:
-        """Move the parts to the end of a cycle, or of a piece of one."""
+        """Simulate the parts to the end of a cycle or of a piece of a cycle."""
         self._time += cycle.period
         motion: PlateCycle | PlateMotion = cycle
         limit = self._limit
@@ -363,8 +368,8 @@ class Simulation:
     def run_together(
         simulations: Sequence[Simulation], cycles: Sequence[PlateCycle], threads: int
     ) -> None:
-        """Do what `run` does, on plates with one rig, in one call on several cores: the same to the
-        last bit."""
+        """Do the same as `run` for several plates with one rig, in parallel threads. The results
+        are bitwise equal."""
         plain: dict[tuple[str, ...], list[tuple[Simulation, PlateCycle]]] = {}
         for own, cycle in zip(simulations, cycles, strict=True):
             if own._view.past or own._feeds or own._robot.taken or own._rig.suspension is not None:
@@ -384,7 +389,7 @@ class Simulation:
         threads: int,
         every: int = 0,
     ) -> list[BodyTrajectory]:
-        """Move parts that are alike on plates with one rig; see `step.run_together`."""
+        """Simulate the same parts on several plates with one rig, see `step.run_together`."""
         own = worlds[0]
         states, paths = run_together(
             [world.state for world in worlds], motions, own._shapes, limits, own._rig,

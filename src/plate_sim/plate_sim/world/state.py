@@ -1,4 +1,4 @@
-"""The state of all parts of a run at the start of a plate cycle."""
+"""State of all parts of a run at the start of a plate cycle."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..friction.checks import pairs
 
 @dataclass(frozen=True)
 class WorldState:
-    """All parts of a run at the start of a plate cycle.
+    """State of all parts of a run at the start of a plate cycle.
 
     Attributes
     ----------
     ids : tuple of str
         True names of the M parts, such as `black_3`.
     position : (M, 2)
-        Centres [m], plate_home; of a part that is gone, where it left the plate.
+        Centres [m], plate_home. For a part that left the plate, the position where it left.
     velocity : (M, 2)
         [m/s], plate_home.
     on_plate : (M,)
-        Whether the part is still there.
+        Whether the part is still on the plate.
     angle, spin : (M,)
-        [rad] (not wrapped), [rad/s]; counter-clockwise, zero if left out.
+        [rad] (not wrapped), [rad/s]; counter-clockwise. Default: 0.
     """
 
     ids: tuple[str, ...]
@@ -59,9 +59,10 @@ class WorldState:
 
     @classmethod
     def of_scenario(cls, scenario: Scenario, rig: Rig, rng: np.random.Generator) -> WorldState:
-        """Return a scenario's parts at rest, where it says or scattered: black_1, black_2, ...
+        """Return a scenario's parts at rest, named black_1, black_2, ...
 
-        They lie at any angle, unless they are all round and without marks.
+        Their places are those of the scenario or random. Their angles are random, unless all parts
+        are round and without marks.
         """
         labels, position = start_positions(scenario, rig, rng)
         ids = tuple(f"{label}_{labels[:i].count(label) + 1}" for i, label in enumerate(labels))
@@ -89,5 +90,5 @@ class WorldState:
 
     @property
     def dropped(self) -> int:
-        """How many parts have left the plate."""
+        """Number of parts that have left the plate."""
         return int(np.count_nonzero(~self.on_plate))

@@ -1,4 +1,4 @@
-"""Pure steps of the parts' world from one plate cycle to the next."""
+"""Steps of the parts' state from one plate cycle to the next, as pure functions."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def run_cycle(
     cycle : PlateCycle or PlateMotion
         Motion of the plate; only a PlateCycle can be repeated.
     mu : float or (M,), optional
-        True friction coefficient, of all parts or of each; that of their types if missing.
+        True friction coefficient of all parts or of each. Default: those of their types.
     step : float
-        Longest integration step [s].
+        Maximum integration step [s].
     contacts : Contacts
-        How parts touch each other, and whether walls keep them on the plate.
+        Contact model of the parts, and whether walls keep them on the plate.
     cycles : int
-        How often the cycle is run.
+        Number of cycles.
     ground : Ground
         Static friction, friction that changes with the slip, and tilt.
 
@@ -64,7 +64,7 @@ def record_cycle(
     cycles: int = 1,
     ground: Ground = LEVEL,
 ) -> tuple[WorldState, BodyTrajectory]:
-    """Return what `run_cycle` does, and the motion at every step."""
+    """Return the result of `run_cycle`, and the motion at every step."""
     after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, ground, 1)
     return after, path
 
@@ -109,17 +109,17 @@ def run_together(
     cycles: int = 1,
     every: int = 0,
 ) -> tuple[list[WorldState], list[BodyTrajectory]]:
-    """Return what `run_cycle` does of the same parts on many plates, in one call, and their motions
-    at every so many steps; none if `every` is 0.
+    """Apply `run_cycle` to the same parts on many plates, in one call. Return the states and,
+    unless `every` is 0, the motions at every `every` steps.
 
     Parameters
     ----------
     shapes : Shapes
-        Of the M parts on each plate.
+        Shapes of the M parts on each plate.
     limits : sequence of (M,)
         mu g of the parts on each [m/s2].
     threads : int
-        Cores that may work at the same time.
+        Number of threads.
     """
     ids, gravity = states[0].ids, rig.friction.gravity
     moved = columns([(s.position, s.angle, s.velocity, s.spin) for s in states])
