@@ -1,5 +1,6 @@
-"""Parts that touch each other or a wall: which ones, where, and the impulses between them.
-Public: `Contacts`, how they touch."""
+"""Contacts between parts, and between parts and walls: detection, contact points and impulses.
+
+Public: `Contacts`, the parameters of a contact."""
 
 from .parameters import INELASTIC, Contacts
 

@@ -1,4 +1,4 @@
-// Which parts may touch: a list of close pairs that stays good over many steps.
+// Broad phase: a list of near pairs of parts that stays valid for many steps.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,23 +9,23 @@
 
 namespace plate::contacts {
 
-// Pairs nearer than this share of the greatest reach are listed; until two parts have moved so far
-// towards each other, no other pair can touch.
+// Pairs with a gap below this fraction of the maximum reach are listed. No other pair can touch
+// until two parts have approached by this distance.
 constexpr double SKIN = 0.25;
 
 struct Pair {
     int i, j;
 };
 
-// The pairs of parts on the plate (`here`, (M,)) whose rims are near.
+// Pairs of parts on the plate (`here`, (M,)) with a small gap.
 struct NearPairs {
     std::vector<Pair> pairs;
-    double skin = INFINITE;  // parts may move so far [m] towards each other until it is out of date
-    double gap = INFINITE;   // the least gap [m] of any two, at most the skin
-    std::vector<double> x, y;  // where parts were when it was made: the state's marks
-    std::vector<int> order;    // all parts in order of x then
+    double skin = INFINITE;  // maximum approach [m] for which the list is valid
+    double gap = INFINITE;   // minimum gap [m] of any two parts, at most the skin
+    std::vector<double> x, y;  // positions of the parts when it was made (marks)
+    std::vector<int> order;    // all parts in order of x at that time
 
-    // List them anew.
+    // Rebuild the list.
     void find(const State& state, Bodies bodies, View<const bool, 1> here) {
         const int count = here.size(0);
         x.resize(count), y.resize(count);
@@ -40,7 +40,7 @@ struct NearPairs {
             const int i = order[a];
             most = std::max(most, bodies[i].reach);
             int b = a;
-            for (; b > 0 && x[i] < x[order[b - 1]]; b--)  // insertion: quick where little changed
+            for (; b > 0 && x[i] < x[order[b - 1]]; b--)  // insertion sort: fast if little changed
                 order[b] = order[b - 1];
             order[b] = i;
         }

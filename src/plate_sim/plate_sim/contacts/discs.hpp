@@ -1,8 +1,8 @@
-// Two discs that touch, and a disc at a wall: what impulses.hpp says of rigid parts, in closed
-// form.
+// Collisions of two discs, and of a disc with a wall: closed form of the method in impulses.hpp.
 //
-// The impulse across goes through a disc's centre, so it turns no disc, and friction between the
-// rims changes no closing speed: one impulse across and one along the rims are all.
+// The normal impulse passes through a disc's centre, so it does not rotate the disc. Friction
+// between the edges does not change the closing speed. So one normal and one tangential impulse
+// suffice.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,7 +11,7 @@
 
 namespace plate::contacts {
 
-// Change a part's velocity by `speed` [m/s] along n as if it were `ago` [s] since.
+// Change a part's velocity by `speed` [m/s] along n, as if that happened `ago` [s] earlier.
 inline void push(const State& state, int i, double speed, double nx, double ny, double ago) {
     state(VX, i) += speed * nx;
     state(VY, i) += speed * ny;
@@ -19,13 +19,13 @@ inline void push(const State& state, int i, double speed, double nx, double ny, 
     state(Y, i) += ago * speed * ny;
 }
 
-// Change a part's spin [rad/s] as if it were `ago` [s] since.
+// Change a part's spin by `spin` [rad/s], as if that happened `ago` [s] earlier.
 inline void turn(const State& state, int i, double spin, double ago) {
     state(SPIN, i) += spin;
     state(ANGLE, i) += ago * spin;
 }
 
-// How deep [m] two discs overlap; 0 if they do not.
+// Depth [m] of the overlap of two discs; 0 if they do not overlap.
 inline double overlap(const State& state, Bodies bodies, int i, int j) {
     const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
     const double size = bodies[i].radius + bodies[j].radius;
@@ -33,7 +33,7 @@ inline double overlap(const State& state, Bodies bodies, int i, int j) {
     return lack > 0 ? lack / (size + std::sqrt(dx * dx + dy * dy)) : 0.0;
 }
 
-// Let two discs collide if they touch, in place; return how deep [m] they overlapped. step [s].
+// Collide two discs if they touch, in place. Return the depth [m] of their overlap. step [s].
 inline double collide_discs(const State& state, Bodies bodies, int i, int j, const Rules& rules,
                             double step) {
     double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
@@ -53,7 +53,7 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
     } else if (depth <= KEPT) {
         return depth;
     }
-    // Two centres in one point have no line; any direction will do.
+    // If both centres coincide, the normal is arbitrary.
     const double nx = far > 0 ? dx / far : 1.0, ny = far > 0 ? dy / far : 0.0;
     const double mi = bodies[i].mass_inverse, mj = bodies[j].mass_inverse, light = mi + mj;
     double left = depth - KEPT;
@@ -85,8 +85,8 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
     return depth;
 }
 
-// Let a disc that is `depth` [m] in a wall, whose inward normal is n, collide with it; the last
-// of the state is the plate's pose and twist.
+// Collide a disc with a wall into which it reaches by `depth` [m]. n is the wall's inward normal.
+// The last entry of the state is the plate's pose and twist.
 inline void collide_with_wall(const State& state, Bodies bodies, int i, double depth, double nx,
                               double ny, const Rules& rules, double step) {
     const int wall = state.walls();
@@ -98,7 +98,7 @@ inline void collide_with_wall(const State& state, Bodies bodies, int i, double d
     double left = depth - KEPT;
     if (closing > 0) {
         const double ago = std::min(depth / closing, step);
-        // The rim where and when they touched
+        // Contact point at the time of the contact
         const double px = rx - ago * wx - radius * nx, py = ry - ago * wy - radius * ny;
         wx += spin * py, wy -= spin * px;
         const double gain = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));

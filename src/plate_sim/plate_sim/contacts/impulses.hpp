@@ -1,14 +1,15 @@
-// Impulses between rigid parts that turn, and the end of their overlaps.
+// Impulses between rotating rigid parts, and removal of their overlaps.
 //
-// Where parts touch while they close in, the least impulses that end it (one or two points, solved
-// together) are raised by the restitution e: (1 + e) of them. That never adds energy, whatever the
-// shapes (the inelastic outcome is the nearest one in the measure of energy; the elastic one is as
-// far on the other side). Then each point rubs: an impulse of up to mu_c times the one across takes
-// speed off along the rims, and never turns it around. Impulses act on both parts in one place at
-// one time, so momentum and angular momentum are kept: that time is when the parts touched, within
-// the step. What overlap a crowd leaves is ended by moving its parts apart, without speed.
+// If touching parts approach each other, the minimum normal impulses that stop the approach are
+// computed (one or two points, solved together) and multiplied by 1 + e, where e is the
+// restitution. This never adds energy for any shape: the inelastic result is the nearest one in the
+// energy norm, and the elastic one is its mirror image. Then friction acts at each point: an
+// impulse of up to mu_c times the normal impulse reduces the tangential speed and never reverses
+// it. Impulses act on both parts at one place and one time, so momentum and angular momentum are
+// conserved. This time is that of the contact, within the step. An overlap that remains in a crowd
+// is removed by a displacement without a change of velocity.
 //
-// For discs alone all this is simpler: discs.hpp.
+// For two discs see the simpler discs.hpp.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -21,21 +22,21 @@
 
 namespace plate::contacts {
 
-// Overlap [m] that is left: parts that part end it themselves, and no shift disturbs their angular
-// momentum.
+// Overlap [m] that is not removed. It ends when the parts separate, and no displacement disturbs
+// their angular momentum.
 constexpr double KEPT = 5e-6;
 
-// Impulses of one collision, at most: friction beside the line of centres may call for more than
-// one.
+// Maximum number of impulse iterations of a collision. With friction off the line of centres one
+// may not suffice.
 constexpr int REBOUNDS = 20;
 
-// A closing speed below this share of the first one is none.
+// A closing speed below this fraction of the first one counts as 0.
 constexpr double ROUNDING = 1e-12;
 
-// Two points whose impulses differ by a smaller share than this act as one.
+// If the relative determinant of two points is smaller than this, they count as one point.
 constexpr double RANK = 1e-9;
 
-// One for each part of a state; the last one is the walls'.
+// One body per part of a state. The last one is the walls.
 using Bodies = std::span<const Body>;
 
 // Restitution and friction coefficient of contacts; whether parts touch each other at all, and
@@ -50,17 +51,17 @@ struct Inertia {
     double first, first_turn, second, second_turn;
 };
 
-// From the centres of two parts to a point where they touch [m].
+// Vectors from the centres of two parts to a contact point [m].
 struct Arm {
     Vec first, second;
 };
 
-// Velocity [m/s] of a part's place (x, y) from its centre.
+// Velocity [m/s] of a part at the point (x, y) relative to its centre [m].
 inline Vec velocity(const State& state, int i, double x, double y) {
     return {state(VX, i) - state(SPIN, i) * y, state(VY, i) + state(SPIN, i) * x};
 }
 
-// How fast two parts close in at point k [m/s].
+// Closing speed of two parts at contact point k [m/s].
 inline double closing_speed(const State& state, int i, int j, const Manifold& contact, int k) {
     const auto [px, py] = contact.point[k];
     const Vec a = velocity(state, i, px - state(X, i), py - state(Y, i));
@@ -68,14 +69,15 @@ inline double closing_speed(const State& state, int i, int j, const Manifold& co
     return contact.normal.x * (b.x - a.x) + contact.normal.y * (b.y - a.y);
 }
 
-// Whether two parts close in at any point where they touch.
+// Whether the closing speed of two parts is positive at any contact point.
 inline bool closes(const State& state, int i, int j, const Manifold& contact) {
     for (int k = 0; k < contact.count; k++)
         if (closing_speed(state, i, j, contact, k) > 0) return true;
     return false;
 }
 
-// How long ago [s] two parts touched that close in at their present speeds.
+// Time [s] since the first contact of two approaching parts, from their present speeds, at most
+// `step`.
 inline double touched(const State& state, int i, int j, const Manifold& contact, double step) {
     double ago = 0.0;
     for (int k = 0; k < contact.count; k++) {
@@ -85,8 +87,8 @@ inline double touched(const State& state, int i, int j, const Manifold& contact,
     return ago;
 }
 
-// The arm to point k when two parts touched, the first a disc of a radius or (0) none; the second a
-// wall or a part.
+// Arm to contact point k at the time of the contact. The first part is a disc if `radius` is not 0;
+// the second is a wall or a part.
 inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
                   const Manifold& contact, int k, double ago) {
     Arm arm;
@@ -107,7 +109,7 @@ inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
     return arm;
 }
 
-// How fast the first moves along n as seen from the second, at one point [m/s].
+// Speed [m/s] along n of the first part relative to the second, at one point.
 inline double speed(const State& state, int i, int j, const Arm& arm, Vec n) {
     const Vec a = velocity(state, i, arm.first.x, arm.first.y);
     const Vec b = velocity(state, j, arm.second.x, arm.second.y);
@@ -124,7 +126,7 @@ inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia&
            inertia.second_turn * b * d;
 }
 
-// Give both an impulse along n; row VX: of their velocities, row X: of their places.
+// Apply an impulse along n to both parts: to their velocities (row VX) or their positions (row X).
 inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double impulse,
                  const Inertia& inertia, int row) {
     const auto [a, b] = arm;
@@ -136,8 +138,8 @@ inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double
     state(row + 2, j) -= impulse * inertia.second_turn * (b.x * n.y - b.y * n.x);
 }
 
-// Least impulses along n at two points, at least 0, after which none closes in; v0, v1 are the
-// points' speeds [m/s] along n.
+// Minimum non-negative impulses along n at two points after which neither point approaches. v0, v1
+// are the points' speeds [m/s] along n.
 struct Least {
     double at[2] = {0.0, 0.0};
 
@@ -161,7 +163,7 @@ struct Least {
     }
 };
 
-// Give impulses until no point closes in; v0, v1 are the points' speeds [m/s] along n.
+// Apply impulses until no point approaches. v0, v1 are the points' speeds [m/s] along n.
 inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                    const Inertia& inertia, int count, double v0, double v1, const Rules& rules) {
     const Vec t{-n.y, n.x};
@@ -180,16 +182,16 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                 push(state, i, j, arms[k], t, std::min(std::max(drag, -most), most), inertia, VX);
             }
         }
-        // Friction may have turned them towards each other again
+        // Friction may have restored a closing speed
         v0 = speed(state, i, j, arms[0], n);
         v1 = count == 2 ? speed(state, i, j, arms[1], n) : 0.0;
     }
 }
 
-// Let two parts, or a part and a wall, collide where they touch, in place.
+// Collide two parts, or a part and a wall, at their contact points, in place.
 //
-// i, j: the parts, of which one at least is no disc, or a part that is none and a wall. A disc is
-// the first; a wall is the second, and the last of all columns and bodies, whose state is the
+// i, j: two parts, at least one of them not a disc, or a part that is not a disc and a wall. A disc
+// comes first. A wall comes second; it is the last of all columns and bodies, and its state is the
 // plate's pose and twist. step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {

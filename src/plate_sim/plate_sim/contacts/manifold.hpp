@@ -1,7 +1,7 @@
-// Where two rigid parts touch: discs and convex polygons, in the plane.
+// Contact points of two rigid parts in the plane: discs and convex polygons.
 //
-// Convex polygons touch along the side that separates them most (separating axes: Gottschalk, Lin
-// and Manocha 1996), with the other's nearest side clipped to it.
+// Two convex polygons touch at the side with the maximum separation (separating axes: Gottschalk,
+// Lin and Manocha 1996). The nearest side of the other polygon is clipped to it.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,11 +14,11 @@ namespace plate::contacts {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// The second part's side is taken for the flat one only if it separates by so much more [m].
+// The second part's side is the reference side only if its separation is larger by this [m].
 constexpr double PREFER = 1e-6;
 
-// Points where two parts touch, 0 to 2; the unit normal from the second part to the first; each
-// point [m], midway in the overlap; and the overlap's depth [m] at each.
+// Contact of two parts: number of points (0 to 2), unit normal from the second part to the first,
+// points [m] in the middle of the overlap, and depth of the overlap [m] at each.
 struct Manifold {
     int count = 0;
     Vec normal{};
@@ -26,8 +26,8 @@ struct Manifold {
     double depth[2]{};
 };
 
-// A corner of a part's rim: its place, the outward normal of the side that begins there, and 1 if
-// that side is part of the rim, or 0 if another piece of the part begins at it.
+// A corner of a part's outline: its position, the outward normal of the side that begins there, and
+// 1 if that side is part of the outline, or 0 if it adjoins another piece of the part.
 struct Corner {
     double x, y, out_x, out_y, open;
 };
@@ -39,7 +39,7 @@ inline int next(int k, Corners corners) {
     return k + 1 < static_cast<int>(corners.size()) ? k + 1 : 0;
 }
 
-// The manifold of a disc, the first part, and a convex polygon.
+// Manifold of a disc (first part) and a convex polygon.
 inline Manifold disc_polygon(double cx, double cy, double radius, Corners corners) {
     double most = -INFINITE;
     int side = -1;
@@ -52,7 +52,7 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     if (side < 0) return {};
     double nx = corners[side].out_x, ny = corners[side].out_y;
     if (most > 0) {
-        // Nearest to the side, or to one of its ends
+        // The side or one of its ends is nearest
         const Corner &a = corners[side], &b = corners[next(side, corners)];
         const double along = (a.x - cx) * ny - (a.y - cy) * nx;
         const double beyond = (cx - b.x) * ny - (cy - b.y) * nx;
@@ -68,8 +68,8 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     return {1, {nx, ny}, {{cx - arm * nx, cy - arm * ny}}, {depth}};
 }
 
-// Most that an open side of a polygon separates it from another, and that side; a gap of 0 if any
-// side separates them.
+// Maximum separation of two polygons by an open side of the first one, and that side. The gap is 0
+// if any side separates them.
 struct Separation {
     double gap;
     int side;
@@ -89,11 +89,11 @@ struct Separation {
     }
 };
 
-// The manifold of a side of `flat` with `other`; its normal points to `other`.
+// Manifold of a side of `flat` with `other`. The normal points to `other`.
 inline Manifold clip(Corners flat, int side, Corners other) {
     const double x0 = flat[side].x, y0 = flat[side].y;
     const double nx = flat[side].out_x, ny = flat[side].out_y, tx = -ny, ty = nx;
-    // The other's side that faces it most
+    // Side of the other polygon with the most opposite normal
     double facing = INFINITE;
     int k = 0;
     for (int i = 0; i < static_cast<int>(other.size()); i++) {
@@ -102,7 +102,7 @@ inline Manifold clip(Corners flat, int side, Corners other) {
     }
     const Corner &end = flat[next(side, flat)], &a = other[k], &b = other[next(k, other)];
     const double length = tx * (end.x - x0) + ty * (end.y - y0);
-    // Along and out of the flat side
+    // Coordinates along and normal to the reference side
     const double along[] = {tx * (a.x - x0) + ty * (a.y - y0), tx * (b.x - x0) + ty * (b.y - y0)};
     const double out[] = {nx * (a.x - x0) + ny * (a.y - y0), nx * (b.x - x0) + ny * (b.y - y0)};
     Manifold contact{0, {nx, ny}};
@@ -121,7 +121,7 @@ inline Manifold clip(Corners flat, int side, Corners other) {
         }
     }
     if (contact.count) return contact;
-    // The other's nearest side passes by a corner; its deepest corner does not
+    // The clipped side gives no point: use the deepest corner
     for (const Corner& corner : other) {
         const double d = nx * (corner.x - x0) + ny * (corner.y - y0);
         if (-d > contact.depth[0])
@@ -130,7 +130,7 @@ inline Manifold clip(Corners flat, int side, Corners other) {
     return contact;
 }
 
-// The manifold of two convex polygons.
+// Manifold of two convex polygons.
 inline Manifold polygon_polygon(Corners first, Corners second) {
     const Separation of_first(first, second);
     if (of_first.gap >= 0) return {};
@@ -143,13 +143,13 @@ inline Manifold polygon_polygon(Corners first, Corners second) {
     return contact;
 }
 
-// The manifold of a rim with a wall through a point, whose inward normal is n.
+// Manifold of an outline with a wall through a point; n is the wall's inward normal.
 inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
     Manifold contact{0, n};
     for (const Corner& corner : rim) {
         const double depth = n.x * (wall.x - corner.x) + n.y * (wall.y - corner.y);
         if (depth <= 0) continue;
-        // The two deepest
+        // Keep the two deepest points
         int at = contact.count;
         if (at < 2) {
             contact.count++;
@@ -163,7 +163,7 @@ inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
     return contact;
 }
 
-// Set corners of a part in plate_home from those in its axes.
+// Transform a part's corners from its axes to plate_home.
 inline void place_corners(Corners corners, double x, double y, double cosine, double sine,
                           Corner* placed) {
     for (const auto& [a, b, u, v, open] : corners)

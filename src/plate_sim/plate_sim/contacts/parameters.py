@@ -1,4 +1,4 @@
-"""How parts touch each other and the walls."""
+"""Parameters of contacts between parts and with walls: restitution, friction, and walls or not."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from ..friction.checks import LARGEST
 
 @dataclass(frozen=True)
 class Contacts:
-    """How parts touch.
+    """Parameters of contacts.
 
     Attributes
     ----------
     restitution : float
-        Speed after over speed before along the normal: 0 to 1.
+        Ratio of the normal speed after to that before the collision, 0 to 1.
     friction : float
-        Coulomb friction coefficient between rims: at least 0.
+        Coulomb friction coefficient between edges, at least 0.
     walls : bool
-        Whether walls around the plate, of the same restitution and friction, keep parts on it.
+        Whether walls around the plate keep parts on it. They have the same restitution and
+        friction.
 
     Raises
     ------
@@ -40,4 +41,4 @@ class Contacts:
 
 
 INELASTIC = Contacts()
-"""Parts stop each other, rims do not rub, no walls."""
+"""Inelastic contacts without friction and without walls."""

@@ -1,4 +1,5 @@
-// Which parts touch each other or a wall in a step, and the passes of impulses that end it.
+// Detection of contacts between parts and with walls in a step, and Gauss-Seidel passes of
+// impulses.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,25 +14,25 @@
 
 namespace plate::contacts {
 
-// Gauss-Seidel passes over the near pairs of one step, at most.
+// Maximum number of Gauss-Seidel passes over the near pairs of a step.
 constexpr int SWEEPS = 24;
 
-// Overlap [m] that ends the passes: a hundredth of a pixel.
+// The passes end if the maximum overlap is at most this [m]: a hundredth of a pixel.
 constexpr double OVERLAP = 1e-5;
 
-// Pairs apart by less than this share of their size take part in the passes of a step, as others
-// may push them into each other.
+// Pairs with a gap below this fraction of their size take part in the passes of a step, because
+// other parts may push them together.
 constexpr double MARGIN = 0.03;
 
-// A pass brings two parts closer by at most about this times the deepest overlap.
+// Estimated maximum approach of two parts in a pass, relative to the deepest overlap.
 constexpr double PUSHES = 4.0;
 
-// A convex piece's first corner, its last + 1.
+// First corner, and last + 1, of a convex piece.
 struct Convex {
     std::int64_t first, end;
 };
 
-// The rims of all parts that are not discs, in the parts' axes, and room for those in plate_home.
+// Outlines of all parts except discs, in the parts' axes, and a buffer for them in plate_home.
 struct Outlines {
     std::span<const Convex> pieces;
     Corners corners;
@@ -40,15 +41,15 @@ struct Outlines {
     Outlines(std::span<const Convex> the_pieces, Corners the_corners)
         : pieces(the_pieces), corners(the_corners), placed(the_corners.size()) {}
 
-    // The corners of a piece in plate_home.
+    // Corners of a piece in plate_home.
     Corners operator[](int piece) const { return rim(piece, piece + 1); }
 
-    // Those of pieces [first, end), which follow each other.
+    // Corners of the consecutive pieces [first, end).
     Corners rim(int first, int end) const {
         return {placed.data() + pieces[first].first, placed.data() + pieces[end - 1].end};
     }
 
-    // Place the corners of part i in plate_home.
+    // Compute the corners of part i in plate_home.
     void place(const State& state, const Body& body, int i) {
         if (body.end_piece == body.first_piece) return;
         const auto first = pieces[body.first_piece].first, end = pieces[body.end_piece - 1].end;
@@ -57,14 +58,14 @@ struct Outlines {
     }
 };
 
-// Two parts, a disc before a polygon, how deep they overlap [m], and where they do most.
+// Contact of two parts (a disc before a polygon): maximum depth [m], and its manifold.
 struct Touch {
     int i, j;
     double depth = 0.0;
     Manifold contact{};
 };
 
-// Where two parts touch of which one at least is no disc.
+// Deepest contact of two parts, at least one of which is not a disc.
 inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& outlines) {
     if (bodies[j].radius > 0 && !(bodies[i].radius > 0)) std::swap(i, j);
     const Body &a = bodies[i], &b = bodies[j];
@@ -85,8 +86,8 @@ inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& ou
     return most;
 }
 
-// Two parts of a list that overlap, the depth [m], and that over the slimmer one's `slim`: the
-// greatest; -1, -1, 0, 0 if none do.
+// Pair with the maximum overlap relative to the slimmer part's `slim`: indices, depth [m], and
+// relative depth; -1, -1, 0, 0 if no parts overlap.
 struct Overlap {
     int first = -1, second = -1;
     double depth = 0.0, share = 0.0;
@@ -118,11 +119,11 @@ struct Contacts {
     Rules rules;
     double step;                // [s]
     const double* half;         // the plate's half sides (2,) [m]
-    std::vector<Pair> close{};  // room to work in
+    std::vector<Pair> close{};  // work buffer
     std::vector<int> edge{};
 
-    // End closing speeds and overlaps after a step, in place, of near pairs and at the walls of the
-    // plate. The last of the state and of the bodies are the walls'.
+    // Remove closing speeds and overlaps of near pairs and at the plate's walls after a step, in
+    // place. The last entries of the state and of the bodies are the walls.
     void resolve(std::span<const Pair> pairs, const PlateSample& plate) {
         const int wall = state.walls();
         const double twist[] = {plate.x, plate.y, plate.theta, plate.vx, plate.vy, plate.spin};
@@ -140,7 +141,7 @@ struct Contacts {
             }
             double deepest = 0.0;
             for (int row = 0; row < count; row++) {
-                // Forth and back: pushes then travel both ways through a crowd.
+                // Alternate the order, so that pushes propagate in both directions.
                 const auto [i, j] = close[sweep % 2 == 0 ? row : count - 1 - row];
                 const bool discs = bodies[i].radius > 0 && bodies[j].radius > 0;
                 deepest = std::max(deepest, discs ? collide_discs(state, bodies, i, j, rules, step)
@@ -154,8 +155,8 @@ struct Contacts {
     }
 
   private:
-    // Fill `close` with the pairs whose rims are within MARGIN; return how many there are, and
-    // lower `margin` to the distance [m] from which any other would have to be pushed.
+    // Fill `close` with the pairs with a gap within MARGIN and return their number. Lower `margin`
+    // to the minimum approach [m] after which another pair could touch.
     int close_pairs(std::span<const Pair> pairs, double& margin) {
         int count = 0;
         for (const auto [i, j] : pairs) {
@@ -163,12 +164,12 @@ struct Contacts {
             const double reach = bodies[i].reach + bodies[j].reach, size = (1 + MARGIN) * reach;
             margin = std::min(margin, MARGIN * reach);
             close[count] = {i, j};
-            count += dx * dx + dy * dy < size * size;  // no branch: it could not be predicted
+            count += dx * dx + dy * dy < size * size;  // no branch: it would be mispredicted
         }
         return count;
     }
 
-    // The same of `edge` and the parts that are within MARGIN of a wall.
+    // The same for `edge` and the parts within MARGIN of a wall.
     int near_walls(double c, double s, double& margin) {
         const int wall = state.walls();
         int count = 0;
@@ -184,8 +185,8 @@ struct Contacts {
         return count;
     }
 
-    // Let two parts collide if they touch, of which one at least is no disc; return how deep [m]
-    // they overlapped.
+    // Collide two parts if they touch; at least one is not a disc. Return the depth [m] of their
+    // overlap.
     double collide_parts(int i, int j) {
         const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
         const double size = bodies[i].reach + bodies[j].reach;
@@ -196,7 +197,7 @@ struct Contacts {
         return most.depth;
     }
 
-    // Let a part meet the walls; return how deep [m] it was in them.
+    // Collide a part with the walls. Return the maximum depth [m] of its overlap with them.
     double meet_walls(int i, double c, double s) {
         const Body& body = bodies[i];
         const int wall = state.walls();

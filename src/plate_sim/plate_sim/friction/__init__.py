@@ -1,5 +1,7 @@
-"""Friction between plate and parts: footprints, one step of a part, and points event by event.
-Public: the names below; `simulate` is the judge of all other integrators."""
+"""Friction between plate and parts: footprints, integration steps of a part, and the event-driven
+simulation of points.
+
+The names below are public. `simulate` is the reference for all other integrators."""
 
 from .footprint import Footprint, bar, disc, polygon, union
 from .outline import footprint_of

@@ -1,4 +1,4 @@
-"""Checks of what integrators are asked for."""
+"""Checks of the integrators' arguments."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from plate_core import PlateCycle, PlateError
 from ..plate.motion import PlateMotion
 
 LARGEST = 1e60
-"""Greatest number that a state or a coefficient may have: its products stay finite."""
+"""Maximum magnitude of a state or coefficient, so that products stay finite."""
 
 
 def whole(name: str, value: int) -> int:
@@ -22,7 +22,7 @@ def whole(name: str, value: int) -> int:
 
 
 def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
-    """Refuse what is no motion of the plate, and repeats of one that need not close."""
+    """Refuse an invalid motion of the plate, and repetitions of a PlateMotion."""
     if not isinstance(cycle, PlateCycle | PlateMotion):
         raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle or PlateMotion")
     if isinstance(cycle, PlateCycle):
@@ -52,7 +52,7 @@ def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
 
 
 def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> np.ndarray:
-    """Greatest acceleration mu g (count,) [m/s2] that friction gives each part."""
+    """Return the maximum acceleration mu g (count,) [m/s2] of each part by friction."""
     mu = np.array(friction, dtype=float)
     if mu.shape not in ((), (count,)):
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
@@ -70,7 +70,7 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
 
 
 def for_each(name: str, value: float | np.ndarray, count: int) -> np.ndarray:
-    """Return a number of all parts or of each as an array (count,), checked to be finite."""
+    """Return a value for all parts or for each as an array (count,), checked to be finite."""
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (count,)):
         raise PlateError(f"{name} has shape {array.shape}, allowed: () or ({count},)")

@@ -1,11 +1,13 @@
-"""Footprints: where a rigid part touches the plate, with what share of its weight, and its inertia.
+"""Footprint of a rigid part: contact points with the plate, their fractions of the weight, and
+inertia.
 
-Friction acts all over a footprint, so a slip that differs from place to place also turns the part
-(section 3.1.2 of the paper). For a disc that integral is known (`disc`). For others it is
-a sum over quadrature points: Gauss's rule for parallelograms, triangles of degree 2 for the rest.
-Both are exact for polynomials of degree 2: mass, centre and inertia have no quadrature error.
+Friction acts on the whole footprint, so a slip that varies over it also rotates the part (section
+3.1.2 of the paper). For a disc the integral is known in closed form (`disc`). For other shapes it
+is a sum over quadrature points: Gauss's rule for parallelograms, and triangles of degree 2 for the
+rest. Both are exact for polynomials of degree 2, so mass, centre and inertia have no quadrature
+error.
 
-The friction force and torque are in error by at most, in mu m g (times the radius of gyration):
+Maximum error of the friction force and torque, in mu m g (times the radius of gyration):
 
     points        12      24      48      96     192
     square     0.077   0.041   0.020   0.011   0.005
@@ -32,19 +34,19 @@ from . import quadrature
 from .disc import disc_force
 
 POINTS = 48
-"""Default number of quadrature points, about: friction within 3 % of mu m g at worst."""
+"""Approximate default number of quadrature points. The friction error is at most 3 % of mu m g."""
 
 MASS = 0.02
 """Default mass [kg]. It drops out of the motion on the plate."""
 
 MOST_POINTS = 100_000
-"""More quadrature points than this are taken for a mistake."""
+"""Maximum number of quadrature points."""
 
 CELL = 0.2
-"""Blur of a point, as a share of its cell's size: half the error of none, see `Footprint.blur`."""
+"""Blur of a point relative to its cell's size. It halves the error, see `Footprint.blur`."""
 
 CORNERS_OF_DISC = 96
-"""Corners of the polygon that a disc's outline is drawn as."""
+"""Number of corners of the polygon with which a disc is drawn."""
 
 
 @dataclass(frozen=True)
@@ -58,17 +60,17 @@ class Footprint:
     inertia : float
         About the vertical axis through the centre of mass [kg m2].
     points : (n, 2)
-        Where the part presses on the plate [m]; none if it does so evenly, all over a disc.
+        Contact points with the plate [m]. Empty for a disc with uniform pressure.
     weights : (n,)
-        Share of the part's weight on each point; their sum is 1.
+        Fraction of the part's weight on each point. The sum is 1.
     blur : (n,)
         Each point stands for a cell about so large [m]: in a part that turns by the slip c, the
         cell's mean slip is `sqrt(|slip at the point|^2 + (c blur)^2)`.
     outline : tuple of (k, 2)
-        Corners of the convex polygons that it consists of [m], counter-clockwise; of a disc, to
-        draw it only.
+        Corners of its convex polygons [m], counter-clockwise. For a disc they are used only to draw
+        it.
     radius : float
-        Of a disc [m], whose rim is round; else 0.
+        Radius of a disc [m]. 0 for other shapes.
     """
 
     mass: float
@@ -81,21 +83,22 @@ class Footprint:
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """Corners (n, 5) of the outline, piece by piece; none of a disc.
+        """Corners (n, 5) of the outline, piece by piece. Empty for a disc.
 
-        Each has its place [m], the outward normal of the side that begins there, and 1 if that side
-        is part of the rim, 0 if another piece of the part begins at it.
+        Each has its position [m], the outward normal of the side that begins there, and 1 if that
+        side is part of the outline, 0 if it adjoins another piece of the part.
         """
         return np.empty((0, 5)) if self.radius else _corners(self.outline)
 
     @cached_property
     def reach(self) -> float:
-        """Greatest distance [m] of the rim from the centre of mass."""
+        """Maximum distance [m] of the outline from the centre of mass."""
         return self.radius or float(max(np.hypot(*piece.T).max() for piece in self.outline))
 
     @cached_property
     def slim(self) -> float:
-        """About half the least width [m]: twice the area of the slimmest piece by its rim."""
+        """About half the minimum width [m]: twice the area of the slimmest piece over its
+        perimeter."""
         return self.radius or min(
             2 * quadrature.area(piece) / np.linalg.norm(piece - np.roll(piece, 1, 0), axis=1).sum()
             for piece in self.outline
@@ -103,7 +106,7 @@ class Footprint:
 
     @property
     def even(self) -> bool:
-        """Whether it is a disc that presses evenly on the plate: friction needs no points then."""
+        """Whether it is a disc with uniform pressure, whose friction needs no points."""
         return self.radius > 0 and not len(self.points)
 
     @cached_property
@@ -117,12 +120,12 @@ class Footprint:
         return self.inertia / self.mass
 
     def friction(self, slip: np.ndarray) -> np.ndarray:
-        """Friction that the plate gives the part.
+        """Return the friction of the plate on the part.
 
         Parameters
         ----------
         slip : (k, 3)
-            Twist of the plate less that of the part [m/s, m/s, rad/s]: velocity of the surface
+            Twist of the plate minus that of the part [m/s, m/s, rad/s]: velocity of the surface
             at the centre of mass, and spin; in the part's axes.
 
         Returns
@@ -152,7 +155,7 @@ class Footprint:
 
 
 def disc(radius: float, *, mass: float = MASS) -> Footprint:
-    """Return the footprint of a disc [m] that presses evenly on the plate."""
+    """Return the footprint of a disc with uniform pressure; radius [m], mass [kg]."""
     radius, mass = _positive("radius", radius, "m"), _positive("mass", mass, "kg")
     corner = 2 * np.pi * np.arange(CORNERS_OF_DISC) / CORNERS_OF_DISC
     outline = radius * np.column_stack([np.cos(corner), np.sin(corner)])
@@ -173,17 +176,17 @@ def polygon(corners: np.ndarray, *, mass: float = MASS, points: int = POINTS) ->
 
 
 def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = POINTS) -> Footprint:
-    """Return the footprint of convex polygons that lie side by side, such as an L of two bars; of
-    uniform density.
+    """Return the footprint of adjacent convex polygons of uniform density, such as an L of two
+    bars.
 
     Parameters
     ----------
     polygons : sequence of (k, 2)
-        Corners in order [m], in axes of your choice; the part's origin will be its centre of mass.
+        Corners in order [m], in any axes. The part's origin becomes its centre of mass.
     mass : float
         [kg].
     points : int
-        Number of quadrature points, about.
+        Approximate number of quadrature points.
 
     Raises
     ------
@@ -251,7 +254,7 @@ def _corners(outline: tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 def _holds(piece: np.ndarray, place: np.ndarray) -> bool:
-    """Whether a place lies in a convex piece, or on its rim."""
+    """Return whether a point is inside a convex piece or on its edge."""
     side = np.roll(piece, -1, axis=0) - piece
     arm = place - piece
     size = np.ptp(piece, axis=0).max()

@@ -1,4 +1,5 @@
-"""Footprints of part types: outlines of any shape, cut into convex pieces, with holes."""
+"""Footprints of part types. Outlines of any shape are cut into convex pieces; shapes with holes get
+their contact points from a grid."""
 
 from __future__ import annotations
 
@@ -13,17 +14,17 @@ from . import quadrature
 from .footprint import CELL, MASS, POINTS, Footprint, disc, union
 
 GRID = 4
-"""Grid points for one quadrature point along each axis: they tell how much of a cell is part."""
+"""Grid points per cell along each axis. They measure the fraction of a cell inside the part."""
 
 STRAIGHT = 1e-9
-"""A corner that turns by less than this fraction of the part's size squared is none."""
+"""A corner with a cross product below this fraction of the part's size squared is ignored."""
 
 
 def footprint_of(part: PartType) -> Footprint:
-    """Return the footprint of a part type, which presses evenly on the plate; of types that differ
-    by name and looks only, the same one.
+    """Return the footprint of a part type with uniform pressure. Types that differ only by name and
+    looks share one footprint.
 
-    A hole takes away what it would bear and weigh; others cannot enter it.
+    A hole carries no weight and has no mass. Other parts cannot enter it.
     """
     return _footprint(replace(part, name="", mu=None, colour_lab=None, picture=""))
 
@@ -38,7 +39,7 @@ def _footprint(part: PartType) -> Footprint:
     holes = [np.array(hole) for hole in part.holes]
     place, area = _cells(part.polygon, holes)
     weight = area / area.sum()
-    # The grid's moments are made the part's own: so there is no error of mass and inertia.
+    # Scale the grid to the part's moments, so that mass and inertia are exact.
     place = place - weight @ place
     wanted, _, second = moments(part.polygon, holes)
     own = np.linalg.cholesky((weight[:, None] * place).T @ place)
@@ -49,7 +50,8 @@ def _footprint(part: PartType) -> Footprint:
 
 
 def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres (n, 2) [m] and areas (n,) [m2] of what of square cells is part."""
+    """Return centres (n, 2) [m] and areas (n,) [m2] of the parts of square cells inside the
+    shape."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     side = np.sqrt(moments(outline, holes)[0] / POINTS)
     count = np.ceil((high - low) / side).astype(int)
@@ -75,8 +77,8 @@ def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np
 def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
     """Cut a simple polygon (n, 2), counter-clockwise, into few convex ones.
 
-    Ears are cut off (Meisters 1975), and triangles put together again across a diagonal wherever
-    that stays convex (Hertel and Mehlhorn 1983): at most four times the fewest pieces.
+    Ears are cut off (Meisters 1975). Then triangles are merged across a diagonal if the result is
+    convex (Hertel and Mehlhorn 1983). The number of pieces is at most four times the minimum.
     """
     pieces = _triangles(outline)
     merged = True
@@ -109,13 +111,14 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
 
 
 def _slimness(triangle: np.ndarray) -> float:
-    """Return a triangle's (3, 2) area over its perimeter squared: more is better shaped."""
+    """Return a triangle's (3, 2) area over its squared perimeter. Larger values are better
+    shapes."""
     length = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
     return float(_turn(*triangle) / length**2)
 
 
 def _is_ear(outline: np.ndarray, rest: list[int], k: int) -> bool:
-    """Whether corner k of what is left can be cut off."""
+    """Return whether corner k of the remaining polygon can be cut off."""
     a, b, c = (outline[rest[i % len(rest)]] for i in (k - 1, k, k + 1))
     if _turn(a, b, c) <= STRAIGHT * np.ptp(outline, axis=0).max() ** 2:
         return False
@@ -128,7 +131,7 @@ def _is_ear(outline: np.ndarray, rest: list[int], k: int) -> bool:
 
 
 def _joined(one: list[int], other: list[int]) -> list[int] | None:
-    """Return two pieces as one, by corners, if they share a diagonal."""
+    """Return the union of two pieces as corner indices if they share a diagonal, else None."""
     for i, a in enumerate(one):
         b = one[(i + 1) % len(one)]
         for j, c in enumerate(other):
