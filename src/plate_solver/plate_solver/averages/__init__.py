@@ -1,6 +1,7 @@
-"""The paper's averages: mean friction over a cycle, and motions of Methods A and B that give it.
+"""The paper's averaged forces: mean friction over a cycle, and motions of Methods A and B for it.
 
-Maps of forces, their inversion for requests, proofs of what is out of reach; nothing here steers.
+This package contains maps of forces, their inversion for requests, and proofs of infeasibility. The
+controller does not use it.
 """
 
 from .manipulability import Manipulability, library_force, manipulability

@@ -1,4 +1,4 @@
-"""Motions for wanted mean forces: what a solver by either method does beside its search."""
+"""Base class of the solvers for requested mean forces, common to both methods."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from .request import Request
 
 
 class ForceSolver(MotionSolver):
-    """Finds closed plate motions with wanted average forces; it can steer, too.
+    """Finds closed plate motions with requested average forces. It also implements `steer`.
 
     Attributes
     ----------
     library : Library
-        Rotations that bound what is in reach.
+        Rotations that bound the feasible forces.
     """
 
     library: Library
@@ -46,39 +46,38 @@ class ForceSolver(MotionSolver):
         tolerance: np.ndarray | None = None,
         refine: str = "none",
     ) -> Solution:
-        """Find a closed motion with the wanted average forces, equations (5) and (9).
+        """Find a closed motion with the requested average forces, equations (5) and (9).
 
-        What cannot be met is met in part: the largest fraction of the request that is found, in its
-        direction; or, on refined maps, a motion that misses less of the whole than this fraction
-        does. Where nothing is asked, the plate rests.
+        If the request is infeasible, the largest fraction found, in its direction, is returned. On
+        refined maps, another motion is returned if its error for the whole request is smaller. If
+        the request is zero, the plate rests.
 
         Parameters
         ----------
         position : (M, 2)
-            Parts [m], plate_home.
+            Positions of the parts [m], plate_home.
         force : (M, 2)
-            Wanted average forces [mu m g].
+            Requested average forces [mu m g].
         velocity : (M, 2), optional
-            Parts' velocities [m/s]; zero if left out.
+            Velocities of the parts [m/s]. Default: 0.
         curl : (M,), optional
-            Wanted curl of the averaged field [mu m g / m]; NaN where it is free.
+            Requested curl of the averaged field [mu m g / m]; NaN accepts any curl.
         tolerance : (M, 2), optional
-            Slack [mu m g] by part and axis: any force within +- this of the one wanted is as good.
-            Infinite where anything goes; zero if left out.
+            Tolerance [mu m g] per part and axis. Forces within +-tolerance have no error. Infinity
+            accepts any force. Default: 0.
         refine : str
-            The map on which forces are met, and by which `residual` judges them:
-            `none`: (5) for parts that keep place and velocity;
-            `velocity`: (5) for parts that keep place, and the velocity they have on average over
-            the cycle under this very motion;
-            `cycle`: the parts' stick-slip motion over one cycle of length T. The displacement less
-            velocity times T is to be force times mu g T^2: the drift grows as the force would make
-            it grow. Curls are not asked for.
+            Force map for the search and for `residual`:
+            `none`: (5) for parts with constant position and velocity;
+            `velocity`: (5) for parts with constant position, and with the mean velocity that they
+            have over the cycle under the returned motion;
+            `cycle`: the parts' stick-slip motion over one cycle of length T. The displacement minus
+            velocity times T must be force times mu g T^2. Curls are ignored.
 
         Returns
         -------
         Solution
-            With `velocity` and `cycle` a request counts as met if at most 10 % of it are missed
-            (root mean square over parts and axes).
+            With `velocity` and `cycle`, a request counts as met if the error is at most 10 % (root
+            mean square over parts and axes).
 
         Raises
         ------
@@ -103,11 +102,11 @@ class ForceSolver(MotionSolver):
         return largest_fraction(request, self.library, attempt, nothing, 3 * own, most, prove)
 
     def proven_out_of_reach(self, request: Request) -> bool:
-        """Whether it is proven that no motion of this kind meets a request; not if in doubt."""
+        """Whether it is proven that no motion of this kind meets a request. False if unproven."""
         return False
 
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
-        """Return tolerance and greatest force [mu m g] of a map, and who solves on it."""
+        """Return tolerance, maximum force [mu m g] and solving function of a map."""
         own, friction = self.options.tolerance, self._rig.friction.accel
         wide = max(own, REFINED_TOLERANCE)
 
@@ -132,10 +131,10 @@ class ForceSolver(MotionSolver):
         aim = easiest_force(request, self.library)
         found = self._solve(replace(request, force=aim))
         error = request.force - (aim - found.residual)
-        if not found.success:  # others within the slack may be in reach
+        if not found.success:  # other forces within the tolerance may be feasible
             found = replace(found, status=Status.FAILED)
         return judged(request, found, error, self.options.tolerance)
 
     @abstractmethod
     def _solve(self, request: Request) -> Solution:
-        """Do as `solve`, for a request that is checked."""
+        """Solve a checked request without tolerance on the map `none`."""

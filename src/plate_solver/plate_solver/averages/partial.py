@@ -1,4 +1,5 @@
-"""What of a request is in reach: slack is used up; of what is too much, a fraction is met."""
+"""Feasible part of a request: forces within the tolerance that take the least time, and the largest
+fraction of an infeasible request, by bisection."""
 
 from __future__ import annotations
 
@@ -13,26 +14,28 @@ from ..library import Library
 from .request import Request
 
 LEFT_OUT = 1.15
-"""The library leaves out at most some per cent of what motions can do: no search beyond this times
-its own bound."""
+"""Factor on the library's bound above which no fraction is tried. The finite number of rotations
+makes this bound a few per cent too low."""
 
 BISECTIONS = 5
-"""Halvings in search of the largest fraction: it is found to 1/32 of what is in reach at most."""
+"""Maximum number of bisections. They find the largest fraction to 1/32 of the upper bound."""
 
 CAUTION = 0.95
-"""The first fraction that is tried, in units of what the best try at the whole did of it."""
+"""First fraction to try, relative to the fraction that the attempt at the whole request
+achieved."""
 
 WORTH_IT = 0.5
-"""A motion that misses more than this of a request (root mean square) is worse than none."""
+"""If the error of a motion exceeds this fraction of the request (root mean square), the plate rests
+instead."""
 
 
 def easiest_force(request: Request, library: Library) -> np.ndarray:
-    """Return the forces (M, 2) within the request's tolerance that take the least time.
+    """Return the forces (M, 2) within the request's tolerance that take the minimum time.
 
-    The least time in which the library's rotations could do it is a linear programme: minimise
-    `|w|_1` subject to `force - tolerance <= A w <= force + tolerance`.
+    The minimum time of the library's rotations is a linear programme: minimise the sum of absolute
+    weights w subject to `force - tolerance <= A w <= force + tolerance`.
 
-    Where nothing within the tolerance is in their reach, the forces are as wanted.
+    If no force within the tolerance is feasible, the requested forces are returned.
     """
     if not request.flags.slack:
         return request.force
@@ -58,25 +61,25 @@ def largest_fraction(
     most: float,
     prove: Callable[[Request], bool] | None,
 ) -> Solution:
-    """Meet the request, or else the largest fraction of it that is found, by bisection.
+    """Solve the request or the largest fraction of it that is found by bisection.
 
     Parameters
     ----------
     request : Request
-        Its direction is kept: forces and curls are scaled alike, tolerances are not.
+        Forces and curls are scaled by the same fraction. Tolerances are not scaled.
     library : Library
         Bounds the search.
     attempt : function
-        Solves a request, or does what it can.
+        Solves a request as well as possible.
     nothing : function
-        What to do where no fraction is met: its motion asks nothing of the parts.
+        Returns the solution at rest, used if no fraction is met.
     least : float
-        Forces below this [mu m g] are none.
+        The bisection ends when forces differ by less than this [mu m g].
     most : float
-        No motion gives any part more than this [mu m g].
+        Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
-        Whether it is proven that a request is out of reach: asked once, it takes long. Without it
-        a motion that misses less of the whole than the fraction does is preferred to it.
+        Returns whether a request is proven infeasible. It is slow and called at most once. Without
+        it, the attempt at the whole request is returned if its error for the whole is smaller.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))
@@ -132,12 +135,12 @@ def largest_fraction(
 
 
 def _along(asked: np.ndarray, missed: np.ndarray) -> float:
-    """Return how much of what was asked was done, along what was asked."""
-    size = float(np.sum(asked**2))  # of what fits, so no greater than the parts
+    """Return the achieved fraction of a request, in its direction."""
+    size = float(np.sum(asked**2))  # bounded, because the request was scaled to fit
     return float(np.sum((asked - missed) * asked)) / size if size > 0 else 0.0
 
 
 def _size(force: np.ndarray) -> float:
-    """Return the root mean square of forces (M, 2), whatever their size."""
+    """Return the root mean square of forces (M, 2) without overflow."""
     most = float(np.max(np.abs(force)))
     return most * float(np.sqrt(np.mean((force / most) ** 2))) if most > 0 else 0.0

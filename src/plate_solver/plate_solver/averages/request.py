@@ -1,4 +1,4 @@
-"""A request: average forces that are wanted at parts, checked, and what kind of request it is."""
+"""A checked request for average forces on parts, and its properties."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .. import _kernels
 from ..library import CURL_LENGTH_M
 
 FARTHEST_M: float = _kernels.FARTHEST_M
-"""Places of parts [m] beyond this are mistakes."""
+"""Maximum accepted coordinate of a part [m]."""
 
 FASTEST_MPS: float = _kernels.FASTEST_MPS
-"""Velocities of parts [m/s] beyond this are mistakes."""
+"""Maximum accepted velocity of a part [m/s]."""
 
 
 class RequestFlags(NamedTuple):
@@ -57,7 +57,7 @@ def request_flags(
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked at M parts, checked.
+    """Checked request for M parts.
 
     Attributes
     ----------
@@ -89,22 +89,22 @@ class Request:
 
     @property
     def scale(self) -> np.ndarray:
-        """What makes force errors [mu m g] of errors in `wanted`, (3 M,)."""
+        """Factors (3 M,) that convert errors in `wanted` to force errors [mu m g]."""
         return np.tile([1.0, 1.0, CURL_LENGTH_M], len(self.position))
 
     @cached_property
     def flags(self) -> RequestFlags:
-        """What kind of request this is."""
+        """Properties of this request."""
         return request_flags(self.position, self.force, self.velocity, self.curl, self.tolerance)
 
     @property
     def idle(self) -> bool:
-        """Whether a plate at rest does what is asked."""
+        """Whether a plate at rest meets the request."""
         return self.flags.within and not self.must_move
 
     @property
     def must_move(self) -> bool:
-        """Whether a plate at rest is no answer: it brakes moving parts, and it has no curl."""
+        """Whether the plate must move. A plate at rest brakes moving parts and has no curl."""
         return self.flags.moving or self.flags.curled
 
     def times(self, fraction: float) -> Request:

@@ -1,4 +1,4 @@
-"""The order of rotations where only their average counts: each differs little from the next."""
+"""Order of rotations for averaged forces: a short tour with small changes between neighbours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What no motion of N harmonics can do: a proof that a request is out of reach.
+"""Proof that no motion of N harmonics meets a request.
 
 N + 1 equal steps integrate harmonics up to the N-th exactly, so the twists s_0..s_N of a closed
 motion at times T/(N + 1) apart add up to zero. Averaged over the first of these times, the forces
@@ -32,10 +32,10 @@ from scipy.optimize import nnls
 from .. import _kernels
 
 SAME = 1e-6
-"""Forces [mu m g] that differ by less are the same."""
+"""Forces that differ by less count as equal [mu m g]."""
 
 ROUNDS = 10
-"""Directions lambda that are tried; most requests are found within the set sooner."""
+"""Maximum number of directions lambda. Most feasible requests are recognised earlier."""
 
 SPACING = 0.12
 """Spacing [rad] of the great circles' normals."""
@@ -57,7 +57,7 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
     number : int
         N, at least 1.
     arm_m : float
-        Length [m] that makes turns comparable to shifts; any is right.
+        Length that converts rotations to translations [m]. Any positive value is valid.
     """
     sizes = np.hypot(force[:, 0], force[:, 1])
     if np.max(sizes) > (number - 1) / (number + 1) + 1e-9:
@@ -92,7 +92,7 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
 
 
 def _apart(position: np.ndarray, force: np.ndarray) -> bool:
-    """Whether parts in one place are asked for different forces."""
+    """Whether different forces are requested at the same position."""
     i, j = np.triu_indices(len(position), 1)
     one_place = np.all(position[i] == position[j], axis=1)
     return bool(np.any(np.abs(force[i] - force[j])[one_place] > SAME))
