@@ -1,6 +1,7 @@
-"""A motor controller that speaks docs/protocol.md, which runs the firmware; its line and its plate.
+"""Simulated motor controller with the protocol of docs/protocol.md. It runs the real firmware, and
+includes the serial line and the plate.
 
-Use `Emulator` with a `FaultSchedule`, or `Device`, the controller alone.
+Use `Emulator` with a `FaultSchedule`, or `Device`, which is only the controller.
 """
 
 from .._kernels import Device

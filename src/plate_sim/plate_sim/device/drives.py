@@ -1,8 +1,8 @@
-"""Four drives of CiA 402, or ODrives, on a CAN bus, as far as our master needs them; a judge of the
-master.
+"""Simulation of four CiA 402 drives or ODrives on a CAN bus, limited to the functions that the
+firmware uses, and a check of the firmware's setpoints.
 
-A frame is its identifier and its data. The drives of `test/test_cia402.py` and
-`test/test_odrive.py` are others.
+A frame is an identifier and its data. The tests `test/test_cia402.py` and `test/test_odrive.py`
+have separate simulated drives.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NEXT = {
 """Power state after a state and a controlword."""
 
 REMOTE = 0x800
-"""With an identifier: not data, but a request for it."""
+"""Flag of an identifier: the frame requests data."""
 
 GET_VERSION, ODRIVE_HEARTBEAT, ESTOP, GET_ERROR = 0x00, 0x01, 0x02, 0x03
 SET_STATE, GET_ESTIMATES, SET_POSITION, CLEAR_ERRORS = 0x07, 0x09, 0x0C, 0x18
@@ -44,41 +44,41 @@ WATCHDOG_MS, BEAT_MS = 100, 20
 """An ODrive's watchdog_timeout, and its heartbeat_msg_rate_ms."""
 
 BANDWIDTH = 2 * np.pi * 150
-"""Of a drive's position loop with feed-forward of speed, critically damped [rad/s]."""
+"""Bandwidth of a drive's critically damped position loop with speed feedforward [rad/s]."""
 
 TICK_S = 1e-3
 CYCLE_S = 2e-3
-"""Between two SYNCs [s]: over it a drive interpolates."""
+"""Time between two SYNCs [s]. A drive interpolates its setpoints over it."""
 
 NO_OBJECT = 0x06020000
 
 
 @dataclass
 class _Node:
-    """The protocol's side of a drive."""
+    """State of the protocol in a CiA 402 drive."""
 
     drive: Drive
-    zero: int  # its position where the plate hangs [counts]
+    zero: int  # its position at home [counts]
     operational: bool = False
     status: int = OFF
-    order: int = 0  # controlword and target of the last RPDO: SYNC makes them count
+    order: int = 0  # controlword and target of the last RPDO, applied at SYNC
     goal: int = 0
     target: int = 0
     objects: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def booted(self) -> list[Frame]:
-        """Forget all, and say so."""
+        """Reset the drive and return its boot message."""
         known = {(0x1000, 0): 0x20192, (0x6502, 0): 0x80, (0x1018, 4): self.drive.serial}
         self.operational, self.status, self.objects = False, OFF, known
         return [(HEARTBEAT + self.drive.node, b"\0")]
 
     def answered(self, request: bytes) -> list[Frame]:
-        """Answer to an expedited SDO."""
+        """Return the answer to an expedited SDO."""
         command, index, sub, value = struct.unpack("<BHBI", request)
         if command != 0x40:
             self.objects[index, sub] = value
             if index == MODE:
-                self.objects[MODE + 1, 0] = value  # it takes it on at once
+                self.objects[MODE + 1, 0] = value  # the mode changes at once
             command, value = 0x60, 0
         elif (index, sub) in self.objects:
             command, value = 0x43, self.objects[index, sub]
@@ -87,7 +87,7 @@ class _Node:
         return [(ANSWER + self.drive.node, struct.pack("<BHBI", command, index, sub, value))]
 
     def synchronised(self, counts: int) -> list[Frame]:
-        """Tell status and place, and obey the last RPDO."""
+        """Return status and position, and apply the last RPDO."""
         if not self.operational:
             return []
         told = struct.pack("<Hi", self.status, counts)
@@ -98,14 +98,14 @@ class _Node:
 
 
 class SimulatedDrives:
-    """Four drives of CiA 402 and the motors behind them; one tick is a millisecond.
+    """Four CiA 402 drives with their motors. One tick is 1 ms.
 
-    Without current flexures bring the motors home.
+    Without current the flexures return the motors home.
 
     Parameters
     ----------
     drives : sequence of Drive
-        Of motor_1 to motor_4.
+        Drives of motor_1 to motor_4.
     """
 
     def __init__(self, drives: Sequence[Drive]) -> None:
@@ -113,7 +113,7 @@ class SimulatedDrives:
         self._start(drives, zeros)
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self.zeros = np.array(zeros)
-        """Their positions at home [counts]."""
+        """Positions of the drives at home [counts]."""
         self._state = np.zeros((3, len(drives)))
         self._from = self._to = np.zeros(len(drives))  # setpoints of this bus cycle [m]
         self._into = 0.0
@@ -164,7 +164,7 @@ class SimulatedDrives:
         return answers
 
     def passed(self) -> list[Frame]:
-        """Let a tick pass; returns heartbeats."""
+        """Simulate one tick, and return the heartbeats."""
         self._now_ms += 1
         driven = self._driven()
         if not self.enabled.all():
@@ -189,7 +189,8 @@ class SimulatedDrives:
         return beats
 
     def _followed(self, wanted: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
-        """State a tick later, critically damped, behind a setpoint on its way to `wanted`."""
+        """Return the state one tick later: critically damped tracking of a setpoint that moves to
+        `wanted`."""
         behind = self._state[0] - (wanted - slope * TICK_S)
         push = self._state[1] - slope + rate * behind
         fade = np.exp(-rate * TICK_S)
@@ -210,7 +211,7 @@ class _ODrive:
     speed: float = 0.0  # [turns/s]
 
     def told(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
-        """Obey or answer."""
+        """Execute a message, and return the answer."""
         self.fed_ms = now_ms
         if message == SET_POSITION:
             self.goal, speed, _ = struct.unpack("<fhh", data)
@@ -232,7 +233,7 @@ class _ODrive:
 
 
 class SimulatedODrives(SimulatedDrives):
-    """Four ODrives, and the motors behind them, which need no feed-forward of torque."""
+    """Four ODrives with their motors, without torque feedforward."""
 
     def _start(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
         del zeros
@@ -255,7 +256,8 @@ class SimulatedODrives(SimulatedDrives):
         return answers
 
     def _driven(self) -> np.ndarray:
-        # x'' = w^2 (goal - x) + 2 w (speed - x'): the setpoint stands until the next one comes.
+        # x'' = w^2 (goal - x) + 2 w (speed - x'); the setpoint is constant until the next one
+        # arrives.
         told = np.array([(node.goal, node.speed) for node in self._odrives.values()]).T
         goals, speeds = ODRIVE_COUNTS * told
         wanted = (goals - self.zeros + 2 / BANDWIDTH * speeds) / self._scale
@@ -273,7 +275,7 @@ class SimulatedODrives(SimulatedDrives):
 
 
 class BusJudge:
-    """Looks at what a master tells the drives, each cycle of the bus, against the rig's limits.
+    """Compares the setpoints that the firmware sends to the drives with the rig's limits.
 
     Parameters
     ----------
@@ -296,10 +298,10 @@ class BusJudge:
         self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
         self._led: list[np.ndarray] = []  # the last three targets with current [m]
         self.shares = np.zeros(3)
-        """Greatest shares of the limits of stroke, speed and acceleration that were asked for."""
+        """Maximum requested fractions of the limits of stroke, speed and acceleration."""
 
     def heard(self, frames: Sequence[Frame], led: bool) -> None:
-        """Take the master's frames of a tick; `led`: whether all motors have current."""
+        """Process the firmware's frames of a tick. `led` tells whether all motors have current."""
         for identifier, data in frames:
             if identifier in self._places:
                 if self._odrives:

@@ -1,4 +1,5 @@
-"""Device, line and plate together, with their faults; time is an argument, in steps of 1 ms."""
+"""Emulator of device, serial line and plate with their faults, in steps of 1 ms. Inputs are bytes
+from the host; outputs are bytes to the host and the motion of the motors. It uses no clock."""
 
 from __future__ import annotations
 
@@ -17,30 +18,30 @@ from .serial_line import Line
 TICK_US = 1_000
 
 SEARCH_S = 0.3
-"""Duration of the search for home [s], unless another one is given."""
+"""Default duration of the search for home [s]."""
 
 BOOT_S = 0.2
-"""From a reset until the device answers [s]."""
+"""Time from a reset until the device answers [s]."""
 
 BROWN_OUT_S = 0.3
-"""Length of a brown-out [s]: motor current fails, the logic goes on."""
+"""Duration of a brown-out [s]: the motors lose their current, the logic continues."""
 
 
 class Emulator:
-    """A motor controller, the firmware on a board in memory, with plate and line.
+    """Motor controller (the firmware on a simulated board) with plate and serial line.
 
     Parameters
     ----------
     limits : DeviceLimits
     seed : int
-        Of what goes wrong on the line.
+        Random seed of the line's faults.
     schedule : FaultSchedule
     commanded : callable, optional
         Called with time [s] and setpoint (3, 4), or None, of every tick.
     plate : SuspendedPlate, optional
-        Its plate on flexures; missing: one that does as commanded.
+        Plate on flexures. Default: a plate that follows its commands exactly.
     homing_s : float
-        What the search for home takes [s].
+        Duration of the search for home [s].
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class Emulator:
         self._search_us = round(homing_s * 1e6)
         self._jammed = False
         self.triggered = False
-        """Whether the camera's line has risen in the last tick."""
+        """Whether the camera trigger had a rising edge in the last tick."""
 
     @property
     def now(self) -> float:
@@ -77,7 +78,7 @@ class Emulator:
 
     @property
     def now_us(self) -> int:
-        """The same [us]."""
+        """The device's clock [us]."""
         return self.device.now_us
 
     @property
@@ -115,21 +116,21 @@ class Emulator:
         self._cut()
 
     def reset(self) -> None:
-        """Restart the device: it forgets everything, and current fails at once."""
+        """Restart the device. It loses its state, and the motors lose their current at once."""
         self.device = Device(self._limits, (self.device.boot + 1) % 2**32, self.now_us)
         self._booting_until = self.now + BOOT_S
         self._cut()
 
     def brown_out(self) -> None:
-        """Take the motors' supply away for a moment."""
+        """Interrupt the motors' supply for `BROWN_OUT_S`."""
         self._brown_out_until = self.now + BROWN_OUT_S
 
     def jam(self, jammed: bool = True) -> None:
-        """Hold the plate where it is, whatever is commanded; or let it go again."""
+        """Freeze the measured motion of the plate independent of commands, or release it."""
         self._jammed = jammed
 
     def tick(self) -> list[Segment]:
-        """Let a tick pass; returns what the motors have done up to an image."""
+        """Simulate one tick, and return the completed segments of the motors' motion."""
         self._trigger_faults()
         device, was_high = self.device, self.device.triggered
         now_us = device.now_us + TICK_US

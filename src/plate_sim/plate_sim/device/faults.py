@@ -1,4 +1,4 @@
-"""What goes wrong with the device: faults of its line, and a schedule of greater ones."""
+"""Faults of the simulated device: errors on the serial line, and a schedule of larger faults."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from plate_core import PlateError
 
 @dataclass(frozen=True)
 class LineFaults:
-    """What a serial line does to bytes.
+    """Faults of a serial line.
 
     Attributes
     ----------
     dropped, corrupted, repeated : float
-        Fraction of bytes that vanish, change, or come twice.
+        Fraction of bytes that are lost, changed, or repeated.
     split : float
-        Fraction of transmissions whose second part comes later, by up to 4 ms.
+        Fraction of transmissions whose second part is delayed by up to 4 ms.
     delay : float
-        Of all bytes [s].
+        Delay of all bytes [s].
     baud : float
-        Bits a second; 0: as fast as it goes.
+        Speed of the line [bit/s]. 0 means no transmission time.
     """
 
     dropped: float = 0.0
@@ -42,16 +42,16 @@ class LineFaults:
 
 @dataclass(frozen=True)
 class FaultSchedule:
-    """What goes wrong again and again.
+    """Schedule of periodic faults.
 
     Attributes
     ----------
     line : LineFaults
-        In both directions.
+        Faults of the line in both directions.
     disconnect_every, reset_every, brown_out_every : float
-        Time from one to the next [s]; 0: never.
+        Period of the fault [s]. 0 disables it.
     disconnect_s : float
-        How long the line is disconnected [s].
+        Duration of a disconnection [s].
     """
 
     line: LineFaults = field(default_factory=LineFaults)

@@ -1,4 +1,5 @@
-"""The firmware itself, as a process of this computer, with line, CAN bus and simulated drives."""
+"""The real firmware as a process on this computer, with serial line, CAN bus and simulated
+drives."""
 
 from __future__ import annotations
 
@@ -19,20 +20,21 @@ from .serial_line import Line
 
 
 class FirmwareOnDesk:
-    """The firmware with drives on a CAN bus, in steps of one tick, as `Emulator` is without a bus.
+    """Firmware with drives on a CAN bus, in steps of one tick. It replaces `Emulator` for rigs with
+    drives.
 
-    The motors are where the simulated drives have brought them, not where they were told to be.
+    The motors follow the simulated drives, not exactly the setpoints.
 
     Parameters
     ----------
     program : path
         firmware/host, built with can.c, the drives and the rig's limits.
     rig : Rig
-        With drives.
+        Rig with drives.
     seed : int
-        Of what goes wrong on the line.
+        Random seed of the line's faults.
     schedule : FaultSchedule
-        Of which the line's faults count.
+        Schedule of which only the line's faults are used.
 
     Raises
     ------
@@ -65,7 +67,7 @@ class FirmwareOnDesk:
         self.now_us = 0
         self.state, self.faults, self._refused = State.OFF, Fault.NONE, 0
         self.triggered = False
-        """Whether the camera's line has risen in the last tick."""
+        """Whether the camera trigger had a rising edge in the last tick."""
         self._recorder = Recorder()
         self._coming: list[Frame] = []
 
@@ -75,11 +77,11 @@ class FirmwareOnDesk:
         return self.now_us * 1e-6
 
     def configure(self, schedule: FaultSchedule) -> None:
-        """Change what goes wrong on the line from now on."""
+        """Set the line's faults from now on."""
         self.to_device.faults = self.to_host.faults = schedule.line
 
     def reset(self) -> None:
-        """Restart the firmware; the drives go on, and notice."""
+        """Restart the firmware. The drives keep running and detect it."""
         self._say("reset")
         self.to_device.cut()
         self.to_host.cut()
@@ -101,7 +103,7 @@ class FirmwareOnDesk:
         }
 
     def tick(self) -> list[Segment]:
-        """Let a tick pass; returns what the motors have done up to an image."""
+        """Simulate one tick, and return the completed segments of the motors' motion."""
         self.now_us += TICK_US
         if came := self.to_device.arrived(self.now):
             self._say(f"rx {came.hex()}")
@@ -118,7 +120,7 @@ class FirmwareOnDesk:
         self._process.stdin.write(order + "\n")
 
     def _heard(self) -> list[Frame]:
-        """Take what the firmware says in a tick; returns its frames."""
+        """Process the firmware's output of a tick, and return its CAN frames."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         frames: list[Frame] = []

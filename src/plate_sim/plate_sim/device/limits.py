@@ -1,4 +1,5 @@
-"""What the device's motors may do, and what they need for it."""
+"""Limits of the device's motors, computed from a rig, and the C header with them for the
+firmware."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from plate_core.rig import Drive, motor_levers, plate_mass
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Limits of each motor; single precision on the wire and in the firmware.
+    """Limits of each motor. The protocol and the firmware use single precision.
 
     Attributes
     ----------
@@ -24,11 +25,11 @@ class DeviceLimits:
     force, continuous_force : float
         Peak, and continuous root mean square [N].
     heat_s : float
-        Time constant of the winding's heat [s].
+        Thermal time constant of the winding [s].
     load : (4, 4)
-        Forces that the motors need for accelerations of all of them [kg].
+        Matrix from the motors' accelerations to their forces [kg].
     following_m : float
-        Following error that is a fault [m]; 0: not watched.
+        Following error above which a fault occurs [m]. 0 disables the check.
     """
 
     stroke_m: float
@@ -42,14 +43,14 @@ class DeviceLimits:
 
     @classmethod
     def of_rig(cls, rig: Rig) -> DeviceLimits:
-        """Return the limits for a rig's plate, the forces of its flexures left out.
+        """Return the limits for a rig's plate, without the forces of its flexures.
 
         Forces f = B^+ M c'' of least norm push the plate with B; c'' = (B^T)^+ q'' follows from the
         motors' accelerations at home, so the load is B^+ M (B^T)^+. M is the suspension's, with the
-        inertia and the centre of mass that it tells, or else that of a uniform plate.
+        given inertia and centre of mass or, without a suspension, that of a uniform plate.
         """
         inverse = np.linalg.pinv(motor_levers(rig).T)
-        # Rounded, so that no rounding error of the inverse decides about a limit.
+        # Rounded, so that rounding errors of the inverse do not affect a limit check.
         load = np.round(inverse @ plate_mass(rig) @ inverse.T, 9)
         limits = rig.limits
         return cls(
@@ -59,9 +60,9 @@ class DeviceLimits:
 
     @cached_property
     def fit(self) -> np.ndarray:
-        """The combination (4,) of travels that is 0 for a rigid plate, 1 at most; float32.
+        """Coefficients (4,), at most 1, of the sum of travels that is 0 for a rigid plate; float32.
 
-        It is the load's null vector: four travels follow from three coordinates.
+        It is the null vector of `load`, because four travels depend on three coordinates.
         """
         fit = np.linalg.eigh(self.load)[1][:, 0]
         return (fit / np.max(np.abs(fit))).astype(np.float32)
@@ -73,7 +74,7 @@ def rig_header(path: str) -> str:
     Raises
     ------
     PlateError
-        If the file is wrong.
+        If the file is invalid.
     """
     rig = load_rig(path)
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
@@ -88,9 +89,9 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
     ----------
     limits : DeviceLimits
     name : str
-        Of the rig file, for those who read the header.
+        Name of the rig file, for a comment in the header.
     drives : sequence of Drive
-        Of all motors, or none.
+        Drives of all motors, or empty.
     """
     values = [(field.name, getattr(limits, field.name)) for field in fields(limits)]
     lines = [f"    .{key} = {_literal(np.asarray(value, np.float32))}," for key, value in values]
@@ -105,14 +106,14 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
 
 
 def _drives(drives: Sequence[Drive], limits: DeviceLimits) -> list[str]:
-    """Return C for drives, and of what kind they are."""
+    """Return C code for the drives and their kind."""
     head = ["#define HAS_DRIVES", f"#define HAS_{drives[0].kind.upper()}"]
     made = map(_drive, drives, limits.fit)
     return [*head, "static const Drive DRIVES[MOTORS] = {", *made, "};"]
 
 
 def _drive(drive: Drive, fit: float) -> str:
-    """Return C for a drive."""
+    """Return C code for a drive."""
     scale = _literal(np.asarray(drive.counts_per_m, np.float32))
     absolute = str(drive.absolute).lower()
     values = (drive.node, scale, drive.sign, absolute, f"{drive.serial}u", f"{fit!s}f")
@@ -120,7 +121,7 @@ def _drive(drive: Drive, fit: float) -> str:
 
 
 def _literal(value: np.ndarray) -> str:
-    """Return C for an array or a number; the shortest decimals that give the same float."""
+    """Return C code for an array or a number, with the shortest decimals of the same float."""
     if value.ndim == 0:
         return f"{value[()]!s}f"
     inner = [_literal(part) for part in value]

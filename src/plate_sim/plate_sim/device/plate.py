@@ -1,4 +1,5 @@
-"""The device's plate: what its motors have done, segment by segment, and what its flexures do."""
+"""Plate of the simulated device. `Recorder` records the motors' motion in segments, one per image;
+`SuspendedPlate` simulates the plate on its flexures, one tick per step."""
 
 from __future__ import annotations
 
@@ -15,33 +16,33 @@ from .._kernels import Device
 from ..plate import PlateMotion, PlateState, realise
 
 SEGMENT_S = 0.1
-"""Length of a segment while no table plays [s]: one image is taken in each."""
+"""Length of a segment while no table plays [s]. One image is taken per segment."""
 
 COAST_RATE = 60.0
-"""Of a plate without current, which its flexures bring home, critically damped [1/s]."""
+"""Rate of the critically damped return home of a plate without current [1/s]."""
 
 EVERY = 4
-"""Ticks between two knots of a segment that is no whole table."""
+"""Number of ticks between knots of a segment that is not a whole table."""
 
 STATE, INPUT = 10, 9
-"""Pose, twist and the motors' forces; a setpoint of the plate: pose, twist, acceleration."""
+"""Size of the state (pose, twist, motor forces) and of a setpoint (pose, twist, acceleration)."""
 
 SCALE = 1e-6
-"""Of the unit motions [m, m/s, ...]: far within what any plate can do."""
+"""Scale of the unit motions [m, m/s, ...], far within the limits of any plate."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """What the motors did from one image to the next.
+    """Motion of the motors from one image to the next.
 
     Attributes
     ----------
     start : float
-        On the device's clock [s].
+        Start on the device's clock [s].
     times : (k + 1,)
-        Since then [s].
+        Times since the start [s].
     motors : (k + 1, 3, 4)
-        Travel [m], speed [m/s] and acceleration [m/s2]; quintics between.
+        Travel [m], speed [m/s] and acceleration [m/s2], with quintic interpolation.
     table : int
         Number of the table that was played as a whole; 0 if none was.
     """
@@ -53,27 +54,26 @@ class Segment:
 
     @property
     def end(self) -> float:
-        """On the device's clock [s]."""
+        """End on the device's clock [s]."""
         return self.start + float(self.times[-1])
 
 
 class Recorder:
-    """Follows a device tick by tick.
+    """Records the motion of a device's motors tick by tick.
 
-    A segment ends where a table begins or begins again; while none plays, after `SEGMENT_S`; and
-    where the camera is triggered.
-    Without current the flexures bring the plate home.
+    A segment ends when a table starts or repeats, when the camera is triggered, and after
+    `SEGMENT_S` while no table plays. Without current the flexures return the plate home.
     """
 
     def __init__(self, now: float = 0.0) -> None:
         self._start = now
         self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
-        self._whole: Segment | None = None  # as which a table ends that began with it
+        self._whole: Segment | None = None  # segment of the table that started with it
         self._play: tuple[int, int] | None = None
 
     @property
     def plate(self) -> np.ndarray:
-        """Position, speed and acceleration of the motors (3, 4) now."""
+        """Current position, speed and acceleration of the motors (3, 4)."""
         return self._ticks[-1][1]
 
     def coasted(self, dt: float) -> np.ndarray:
@@ -87,8 +87,11 @@ class Recorder:
     def followed(
         self, now: float, device: Device | None, at: np.ndarray | None, triggered: bool = False
     ) -> list[Segment]:
-        """Return the segments that have ended by `now` [s], when `at` was commanded and, maybe, the
-        camera triggered; without a device nobody knows the tables."""
+        """Return the segments that have ended by `now` [s].
+
+        `at` is the setpoint at `now`, and `triggered` tells whether the camera was triggered.
+        Without a device the tables are unknown.
+        """
         done = []
         play = None if device is None else device.play
         if play is None or device is None:
@@ -106,7 +109,7 @@ class Recorder:
         return done
 
     def _cut(self, when: float, end: np.ndarray) -> list[Segment]:
-        """End the segment at a time [s], in a state (3, 4) of the motors."""
+        """End the segment at `when` [s] with the motors' state `end` (3, 4)."""
         start, ticks, last = self._start, self._ticks, self._whole
         self._start, self._ticks = when, [(when, end)]
         if when <= start:
@@ -120,17 +123,17 @@ class Recorder:
 
 
 class SuspendedPlate:
-    """The plate of `plate_sim.plate.drive` in steps of one tick.
+    """Plate model of `plate_sim.plate.drive` in steps of one tick.
 
-    Plate and drive are linear, so a tick is one matrix: found from `realise`, column by column. The
-    motors' levers are those at home.
+    Plate and drive are linear, so one tick is a multiplication by a matrix. Its columns are
+    computed by `realise`. The motors' levers are those at home.
 
     Parameters
     ----------
     rig : Rig
-        With a suspension.
+        Rig with a suspension.
     tick_s : float
-        [s].
+        Length of a tick [s].
     """
 
     def __init__(self, rig: Rig, tick_s: float) -> None:
@@ -142,12 +145,12 @@ class SuspendedPlate:
         self._inverse = np.linalg.pinv(self._levers)
 
     def moved(self, setpoint: np.ndarray) -> np.ndarray:
-        """Let a tick pass, during which the motors are led to a setpoint (3, 4).
+        """Simulate one tick in which the motors move to a setpoint (3, 4).
 
         Returns
         -------
         (2, 4)
-            Travel [m] and acceleration [m/s2] that the motors' sensors tell at its end.
+            Travel [m] and acceleration [m/s2] measured by the motors' sensors at its end.
         """
         wanted = (setpoint @ self._inverse.T).ravel()
         after = self._tick @ np.concatenate([self._state, self._last, wanted])
@@ -157,7 +160,8 @@ class SuspendedPlate:
 
 
 def _after(rig: Rig, tick_s: float, before: np.ndarray) -> np.ndarray:
-    """State and acceleration (13,) of the plate a tick after a state, led between two setpoints."""
+    """Return state and acceleration (13,) of the plate one tick after a state, between two
+    setpoints."""
     pose, twist, force = before[:3], before[3:6], before[6:STATE]
     ends = before[STATE:].reshape(2, 3, 3)
     times = np.array([0.0, tick_s])

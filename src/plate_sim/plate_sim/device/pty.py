@@ -1,4 +1,4 @@
-"""A pseudo-terminal under a name of its own: what a serial port looks like to the driver."""
+"""Pseudo-terminal with a fixed name that acts as a serial port for the driver."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ READ_BYTES = 65_536
 
 
 class PseudoTerminal:
-    """A pseudo-terminal that can be pulled out and put in again.
+    """Pseudo-terminal that can be unplugged and plugged in again.
 
     Parameters
     ----------
     link : path
-        The port's name: a symbolic link, made anew; an older one is replaced.
+        Name of the port: a symbolic link. An existing link is replaced.
     """
 
     def __init__(self, link: str | Path) -> None:
@@ -27,11 +27,11 @@ class PseudoTerminal:
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is there."""
+        """Whether the port exists."""
         return self._ends is not None
 
     def plug(self) -> None:
-        """Make the port.
+        """Create the port.
 
         Raises
         ------
@@ -54,11 +54,11 @@ class PseudoTerminal:
             os.close(master)
             os.close(slave)
             raise PlateError(f"link is {str(self._link)!r}: {error}") from None
-        # The slave stays open here, or a host that leaves would end the line.
+        # Keep the slave open, or the terminal would close when a host disconnects.
         self._ends = master, slave
 
     def unplug(self) -> None:
-        """Take the port away: a host that has it open finds it gone."""
+        """Remove the port. A host that has it open gets an error."""
         if self._ends is None:
             return
         with contextlib.suppress(OSError):
@@ -68,7 +68,7 @@ class PseudoTerminal:
         self._ends = None
 
     def read(self) -> bytes:
-        """Take what the host has written."""
+        """Read the bytes that the host has written."""
         if self._ends is None:
             return b""
         try:
@@ -77,7 +77,7 @@ class PseudoTerminal:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send to the host; what does not fit is lost, as on a UART that nobody reads."""
+        """Send bytes to the host. If the buffer is full, bytes are lost, as on a real UART."""
         if self._ends is None or not data:
             return
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""A serial line, one way, with its faults."""
+"""Simulated serial line in one direction, with faults."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from plate_core.serial_protocol import BITS_PER_BYTE
 from .faults import LineFaults
 
 SPLIT_S = 0.004
-"""Longest pause between the two parts of a transmission that is split [s]."""
+"""Maximum pause between the two parts of a split transmission [s]."""
 
 
 class Line:
-    """A serial line in one direction; time is an argument.
+    """Serial line in one direction. Time is an argument.
 
     Parameters
     ----------
     faults : LineFaults
     rng : Generator
-        Decides what goes wrong.
+        Generator for the faults.
     """
 
     def __init__(self, faults: LineFaults, rng: np.random.Generator) -> None:
         self.faults = faults
         self._rng = rng
         self._way: list[tuple[float, bytes]] = []
-        self._free_at = float("-inf")  # when the last byte has come
+        self._free_at = float("-inf")  # arrival time of the last byte
 
     def sent(self, data: bytes, now: float) -> None:
-        """Put bytes on the line at a time [s]."""
+        """Send bytes at `now` [s]."""
         if not data:
             return
         for late, part in self._split(data):
@@ -39,18 +39,18 @@ class Line:
             self._way.append((self._free_at, self._damaged(part)))
 
     def idle(self, now: float) -> bool:
-        """Tell whether all that was sent is on its way, but for the delay."""
+        """Return whether all sent bytes have left the sender."""
         return self._free_at - self.faults.delay <= now
 
     def arrived(self, now: float) -> bytes:
-        """Take what has come by a time [s]."""
+        """Remove and return the bytes that have arrived by `now` [s]."""
         came = b"".join(data for at, data in self._way if at <= now)
         if came or (self._way and self._way[0][0] <= now):
             self._way = [item for item in self._way if item[0] > now]
         return came
 
     def cut(self) -> None:
-        """Lose what is on the line."""
+        """Lose all bytes on the line."""
         self._way, self._free_at = [], float("-inf")
 
     def _split(self, data: bytes) -> list[tuple[float, bytes]]:

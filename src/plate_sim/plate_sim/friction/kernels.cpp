@@ -1,4 +1,4 @@
-// What Python sees of the kernels of friction.
+// Python bindings of the friction kernels.
 #include <nanobind/stl/pair.h>
 #include <cmath>
 

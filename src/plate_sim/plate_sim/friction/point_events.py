@@ -1,10 +1,12 @@
-"""Point parts on the plate's exact motion, event by event, to a stated accuracy: the judge.
+"""Event-driven simulation of point parts on the plate's exact motion, with a given accuracy. It is
+the reference for all other integrators.
 
-A part slides, by Runge-Kutta 5(4) with steps that keep the estimated error small; or it is stuck
-to its place in the plate, exactly, until the surface's acceleration there exceeds what static
-friction gives. Where the slip vanishes the time is found; then the part sticks if the surface can
-hold it, else it slides off along the surface's acceleration: on a line that is a reversal. Where
-the slip in the plane only dips, steps shrink with it, but never below what the tolerance can feel.
+A sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part keeps its place
+on the plate exactly, until the acceleration of the surface there exceeds the limit of static
+friction. If the slip vanishes, the time of this event is computed. Then the part sticks if friction
+can hold it, and otherwise it slides along the acceleration of the surface; for motion on a line
+this is a reversal. Near a minimum of the slip the steps become smaller, but not below the
+resolution of the tolerance.
 
 On a tilted plate the frame falls with gravity along the plate (`plate.pieces`).
 """
@@ -27,7 +29,8 @@ TOLERANCE = 1e-7
 """Default error of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
 
 SAMPLES = 64
-"""Default output samples per cycle: eight in the shortest wave of a usual motion."""
+"""Default number of output samples per cycle: eight per period of a usual motion's highest
+harmonic."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,8 @@ class Trajectory:
     velocity : (k, M, 2)
         Velocities [m/s].
     unchecked : tuple of int
-        Parts whose motion was too restless for the wanted tolerance: it was finished in coarse
-        steps, with an error that is not known. Empty for all but freak motions.
+        Parts whose motion exceeded the step budget for the requested tolerance. It was finished
+        with coarse steps and an unknown error. Empty for all but extreme motions.
     """
 
     time: np.ndarray
@@ -65,14 +68,14 @@ def simulate(
     *,
     ground: Ground = LEVEL,
 ) -> Trajectory:
-    """Integrate the stick-slip motion of point parts that never meet, on an endless plate.
+    """Integrate the stick-slip motion of point parts without contacts, on an unbounded plate.
 
-    Event by event, for an error of `tolerance` in each cycle.
+    The error per cycle is about `tolerance`.
 
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
-        Motion of the plate, repeated; a PlateMotion, which need not close, runs once.
+        Motion of the plate. A PlateCycle is repeated; a PlateMotion runs once.
     position, velocity : (M, 2)
         Parts at the start of the first cycle [m], [m/s], plate_home.
     friction : float or (M,)
@@ -80,18 +83,18 @@ def simulate(
     gravity : float
         [m/s2].
     cycles : int
-        How often the cycle is run.
+        Number of cycles.
     samples : int, optional
         Output samples per cycle, by default `SAMPLES`.
     tolerance : float
-        Wanted error of the displacement in one cycle [m].
+        Requested error of the displacement in one cycle [m].
     ground : Ground
-        Static friction and tilt; its friction must not change with the slip.
+        Static friction and tilt. Its friction must not depend on the slip.
 
     Returns
     -------
     Trajectory
-        The start and every sample: k = cycles * samples + 1.
+        Start and all samples: k = cycles * samples + 1.
 
     Raises
     ------
@@ -134,7 +137,7 @@ def run_points(
     speed: np.ndarray,
     checked: np.ndarray,
 ) -> int:
-    """Fill path and speed (cycles * samples + 1, M, 2) from their first rows; return the steps.
+    """Fill path and speed (cycles * samples + 1, M, 2) from their first rows. Return the steps.
 
     Parameters
     ----------
@@ -145,12 +148,12 @@ def run_points(
     static : float
         Static over dynamic friction.
     tolerance : float
-        Of the displacement in one cycle [m].
+        Requested error of the displacement in one cycle [m].
     cycles : int
     path, speed : (cycles * samples + 1, M, 2)
         Positions [m] and velocities [m/s], plate_home.
     checked : (M,)
-        Filled with whether a part's motion was found within the budgets.
+        Set to whether a part's motion was computed within the step budget.
     """
     return _kernels.run_points(
         table, scales, limit, static, tolerance, cycles, path, speed, checked

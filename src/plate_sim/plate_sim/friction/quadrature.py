@@ -1,4 +1,4 @@
-"""Points and weights that integrate over convex polygons, exact to degree 2 and more."""
+"""Quadrature points and weights for convex polygons, exact for polynomials of degree 2 or more."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from plate_core import PlateError
 
 ALIKE = 1e-9
-"""Lengths that differ by less than this share are equal."""
+"""Maximum relative difference of equal lengths."""
 
 NEAR, FAR = 1 / 6, 2 / 3
 """Barycentric coordinates of the rule of degree 2 on a triangle: three points of equal weight."""
@@ -16,7 +16,8 @@ NEAR, FAR = 1 / 6, 2 / 3
 def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return about `count` points (n, 2) [m] in a convex polygon, and their areas (n,) [m2].
 
-    In a parallelogram a product of two Gauss rules; in others three points in every triangle.
+    A parallelogram uses a product of two Gauss rules. Other polygons are cut into triangles with
+    three points each.
     """
     size = np.ptp(corners, axis=0).max()
     skew = np.abs(corners[0] + corners[2 % len(corners)] - corners[1] - corners[-1]).max()
@@ -24,7 +25,7 @@ def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
         return _parallelogram(corners, count)
     triangles = [corners[[0, k, k + 1]] for k in range(1, len(corners) - 1)]
     while 3 * len(triangles) < count - 1:
-        # Halve the largest at its longest side: triangles stay of good shape.
+        # Bisect the largest triangle at its longest side, which keeps triangles well shaped.
         triangles.sort(key=area)
         largest = triangles.pop()
         side = np.linalg.norm(np.roll(largest, -1, axis=0) - largest, axis=1)
@@ -50,7 +51,7 @@ def _parallelogram(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndar
 
 
 def area(corners: np.ndarray) -> float:
-    """Area [m2] of a polygon (k, 2), positive if its corners go counter-clockwise."""
+    """Return the area [m2] of a polygon (k, 2), positive if its corners are counter-clockwise."""
     if len(corners) < 3:
         return 0.0
     x, y = (corners - corners[0]).T
@@ -63,7 +64,7 @@ def convex(corners: np.ndarray) -> np.ndarray:
     Raises
     ------
     PlateError
-        If it is no convex polygon.
+        If it is not a convex polygon.
     """
     corners = places("corners", corners, 3)
     if area(corners) < 0:
@@ -84,7 +85,7 @@ def convex(corners: np.ndarray) -> np.ndarray:
 
 
 def clip(corners: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """Return the common part (k, 2) of two convex polygons (Sutherland and Hodgman 1974)."""
+    """Return the intersection (k, 2) of two convex polygons (Sutherland and Hodgman 1974)."""
     for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
         if not len(corners):
             break

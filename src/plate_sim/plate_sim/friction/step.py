@@ -1,4 +1,4 @@
-"""What kernels know of parts, which `step.hpp` moves through a step."""
+"""Record of a part's constants for the kernels (`step.hpp`)."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ BODY = np.dtype(
     ]
     + [(name, np.int64) for name in ("first_point", "end_point", "first_piece", "end_piece")]
 )
-"""What does not change of a part: mu g [m/s2], which the kernel fills in; inertia by mass [m2];
-radius of a disc, else 0 [m]; greatest distance of the rim from the centre of mass [m]; about half
-the least width [m]; 1/mass [1/kg]; its first point in the mesh (`patch.hpp`), its last + 1, none
-for a disc; its first convex piece, its last + 1."""
+"""Constants of a part: mu g [m/s2], set by the kernel; inertia over mass [m2]; radius of a disc
+[m], 0 for other shapes; maximum distance of the outline from the centre of mass [m]; about half the
+minimum width [m]; 1/mass [1/kg]; first point in the mesh (`patch.hpp`) and last + 1, none for a
+disc; first convex piece and last + 1."""
