@@ -1,6 +1,6 @@
-"""Whether a task goes on: its phase, why it failed, how it gets on, and what the planner hears.
+"""Supervision of a task: phase, reason of a failure, progress, and the planner's inputs.
 
-`begin`, `judge` and `stopped` lead from phase to phase; `Inputs` watches the other nodes.
+`begin`, `judge` and `stopped` change the phase. `Inputs` monitors the other nodes.
 """
 
 from .bystanders import Overlooked, bystanders_text, is_bystander, without_surplus

@@ -1,9 +1,8 @@
-"""Things on the plate that belong to no part of the task: what vision sees and does not take for a
-part of any class.
+"""Objects on the plate that do not belong to the task and that vision cannot classify.
 
 Vision publishes some of them as parts of the classes `unknown` and `group`. The planner keeps these
-on the plate and clear of the parts, as all parts without a goal. Others are only listed as
-overlooked: parts may run into them, so the planner reports them.
+on the plate and away from the parts, like all parts without a goal. Other objects are only listed
+as overlooked. Parts may collide with them, so the planner reports them.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from plate_core import (
 )
 
 SEVERAL = 5
-"""Images of which most must show a thing before it counts: a reflection comes and goes."""
+"""Number of last images of which the majority must show an object. It rejects short reflections."""
 
 LISTED = 3
-"""Things that a message lists with their places; of more it gives the number."""
+"""Maximum number of objects listed with positions in a message. Others are only counted."""
 
 
 def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
@@ -38,7 +37,7 @@ def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
 
 
 def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
-    """Say which parts are such things; empty if none are."""
+    """Return a text that lists these objects; empty if there are none."""
     rows = [row for row, name in enumerate(parts.ids) if is_bystander(name, labels)]
     if not rows:
         return ""
@@ -48,8 +47,8 @@ def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
 
 
 def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
-    """Return at most `MOST_PARTS` parts, which is what the solver takes: unknown things are left
-    out first."""
+    """Return at most `MOST_PARTS` parts, the solver's maximum. Unknown objects are removed
+    first."""
     if len(parts) <= MOST_PARTS:
         return parts
     last = [is_bystander(name, labels) for name in parts.ids]
@@ -58,13 +57,13 @@ def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
 
 @dataclass
 class Overlooked:
-    """Things of the last images that may be parts, and that vision does not publish as parts.
+    """Objects in the last images that may be parts, but that vision does not publish as parts.
 
     Attributes
     ----------
     rig : Rig
     images : deque of tuple of OverlookedThing
-        Those of each image.
+        Objects of each image.
     """
 
     rig: Rig
@@ -73,29 +72,29 @@ class Overlooked:
     )
 
     def add(self, things: tuple[OverlookedThing, ...], parts: Parts) -> None:
-        """Take in the things of an image, and the parts in it."""
+        """Add the objects and parts of an image."""
         areas = [part.area_m2 for part in self.rig.types.values()]
         areas = areas or [np.pi * self.rig.parts.radius_m**2]
         low = np.sqrt(PLAUSIBLE_AREA[0] * min(areas) / np.pi)
         high = np.sqrt(PLAUSIBLE_AREA[1] * max(areas) / np.pi)
-        inner = self.rig.plate.half - self.rig.limits.stroke_m  # else it may be the plate's edge
+        inner = self.rig.plate.half - self.rig.limits.stroke_m  # beyond: the plate's edge
         found = []
         for thing in things:
             place = np.array([thing.x, thing.y])
             whole = bool(np.all(np.abs(place) + thing.radius <= inner))
-            away = np.hypot(*(parts.position - place).T)  # of a part that is published anyway
+            away = np.hypot(*(parts.position - place).T)  # distance from published parts
             if low <= thing.radius <= high and whole and not np.any(away < thing.radius):
                 found.append(thing)
         self.images.append(tuple(found))
 
     @property
     def count(self) -> int:
-        """Number of such things in most of the last images."""
+        """Median number of such objects in the last images."""
         return int(np.median([len(one) for one in self.images])) if self.images else 0
 
     @property
     def text(self) -> str:
-        """Say how many there are, and where; empty if there are none."""
+        """Text with their number and positions; empty if there are none."""
         count = self.count
         if not count:
             return ""

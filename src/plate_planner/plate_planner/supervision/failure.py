@@ -1,4 +1,4 @@
-"""What is said at the end of a task that failed: what happened, the numbers, what would help."""
+"""Texts for failed tasks: cause, measured values and remedy."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from ..estimation import LastRequest
 from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
-"""A part that was last seen this near an edge has left the plate [part radii]."""
+"""Maximum distance of a part's last position from an edge at which the part counts as having left
+the plate [part radii]."""
 
 SAME_PLACE = 3.0
-"""A thing this near to where a part was seen last is taken for that part [part radii]."""
+"""Maximum distance of an unknown object from a part's last position at which it counts as that part
+[part radii]."""
 
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 FEW = 5
-"""So many parts can be moved at will; more leave a cycle little freedom."""
+"""Number of parts that can be moved independently. More parts leave a cycle little freedom."""
 
 AT_REST_MPS = 0.5e-3
-"""A part that is asked for less is not asked to move [m/s]."""
+"""Requested drift below which a part is not expected to move [m/s]."""
 
 
 class LastSeen(NamedTuple):
-    """Where a part was when it was seen last (x, y) [m, plate_home], and the stamp [s]."""
+    """Position (x, y) [m, plate_home] and stamp [s] of a part's last detection."""
 
     position: tuple[float, float]
     stamp: float
@@ -37,10 +39,10 @@ class LastSeen(NamedTuple):
 def loss_of(
     name: str, last: LastSeen | None, began: float, rig: Rig, count: int, parts: Parts = NOBODY
 ) -> Failure:
-    """Say what became of a part that is no longer seen, and what would help; `last` is None where
-    it never was.
+    """Return the failure for a part that is no longer detected, with a remedy.
 
-    `began` is when the task did [s], `count` the number of parts, `parts` are those in the image.
+    `last` is None if the part was never detected. `began` is the start of the task [s], `count` the
+    number of parts, and `parts` are the parts in the image.
     """
     if last is None:
         return Failure(Reason.PART_UNSEEN, f"{name} not seen; {LOOK}")
@@ -66,8 +68,8 @@ def loss_of(
 def shortfall_text(
     request: LastRequest, rig: Rig, parts: Parts, distance: np.ndarray, count: int
 ) -> str:
-    """Say which part is furthest from where it should be (M,) [m], what was asked of it, and what
-    would help."""
+    """Return a text on the part with the largest `distance` (M,) [m] from its goal: its requested
+    and actual drift, and a remedy."""
     if not len(distance):
         return ""
     worst = int(np.argmax(distance))
@@ -92,8 +94,8 @@ def shortfall_text(
 
 
 def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
-    """Say before the start what to expect of a plate that shakes too little; nothing if it shakes
-    enough."""
+    """Return a warning before the start if the shaking ratio is too low; empty if it is
+    sufficient."""
     if rig.gamma >= LEAST_GAMMA:
         return ""
     expect = "longer"
@@ -105,7 +107,7 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
 
 
 def remedy(rig: Rig, count: int) -> str:
-    """Say what helps parts that do not move as they are asked."""
+    """Return a remedy for parts that do not move as requested."""
     if rig.gamma < LEAST_GAMMA:
         return (
             f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "

@@ -1,6 +1,7 @@
-"""The phase of a task: where it is, how it ended, when and why. A pure state machine.
+"""State machine of a task: its phase, and the time and reason of its end.
 
-Done, stuck, lost part and aborted are ends: only a new start leads out of them.
+Done, stuck, lost part and aborted are final phases. Only a new start leaves them. All functions are
+pure: they take a state and return the new one.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ from plate_core import Parts, part_class
 from plate_core.tasks import Scenario
 
 TIME_TOLERANCE_S = 1e-6
-"""Stamps are sums of periods in nanoseconds: closer than this, two times are the same."""
+"""Times that differ by less count as equal [s], because stamps are rounded to nanoseconds."""
 
 
 LOOK = "detections_image shows what the camera sees"
-"""Where to look when parts are not seen."""
+"""Advice if parts are not detected."""
 
 STILL_S = 3.0
-"""A task that came nearer within this time was still getting on [s]."""
+"""If the distance to the goal decreased within this time, the task still made progress [s]."""
 
 
 class Phase(StrEnum):
-    """Where a task is."""
+    """Phase of a task."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -38,17 +39,17 @@ class Phase(StrEnum):
 
     @property
     def is_failure(self) -> bool:
-        """Whether a task ended without being done."""
+        """Whether the task ended without success."""
         return self in (Phase.STUCK, Phase.LOST, Phase.ABORTED)
 
     @property
     def is_end(self) -> bool:
-        """Whether a task has come to its end, good or bad."""
+        """Whether the task has ended, with or without success."""
         return self is Phase.DONE or self.is_failure
 
 
 class Reason(IntEnum):
-    """Why a task ended, as in plate_interfaces/TaskStatus, which says what each one means."""
+    """Why a task ended. plate_interfaces/TaskStatus describes each value."""
 
     NONE = 0
     TIME_LIMIT = 1
@@ -73,7 +74,7 @@ class Reason(IntEnum):
 
 
 class Failure(NamedTuple):
-    """Why something cannot go on, and what there is to say of it."""
+    """Reason of a failure, and its description."""
 
     reason: Reason
     text: str
@@ -81,23 +82,23 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskLimits:
-    """When to give up, and when to call it done, all in seconds of the time of the cycles' starts,
-    or of the images where they are taken at these.
+    """Time limits of a task. Times are the stamps of cycle starts, or of images if they are taken
+    at cycle starts [s].
 
     Attributes
     ----------
     time_limit_s : float
-        Longest run.
+        Maximum duration of the task.
     hold_s : float
-        Done when the goal has been met for this long.
+        Time for which the goal must be met before the task is done.
     start_timeout_s : float
-        Longest time from `start` until all parts are seen.
+        Maximum time from `start` until all parts are detected.
     unseen_timeout_s : float
-        A part unseen for longer than this is lost.
+        Maximum time without a detection of a part. After that, the part is lost.
     stuck_timeout_s : float
-        A task that comes no nearer to its goal for longer than this is stuck.
+        Maximum time without progress towards the goal. After that, the task is stuck.
     nearer_m : float
-        What counts as nearer, summed over parts [m].
+        Minimum decrease of the distance that counts as progress, summed over parts [m].
     """
 
     time_limit_s: float
@@ -110,27 +111,27 @@ class TaskLimits:
 
 @dataclass(frozen=True)
 class TaskState:
-    """State of the supervisor. Times are stamps [s], None where the event has not happened.
+    """State of the supervision. Times are stamps [s]; None if the event has not happened.
 
     Attributes
     ----------
     phase : Phase
     reason : Reason
-        Why it ended.
+        Why the task ended.
     detail : str
-        What there is to say of its end: the result if it is done, else why, and what would help.
+        Text on the end: the result if the task is done, otherwise the cause and a remedy.
     asked : float or None
-        First image after `start`.
+        Stamp of the first image after `start`.
     began : float or None
-        Second image with the same parts, all: time zero of the task.
+        Start of the task: stamp of the second image with the same complete set of parts.
     ended : float or None
-        Image at which it ended.
+        Stamp of the image at which the task ended.
     missing_since : tuple of (str, float)
-        Parts that are unseen, and since when, without a break.
+        Parts that are not detected, and the start of the interruption.
     met_since : float or None
-        Since when the goal has been met, as far as parts were seen.
+        Time since which the goal has been met, by the detected parts.
     nearest_m, nearest_at : float
-        Least distance to the goal so far, summed over parts [m], and when it was reached [s].
+        Minimum distance to the goal so far, summed over parts [m], and its time [s].
     """
 
     phase: Phase = Phase.IDLE
@@ -146,12 +147,12 @@ class TaskState:
 
     @property
     def active(self) -> bool:
-        """Whether parts are to be moved now."""
+        """Whether the task moves parts now."""
         return self.phase is Phase.RUNNING and self.began is not None
 
     @property
     def text(self) -> str:
-        """The phase; of an end with time and reason: `done after 14.1 s: 10 of 10 parts ...`."""
+        """The phase. At the end, with time and reason: `done after 14.1 s: 10 of 10 parts ...`."""
         if not self.phase.is_end:
             return self.phase.value
         time = ""
@@ -160,20 +161,22 @@ class TaskState:
         return f"{self.phase.value}{time}" + (f": {self.detail}" if self.detail else "")
 
     def held(self, t: float, limits: TaskLimits) -> bool:
-        """Whether the goal has been met for long enough: the plate is to rest, and once it does an
-        image has to show all parts."""
+        """Whether the goal has been met for `hold_s`.
+
+        If so, the plate must come to rest, and an image must then show all parts.
+        """
         met = self.active and self.met_since is not None
         return met and t - (self.met_since or 0.0) >= limits.hold_s - TIME_TOLERANCE_S
 
     def elapsed(self, t: float) -> float:
-        """Time [s] since the task began, until `t` or its end; 0 where a clock was put back."""
+        """Time [s] from the start of the task to `t` or to its end; 0 if a clock was set back."""
         if self.began is None:
             return 0.0
         return max(0.0, (t if self.ended is None else self.ended) - self.began)
 
 
 def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> tuple[str, ...]:
-    """Name the parts of the scenario that are not there, by id where it is `known`."""
+    """Return the missing parts of the scenario, by id if it is in `known`, otherwise by class."""
     there = Counter(part_class(i) for i in parts.ids)
     names: list[str] = []
     for label, wanted in Counter(scenario.labels).items():
@@ -186,7 +189,7 @@ def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> t
 
 
 def started() -> TaskState:
-    """Return the state of a task that was just told to start."""
+    """Return the state of a task immediately after the start request."""
     return TaskState(phase=Phase.RUNNING)
 
 
@@ -198,9 +201,9 @@ def begin(
     limits: TaskLimits,
     others: str = "",
 ) -> TaskState:
-    """Begin a task that was told to start, as soon as the same parts, all, are seen twice.
+    """Begin a requested task as soon as two images show the same complete set of parts.
 
-    In one image a glare may stand for a part that was not seen.
+    A single image is not sufficient, because a reflection may be mistaken for a part.
 
     Parameters
     ----------
@@ -208,12 +211,13 @@ def begin(
     t : float
         Stamp of the image [s].
     missing : tuple of str
-        Parts of the scenario that are not seen, as a reader would name them.
+        Names of the parts of the scenario that are not detected.
     again : bool
-        Whether these parts, and no others, are those of the last image with all parts.
+        Whether the parts are the same as in the last image with all parts.
     limits : TaskLimits
     others : str
-        Says what else is on the plate: a missing part may be among it. Empty if nothing is.
+        Text on other objects on the plate, one of which may be a missing part. Empty if there are
+        none.
     """
     if state.phase is not Phase.RUNNING or state.began is not None:
         return state
@@ -228,11 +232,14 @@ def begin(
 
 
 STOP = Failure(Reason.STOPPED, "stopped")
-"""A person's stop, by the service."""
+"""Stop requested by the service."""
 
 
 def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState:
-    """Stop: a running task is aborted at stamp t [s], None if there was no image; else idle."""
+    """Return the state after a stop.
+
+    A running task is aborted at stamp t [s], None without an image. Otherwise the phase is idle.
+    """
     if state.phase is not Phase.RUNNING:
         return TaskState()
     return _end(state, t, Phase.ABORTED, *why)
@@ -240,31 +247,31 @@ def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState
 
 @dataclass(frozen=True)
 class Findings:
-    """What one image says of a running task.
+    """Evaluation of a running task for one image.
 
     Attributes
     ----------
     missing : tuple of str
-        Parts of the scenario that are not seen.
+        Parts of the scenario that are not detected.
     goal_met : bool
         Whether the goal is met in this image.
     to_go_m : float
         Distance to the goal, summed over parts [m].
     problem : str
-        Why the task cannot go on; empty if it can.
+        Why the task cannot continue; empty if it can.
     detail : callable
-        Says which part is furthest from its goal, what was asked of it, and what would help.
+        Returns a text on the part farthest from its goal, its request and a remedy.
     outcome : str
-        What there is to tell if the task is done now.
+        Result text if the task is done now.
     loss : callable
-        Tells of a missing part, by its name, what became of it.
+        Returns the failure for the name of a missing part.
     all_seen : bool
-        Whether the image shows all parts: others may be where they are predicted, or gone.
+        Whether the image shows all parts. The positions of other parts are predictions.
     at_rest : bool
-        Whether it was taken when plate and parts lay still: a moving plate may leave a part behind
-        that the image still shows on it.
+        Whether plate and parts were at rest when the image was taken. If the plate moves, a part
+        may leave it after the image.
     unanswered : str
-        How many cycles no answer began, if they were many.
+        Text on the number of unanswered cycles; empty if there were few.
     """
 
     missing: tuple[str, ...]
@@ -280,16 +287,16 @@ class Findings:
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
-    """Judge a running task after one image, stamp t [s]."""
+    """Return the state of a running task after an image with stamp t [s]."""
     if not state.active:
         return state
     before = dict(state.missing_since)
     missing_since = tuple((name, before.get(name, t)) for name in found.missing)
     met_since = state.met_since
-    if not (found.missing and found.goal_met):  # else what is not seen may have met it, or not
+    if not (found.missing and found.goal_met):  # the goal of a missing part is undecided
         met_since = _since(met_since, found.goal_met, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
-    # Unseen parts have no distance: the sum without them would look like progress.
+    # Missing parts have no distance, so a sum without them would look like progress.
     if not found.missing and found.to_go_m < state.nearest_m - limits.nearer_m:
         state = replace(state, nearest_m=found.to_go_m, nearest_at=t)
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
@@ -306,7 +313,7 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
         text = _joined(found.outcome, found.unanswered)
         return _end(state, t, Phase.DONE, Reason.NONE, text)
     reason, text = Reason.NONE, ""
-    # What was held in time is still to be seen at rest.
+    # If the goal was held in time, allow more time for an image at rest.
     longest = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
     if state.elapsed(t) > longest + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"

@@ -1,4 +1,4 @@
-"""How a task is getting on: what progress and diagnostics show."""
+"""Progress of a task, as published in progress and diagnostics."""
 
 from __future__ import annotations
 
@@ -10,36 +10,35 @@ from .phase import Phase
 
 @dataclass(frozen=True)
 class Progress:
-    """What can be told about a task after one image.
+    """Progress of a task after one image.
 
     Attributes
     ----------
     phase : Phase
     text : str
-        The phase, and what there is to tell while it runs; of an end the time, the result or the
-        reason, and what would help.
+        Phase, with a text on the running task. At the end: time, result or reason, and remedy.
     time_s : float
-        Time since the task began, until now or its end [s].
+        Time from the start of the task to now or to its end [s].
     parts_total, parts_seen, parts_sorted : int
-        Parts of the scenario, or more if more are sorted; parts on the plate in this image, parts
-        that are where they belong.
+        Number of parts of the scenario (or of sorted parts, if larger), of parts on the plate in
+        this image, and of parts at their goals.
     to_go_m : float
-        Distance to the goal, summed over parts [m]; following: the longest way left.
+        Distance to the goal, summed over parts [m]. Following: maximum remaining path length.
     rms_error_m : float
-        Following: distance of parts from their references, root mean square over parts and images;
-        assembling and posing: of parts from their places in this image [m].
+        Following: root mean square distance of parts from their references, over parts and images.
+        Assembling and posing: root mean square distance from the targets in this image [m].
     max_error_m : float
-        The greatest such distance [m].
+        Maximum of these distances [m].
     turn_error : float
-        Posing: the greatest angle that is missing in this image [rad].
+        Posing: maximum angle error in this image [rad].
     speed_scaling : float
-        Following: speed of the references, 1 is full speed [-].
+        Following: speed of the references relative to full speed [-].
     pace : float
-        And on average since they began to move [-].
+        Mean of `speed_scaling` since the references began to move [-].
     period_s : float
         Length of a cycle [s].
     image_age_s : float
-        How old images are taken to be at their stamps [s].
+        Assumed age of images at their stamps [s].
     """
 
     phase: Phase
@@ -59,11 +58,11 @@ class Progress:
 
     @property
     def ended(self) -> bool:
-        """Whether the task has come to an end, good or bad."""
+        """Whether the task has ended, with or without success."""
         return self.phase.is_end
 
     def values(self) -> dict[str, str]:
-        """Return the numbers as diagnostics show them."""
+        """Return the values as texts for diagnostics."""
         return {
             "parts_sorted": str(self.parts_sorted),
             "parts_seen": str(self.parts_seen),
