@@ -1,7 +1,7 @@
-"""What the planner hears, when, and whether a task can go on with it. Pure; time is an argument.
+"""The planner's inputs: when each message arrived, and whether the task can continue.
 
-All times are of the steady clock [s]: neither an image's stamp nor a simulated clock that stands
-still can make an input look fresh.
+All functions are pure; the time is an argument. All times are from the steady clock [s]. So an old
+image stamp or a stopped simulated clock cannot make an input look fresh.
 """
 
 from __future__ import annotations
@@ -15,34 +15,37 @@ from plate_core.status import Finding, Input, Level
 from .phase import Failure, Reason
 
 CYCLES = 3.0
-"""Silence of so many cycles is none yet, however short the timeout."""
+"""Minimum input timeout, in cycles. It overrides a shorter configured timeout."""
 
 SECOND_HAND_S = 0.2
-"""How much longer the planner waits than the node before it does [s]: what that one misses is the
-better reason."""
+"""Additional timeout of the planner compared with the preceding node [s]. If that node times out
+first, its message is the better reason."""
 
 ERROR_TIMEOUT_S = 1.0
-"""If the driver or the detector reports an error for longer [s], the task is ended. A line may fail
-for a moment, and one image may be misread."""
+"""Maximum duration of an error that the driver or the detector reports [s]. After that, the task
+ends. A connection may fail for a moment, and a single image may be misread."""
 
 REPORT_TIMEOUT_S = 1.3
-"""A node that has published no diagnostics for longer, where one a second is due, is silent [s]."""
+"""Maximum age of a node's diagnostics, which are published once per second [s]. After that, the
+node counts as timed out."""
 
 LOOP = ("detector", "solver", "driver", "device", "simulator")
-"""Nodes whose diagnostics count: without input for one of them the plate does not do as planned."""
+"""Nodes whose diagnostics count. If one of them has no input, the plate does not move as
+planned."""
 
 FEEDER_S = 1.5
-"""Silence of a feeder that has begun to say what a feed is to do, which it says again each 0.5 s
-[s]: a plate that works for nobody is to rest."""
+"""Timeout of a feeder's orders, which it repeats every 0.5 s [s]. After that, the plate must
+rest."""
 
 FRESH_S, LIFE_S = 0.5, 0.8
-"""Silence of parts or cycles [s], unless cycles are long, and of driver_status, which is said again
-each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
+"""Maximum age of parts or cycles, unless cycles are long, and of driver_status, which is published
+every 0.5 s [s]. If an input is older, missing inputs of later nodes are a consequence, not a
+separate reason."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """The newest diagnostics of a node: when they came, their level and message, and since when the
+    """The newest diagnostics of a node: arrival time, level, message, and time since which the
     level has been the same."""
 
     at: float
@@ -53,32 +56,32 @@ class Report:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What was heard so far.
+    """Inputs received so far.
 
     Attributes
     ----------
     parts, driver : Input
-        Parts count as heard only with a new stamp: the same image again is no news.
+        Parts count as received only if their stamp is new.
     ran : float
-        When the planner last did something.
+        Time of the planner's last activity.
     stamp : int or None
-        Of the last parts [ns].
+        Stamp of the last parts [ns].
     unanswered : float or None
-        Since when part_forces have been published without a plate_cycle after them.
+        Time of the first part_forces that no plate_cycle has followed yet.
     driver_status : DriverStatus or None
-        The newest.
+        Newest status.
     error_since : float or None
-        Since when it has told an error.
+        Time since which the status has been an error.
     enabled_ns : int or None
-        When the motors were enabled, as the newest status that was ready has it [ns, wall clock].
+        Time at which the motors were enabled, from the newest ready status [ns, wall clock].
     enabled_again : float or None
-        When that was heard to change: the motors were stopped meanwhile, even if nothing else told.
+        Time at which `enabled_ns` changed. The motors were stopped before, even without a report.
     reports : mapping of str to Report
         Diagnostics by node.
     starts : Input or None
-        Starts of cycles, where they have to be reported.
+        Reported cycle starts; None if reports are not required.
     orders : Input or None
-        Orders of a feeder, which says them again and again; None until one came.
+        Orders of a feeder, which repeats them; None until the first.
     """
 
     parts: Input
@@ -96,42 +99,44 @@ class Inputs:
 
     @classmethod
     def none_yet(cls, now: float, timeout_s: float, triggered: bool = True) -> Inputs:
-        """Return what has been heard at the start: nothing. Unless the camera is triggered at the
-        starts of cycles, these have to be reported."""
+        """Return the initial state, without inputs.
+
+        Cycle starts must be reported, unless the camera is triggered at cycle starts.
+        """
         parts = Input("parts", "parts", "does the detector run, does the camera?", timeout_s, now)
         driver = Input("driver_status", "driver_status", "does the driver run?", timeout_s, now)
         question = "does the driver, or the simulator, report them?"
         starts = Input("start of a cycle", "cycle_started", question, timeout_s, now)
         return cls(parts, driver, now, starts=None if triggered else starts)
 
-    # What is heard
+    # Messages received
 
     def heard_parts(self, now: float, stamp_ns: int) -> Inputs:
-        """Take in that parts have come."""
+        """Record received parts."""
         if stamp_ns == self.stamp:
             return self
         return replace(self, parts=self.parts.heard(now), stamp=stamp_ns)
 
     def heard_start(self, now: float) -> Inputs:
-        """Take in that a cycle has begun."""
+        """Record a reported cycle start."""
         return self if self.starts is None else replace(self, starts=self.starts.heard(now))
 
     def heard_order(self, now: float) -> Inputs:
-        """Take in that a feeder has said what a feed is to do."""
+        """Record an order of a feeder."""
         question = "does the feeder run, or is the computer too slow?"
         orders = Input("feed_orders", "feed_orders", question, FEEDER_S, now, now)
         return replace(self, orders=orders)
 
     def asked(self, now: float) -> Inputs:
-        """Take in that part_forces have been published."""
+        """Record that the planner has published part_forces."""
         return self if self.unanswered is not None else replace(self, unanswered=now)
 
     def heard_cycle(self) -> Inputs:
-        """Take in that the solver has answered."""
+        """Record a cycle from the solver."""
         return replace(self, unanswered=None)
 
     def heard_driver(self, now: float, status: DriverStatus) -> Inputs:
-        """Take in what the driver says."""
+        """Record a driver_status."""
         ready = status.state is DriverState.READY
         again = ready and self.enabled_ns not in (None, status.enabled_ns)
         since = now if self.error_since is None else self.error_since
@@ -145,25 +150,25 @@ class Inputs:
         )
 
     def heard_node(self, now: float, name: str, level: Level, message: str) -> Inputs:
-        """Take in diagnostics of a node; those of nodes outside the loop do not count."""
+        """Record the diagnostics of a node. Nodes outside `LOOP` are ignored."""
         if name not in LOOP:
             return self
         before = self.reports.get(name)
         since = now if before is None or before.level is not level else before.since
         return replace(self, reports={**self.reports, name: Report(now, level, message, since)})
 
-    # What follows
+    # Evaluation
 
     def timeout(self, period: float) -> float:
-        """Longest silence [s] at cycles of `period` [s]."""
+        """Return the input timeout [s] for cycles of `period` [s]."""
         return max(self.parts.timeout_s, CYCLES * period) + SECOND_HAND_S
 
     def answer_overdue(self, now: float, period: float) -> bool:
-        """Tell whether the solver has not answered for too long."""
+        """Whether the solver's answer has exceeded the timeout."""
         return self.unanswered is not None and now - self.unanswered > self.timeout(period)
 
     def driver_problem(self, now: float) -> str:
-        """Say why no task can be started with the driver; empty if one can."""
+        """Return why the driver prevents the start of a task; empty if it does not."""
         gone = self.driver.gone(now)
         if gone is not None:
             return gone.message
@@ -181,7 +186,7 @@ class Inputs:
         return self.driver_status is not None and self.driver_status.state is DriverState.READY
 
     def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
-        """Say why no task can be started with what comes of the camera; empty if one can."""
+        """Return why missing parts prevent the start of a task; empty if they do not."""
         if self.parts.came is None:
             return f"no parts yet: {self._blame_for_parts(now, publishers)}"
         if self.parts.gone(now) is not None:
@@ -189,7 +194,7 @@ class Inputs:
         return ""
 
     def starts_problem(self, now: float) -> str:
-        """Say why no task can be started without starts of cycles; empty if one can."""
+        """Return why missing cycle starts prevent the start of a task; empty if they do not."""
         if self.starts is None:
             return ""
         gone = self.starts.gone(now)
@@ -200,20 +205,20 @@ class Inputs:
     def problem(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
     ) -> Failure | None:
-        """Say why a running task cannot go on; None if it can.
+        """Return why a running task cannot continue; None if it can.
 
         Parameters
         ----------
         now : float
         began : float
-            When the task was started: what was missing before does not count.
+            Start of the task. Earlier interruptions are ignored.
         period : float
-            Of the cycles [s].
+            Length of a cycle [s].
         publishers : callable
-            Returns how many there are of a topic.
+            Returns the number of publishers of a topic.
         """
         why = self._missing(now, began, period, publishers)
-        # A line that has failed is the reason, whatever is missed because of it.
+        # A failed connection is the reason; missing inputs are its consequence.
         return self._driver_failure if why and self.error_since is not None else why
 
     @property

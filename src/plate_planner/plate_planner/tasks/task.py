@@ -1,4 +1,5 @@
-"""A task, as the planner sees it: what it gets at each image, and what it answers."""
+"""Interface between the planner and the rules of a task: `Situation` is the input at each image,
+`Assessment` the output."""
 
 from __future__ import annotations
 
@@ -13,54 +14,57 @@ from plate_core.tasks import Scenario
 from .drift import DriftInterval
 
 SIGHT_M, SIGHT_RAD = 3e-4, 0.01
-"""A task is judged by what the camera sees: the truth may differ by so much [m, rad]."""
+"""Maximum difference between measured and true pose of a part [m, rad]. Tasks are evaluated by
+measured poses."""
 
 NEARER_M = 0.002
-"""What counts as nearer to the goal, summed over parts [m]: more than the camera's noise."""
+"""Minimum decrease of the distance to the goal that counts as progress, summed over parts [m]. It
+exceeds the camera's noise."""
 
 BIAS_GAIN = 0.3
-"""Fraction of what a cycle does otherwise than predicted that is expected of the next one [-]."""
+"""Gain of the drift bias observer: weight of the newest prediction error [-]."""
 
 BIAS_M = 5e-3
-"""A part further from its prediction was pushed: as far as this it counts as drift bias [m]."""
+"""Maximum prediction error per cycle that counts as drift bias [m]. A larger error is a push."""
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What there is to know at one image.
+    """Input of the task rules at one image.
 
     Attributes
     ----------
     parts : Parts
-        M parts on the plate, where they are at the stamp.
+        M parts on the plate, with their positions at the stamp.
     stamp : float
-        Of the image [s].
+        Stamp of the image [s].
     start : float
-        Stamp at which the answer begins to act [s].
+        Time at which the answer takes effect [s].
     rests : float
-        Stamp from which the plate rests if nothing is asked from `start` on [s].
+        Time at which the plate comes to rest if no motion is requested from `start` on [s].
     period : float
         Length of a cycle [s].
     motion_known : bool
-        Whether the plate's cycles are known; else predictions are what parts were asked to do.
+        Whether the plate's cycles are known. If False, predictions assume that parts follow the
+        last request.
     latency_known : bool
-        Whether it is known how old images are, but for a few milliseconds.
+        Whether the image latency is known to within a few milliseconds.
     predicted : (M, 2)
-        Where the parts will be at `start` [m, plate_home].
+        Predicted positions of the parts at `start` [m, plate_home].
     shortfall : (M,)
-        Drift that the running cycle, by the motion model, lacks of what was asked of it [m/s].
+        Requested drift minus predicted drift of the running cycle [m/s].
     active : bool
-        Whether it goes on: it has begun and not ended.
+        Whether the task has begun and not ended.
     seen : Parts
         Parts on the plate as the last image shows them.
     taken : float
-        When that was taken [s].
+        Time at which that image was taken [s].
     kept : bool
-        Whether that image did not count: see `TaskRules.keeps_last`.
+        Whether that image was ignored: see `TaskRules.keeps_last`.
     late : int
         Maximum delay of the last answers, in cycles.
     resting_since : float
-        Since when the plate has been at rest, as far as is known [s]; infinite if it has not.
+        Start of the plate's rest [s]; infinite if it is not known to be at rest.
     """
 
     parts: Parts
@@ -82,7 +86,7 @@ class Situation:
 
 @dataclass(frozen=True)
 class Assessment:
-    """What one image means for the task.
+    """Output of the task rules for one image.
 
     Attributes
     ----------
@@ -92,27 +96,27 @@ class Assessment:
     goal_met : bool
         Whether the goal is met in this image.
     count : int
-        Parts that are where they belong.
+        Number of parts at their goals.
     total : int
-        Parts that the task counts, where they may be more than the scenario's.
+        Number of parts that the task counts, if it may exceed the scenario's number.
     distance : (M,)
-        How far each part is from where it should be [m].
+        Distance of each part from its goal [m].
     to_go_m : float
         Distance to the goal, summed over parts [m].
     problem : str
-        Why the task cannot go on; empty if it can.
+        Why the task cannot continue; empty if it can.
     missing : tuple of str, or None
-        Parts that the task misses; None: those of the scenario that are not seen.
+        Missing parts; None: the parts of the scenario that are not detected.
     rms_error_m, max_error_m : float
-        Distances from where parts should be, as the task counts them [m].
+        Root mean square and maximum position error, as the task defines it [m].
     turn_error : float
-        The greatest angle that is missing [rad].
+        Maximum angle error [rad].
     speed_scaling, pace : float
-        Speed of references over that of their paths, now and on average [-].
+        Speed of the references relative to that of their paths, now and on average [-].
     outcome : str
-        What there is to tell if the task is done now.
+        Text on the result if the task is done now.
     doing : str
-        What there is to tell while it runs.
+        Text on the running task.
     """
 
     request: DriftInterval | Targets | None = None
@@ -133,69 +137,71 @@ class Assessment:
 
 
 class TaskRules(Protocol):
-    """The rules of one task on one rig. Pure: what it remembers is handed to it and back.
+    """Rules of one task on one rig. They are pure: their memory is an argument and a result.
 
-    Only `hold_s` and `assess` have to be written; the rest suits most tasks.
+    A new task must implement `hold_s` and `assess`. The defaults of the others suit most tasks.
     """
 
     @property
     def hold_s(self) -> float:
-        """The task is done when its goal has been met for this long [s]."""
+        """Time for which the goal must be met before the task is done [s]."""
         ...
 
     def assess(self, memory: Any, now: Situation) -> tuple[Any, Assessment]:
-        """Judge one image, and say what is wanted; also when the task is not active.
+        """Evaluate one image and return the request. It is also called while the task is inactive.
 
         Parameters
         ----------
         memory
-            What the last call returned; None at the first call after start.
+            Memory returned by the last call; None at the first call after start.
         now : Situation
 
         Returns
         -------
         memory
-            For the next call.
+            Memory for the next call.
         assessment : Assessment
         """
         ...
 
     @property
     def endless(self) -> bool:
-        """Whether it goes on until it is canceled: it is never done, and never stuck."""
+        """Whether the task runs until it is canceled. If so, it is never done or stuck."""
         return False
 
     @property
     def open_ended(self) -> bool:
-        """Whether parts may come and go: it begins with any, and misses none."""
+        """Whether parts may be added and removed. If so, the task begins with any parts, and none
+        is missing."""
         return False
 
     def keeps_last(self, memory: Any) -> bool:
-        """Whether parts are where they were seen last, whatever an image shows."""
+        """Whether the planner ignores the image and keeps the last detected parts."""
         return False
 
     @property
     def nearer_m(self) -> float:
-        """What counts as nearer to the goal [m]; a task that comes no nearer is stuck."""
+        """Minimum decrease of the distance that counts as progress [m]."""
         return NEARER_M
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse a scenario that cannot be done on this rig, with a `ScenarioError`."""
+        """Raise a `ScenarioError` if the scenario is infeasible on this rig."""
         return
 
     def doubts(self) -> tuple[str, ...]:
-        """Say what is asked that this rig will probably not do, and what would do."""
+        """Return warnings on requests that this rig will probably not achieve, with remedies."""
         return ()
 
     @property
     def bias_gain(self) -> float:
-        """Fraction of what a cycle does otherwise than predicted that counts as drift bias [-]."""
+        """Gain of the drift bias observer: weight of the newest prediction error [-]."""
         return BIAS_GAIN
 
     def bias_axes(self, memory: Any, parts: Parts, t: float) -> np.ndarray:
-        """Unit vectors (M, 2, 2), in rows, along which the bias of parts stays the same."""
+        """Return unit vectors (M, 2, 2), in rows, along which the parts' bias is nearly
+        constant."""
         return np.tile(np.eye(2), (len(parts), 1, 1))
 
     def bias_limit(self, memory: Any, parts: Parts, period: float) -> np.ndarray:
-        """Greatest bias (M,) to be believed [m/s]."""
+        """Return the maximum drift bias (M,) [m/s]."""
         return np.full(len(parts), BIAS_M / period)
