@@ -1,5 +1,8 @@
-"""The planner: parts of images in, what is asked of them out, once per cycle of the plate. Pure;
-time is an argument."""
+"""The planner: computes the request for the parts once per plate cycle, from the parts in the
+images.
+
+All functions are pure; the time is an argument.
+"""
 
 from __future__ import annotations
 
@@ -50,40 +53,40 @@ from .supervision import (
 from .tasks import CROWD, Assessment, DriftInterval, Situation, TaskOptions, TaskRules, rules_for
 
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
-"""Nothing is asked of any part: the plate rests."""
+"""Empty request: the plate rests."""
 
 TAKEN_COAST = Coast(parts=1, unknown=1)
-"""Images for which what is not seen is propagated where parts come and go: it may have been
-taken."""
+"""Maximum number of images without a detection for which a part is propagated, in tasks in which
+parts are added and removed: the part may have been picked."""
 
 IN_MOTION_S = 0.1
-"""Cycles that go on from the state of the plate last so long [s]: who needs as long for an answer
-is answered from rest."""
+"""Length of cycles that start from a moving plate [s]. If an answer takes as long, cycles start
+from rest."""
 
 LONGEST_GAP_S = 10.0
-"""Between the stamps of two images of a running task [s]. Silence so long ends it anyway: such a
-gap is a clock that was set."""
+"""Maximum difference between the stamps of two images of a running task [s]. A longer interruption
+of images would end the task, so a larger difference means that the clock was set."""
 
 
 @dataclass(frozen=True)
 class PlannerOptions(TaskOptions):
-    """All that can be tuned: of each task as `TaskOptions`, and of the planner.
+    """Options of the planner, and of each task as in `TaskOptions`.
 
     Attributes
     ----------
     default_period : float
-        Length of a cycle until two images have told it [s].
+        Assumed length of a cycle until two images determine it [s].
     start_timeout_s : float
-        Longest time from start until all parts are seen [s].
+        Maximum time from the start until all parts are detected [s].
     unseen_timeout_s : float
-        A part unseen for longer than this is lost [s].
+        Maximum time without a detection before a part counts as lost [s].
     stuck_timeout_s : float
-        A task that comes no nearer to its goal for longer than this is stuck [s].
+        Maximum time without progress before the task counts as stuck [s].
     answer_s : float
-        Where starts of cycles are reported: an answer is given this long before the next [s], time
-        for solver, driver and line.
+        If cycle starts are reported: time before the next start at which the answer is sent [s]. It
+        covers solver, driver and connection.
     image_age_s : float or None
-        How old an image is at its stamp [s]; None: found out from the motion.
+        Age of an image at its stamp [s]; None: estimate it from the motion.
     """
 
     default_period: float = 0.1
@@ -96,24 +99,24 @@ class PlannerOptions(TaskOptions):
 
 @dataclass(frozen=True)
 class PlannerState:
-    """What the planner remembers from image to image.
+    """State of the planner between images.
 
     Attributes
     ----------
     task : TaskState
     estimator : Estimator
     memory
-        What the rules of the task remember; None before it begins.
+        Memory of the task rules; None before the task begins.
     known : tuple of str
         Ids in the last image with all parts.
     last : mapping of str to LastSeen
-        Where each part was on the plate when it was seen last; none where parts come and go.
+        Last detected position of each part on the plate. Empty if parts are added and removed.
     answer : (Wanted, Progress) or None
-        The last answer, given again when the same image comes again.
+        The last answer. It is returned again if the same image arrives again.
     due : float
-        When the next answer is [s]; infinite until a start of a cycle is reported.
+        Time of the next answer [s]; infinite until a cycle start is reported.
     kept : bool
-        Whether the last image did not count: see `TaskRules.keeps_last`.
+        Whether the last image was ignored: see `TaskRules.keeps_last`.
     """
 
     task: TaskState
@@ -147,18 +150,18 @@ class Planner:
 
     @cached_property
     def rules(self) -> TaskRules:
-        """The rules of the task: kept, since they hold tables of paths and bins."""
+        """The rules of the task. They are cached, because they contain tables of paths and bins."""
         return rules_for(self.scenario.task, self.rig, self.options)
 
     def doubts(self) -> tuple[str, ...]:
-        """Say, before the start, what this rig will probably not do, and what would do."""
+        """Return warnings before the start on infeasible requests, with remedies."""
         slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
         doubts = (*self.rules.doubts(), *edge_doubts(self.scenario, self.rig))
         return (*doubts, slow) if slow else doubts
 
     @property
     def limits(self) -> TaskLimits:
-        """When to give up, and when to call it done."""
+        """Time limits of the task."""
         endless = self.rules.endless
         return TaskLimits(
             time_limit_s=self.scenario.time_limit_s,
@@ -170,19 +173,20 @@ class Planner:
         )
 
     def initial(self, estimator: Estimator | None = None) -> PlannerState:
-        """Return the state of a planner that does nothing, and has seen nothing so far but what
-        the estimator has."""
+        """Return the idle state of a planner. An estimator from an earlier planner may be
+        passed."""
         options = self.options
         if estimator is None:
             estimator = Estimator.of(self.rig, options.default_period, options.image_age_s)
         return PlannerState(TaskState(), estimator, known=estimator.seen.ids)
 
     def start(self, state: PlannerState) -> PlannerState:
-        """Start the task, or start it again; its time begins when all parts are seen twice."""
+        """Start or restart the task. Its time begins when two images have shown all parts."""
         return replace(state, task=started(), memory=None, last={})
 
     def stop(self, state: PlannerState, why: Failure = STOP) -> PlannerState:
-        """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
+        """Stop: no motion is requested from the next image on. A running task is aborted with the
+        reason `why`."""
         stamp = state.estimator.stamp
         return replace(state, task=stopped(state.task, stamp if np.isfinite(stamp) else None, why))
 

@@ -1,4 +1,4 @@
-"""Parts to targets: which part goes to which, and what its way there counts."""
+"""Assignment of parts to targets, and weights of their distances."""
 
 from __future__ import annotations
 
@@ -18,32 +18,33 @@ WRONG_CLASS_M = 1e3
 """Cost of a part of the wrong class [m]: more than any sum of distances on a plate."""
 
 FULL_WAY_M, LEAST_WAY_M = 0.006, 0.005
-"""The longest way of all counts as if it were so long beside ways over an edge, so that those with
-the longest ways come first; ways below the second are no longer stretched so [m]."""
+"""Weights scale the longest distance to go to the first length, in comparison with errors at edges,
+so that the parts with the longest distances come first. Distances below the second length are not
+scaled further [m]."""
 
 CROWD = 40
-"""With more parts than this each moves a little in a cycle: a plate that rests between cycles, and
-lanes that count more, are sooner done with them, by trial (`sort_50`)."""
+"""Number of parts above which the plate rests between cycles and lanes have more weight. This is
+faster for many parts, which move little per cycle; tuned in simulation (`sort_50`)."""
 
 GAP = 0.5
-"""Least distance of the rims of two parts on their ways [radii of the rig's parts]."""
+"""Minimum gap between the edges of two moving parts [radii of the rig's parts]."""
 
 
 def match_targets(
     labels: Sequence[str], target: np.ndarray, parts: Parts, reach_m: float = np.inf
 ) -> tuple[str, ...]:
-    """Match parts to targets of their class so that the sum of squared distances is least.
+    """Match parts to targets of their class with the minimum sum of squared distances.
 
     Parameters
     ----------
     labels : P class names
-        Class of the part that each target wants.
+        Class that each target requires.
     target : (P, 2)
-        Where the part of each target should be [m, plate_home].
+        Target positions [m, plate_home].
     parts : Parts
-        The parts on offer.
+        Available parts.
     reach_m : float
-        Pairs further apart than this are not matched [m].
+        Maximum distance of a matched pair [m].
 
     Returns
     -------
@@ -78,9 +79,10 @@ def rematch_targets(
     parts: Parts,
     reach_m: float,
 ) -> tuple[str, ...]:
-    """Give targets whose part is not seen a new part, if an unknown one of its class is near.
+    """Match targets whose part is not detected to an unmatched part of the class close to the
+    target.
 
-    A part that was hidden for long comes back from vision under a new number.
+    Vision gives a part that was hidden for a long time a new id.
     """
     vacant = [k for k, part_id in enumerate(match) if part_id not in parts.ids]
     spare = [i for i, part_id in enumerate(parts.ids) if part_id not in match]
@@ -96,7 +98,7 @@ def rematch_targets(
 
 
 def matched_rows(match: tuple[str, ...], parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of targets, and of the parts that are seen and have them: two index arrays (K,)."""
+    """Return the indices of matched targets and of their detected parts: two arrays (K,)."""
     row = rows_of(match, parts.ids)
     target = np.flatnonzero(row >= 0)
     return target, row[target]
@@ -114,17 +116,17 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarr
 
 
 def way_weight(way: np.ndarray) -> float:
-    """Return what a metre of way counts where parts have ways (M, 2) [m] to go."""
+    """Return the weight per metre for parts with distances (M, 2) [m] to go."""
     return FULL_WAY_M / max(float(np.max(np.hypot(*way.T), initial=0.0)), LEAST_WAY_M)
 
 
 def stay_within(
     coordinate: np.ndarray, half: float, inner: float, outer: float, speed: float, wander: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Leave a coordinate free in the middle, and ask it back near the plate's edges.
+    """Return drift intervals that keep parts away from the plate's edges.
 
-    Up to `inner` (fraction of the half side) any drift within +-wander will do; from there to
-    `outer` the interval narrows to one value, and its middle goes from 0 to `speed` inwards.
+    Up to `inner` (fraction of the half side), any drift within +-wander is accepted. From `inner`
+    to `outer`, the interval narrows to one value, and its middle changes from 0 to `speed` inwards.
 
     Parameters
     ----------
@@ -133,11 +135,11 @@ def stay_within(
     half : float
         Half side of the plate along it [m].
     inner, outer : float
-        Where the edge begins to count, and where it counts fully [fraction of half].
+        Start and end of the transition [fraction of half].
     speed : float
-        Drift asked for at the edge [m/s].
+        Requested inward drift at the edge [m/s].
     wander : float
-        Drift allowed in the middle [m/s].
+        Accepted drift in the middle [m/s].
 
     Returns
     -------
@@ -153,5 +155,6 @@ def stay_within(
 def nearness(
     coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
 ) -> np.ndarray:
-    """How near an edge is: 0 up to `inner`, 1 from `outer` (fractions of half), linear between."""
+    """Return the proximity to an edge: 0 up to `inner`, 1 from `outer` (fractions of half), linear
+    in between."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)
