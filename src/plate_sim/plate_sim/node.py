@@ -52,16 +52,16 @@ CLOCK_PERIOD_S = 0.01
 """Time between two messages on /clock [s, wall]."""
 
 REPEAT_PERIOD_S = 1.0
-"""Time between two copies of an unanswered image, and of its cycle's start [s, wall]."""
+"""Interval at which an unanswered image and its cycle's start are repeated [s, wall]."""
 
 SHORTEST_NS = 20_000_000
-"""Stretches of the device's motion that are shorter have no image of their own [ns]."""
+"""Minimum length of a segment of the device's motion that gets an image [ns]."""
 
 GAP_NS = 1_000_000
-"""Stretches that are further apart do not follow each other [ns]."""
+"""Maximum gap between consecutive segments of the device's motion [ns]."""
 
 MOST_WRONG_NS = 50_000_000
-"""How far stamps may be from the system's clock in real time [ns]."""
+"""Maximum difference between stamps and the system's clock in real time [ns]."""
 
 DRAWN = "What images show, see config/nodes.yaml"
 """Heading of the parameters that only images depend on."""
@@ -180,8 +180,8 @@ class Options(NodeOptions):
 
 @dataclass
 class Tally:
-    """Of what came since the last report: how many tables, how many were refused and why the last
-    was; and how many cycles began late."""
+    """Counts since the last report: tables received, tables refused with the last reason, and
+    cycles that started late."""
 
     tables: int = 0
     refused: int = 0
@@ -195,12 +195,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     Subscribes motor_setpoints (or, driven by the device, motor_motion and, where the rig has the
     motor controller trigger the camera, camera_trigger).
     Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth; /clock if simulated.
-    Services ~/reset: put the parts down anew, by the seed if it was set, else by the next one;
-    ~/place_part, ~/remove_part: by hand; hopper/open: parts drop; ~/move_robot: it takes a part. A
-    run with such a change, or one of a live parameter, is not repeated by its seed.
+    Services: ~/reset places the parts again, with the seed if it was set, otherwise with the next
+    seed; ~/place_part and ~/remove_part act by hand; hopper/open drops parts; ~/move_robot takes a
+    part. After such a change, or a change of a live parameter, the seed no longer reproduces the
+    run.
 
-    `ground_truth` (parts on the plate with true names, angles, velocities and spins) is for judging
-    a run: no stage may subscribe to it.
+    `ground_truth` (parts on the plate with true names, angles, velocities and spins) is only for
+    the evaluation of a run. No stage may subscribe to it.
 
     Cycle k begins at t_k with the newest table: `cycle_started` has it, as the plate plays it, with
     the stamp t_k. Then image k is taken, stamp t_k, and the parts are moved to t_k+1; with
@@ -352,7 +353,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Time
 
     def _begin_cycle(self) -> None:
-        """Begin the next cycle; in lockstep also those after it until one has an image."""
+        """Start the next cycle. In lockstep, continue until a cycle has an image."""
         while not self._run_cycle() and self.options.lockstep:
             pass
 
@@ -390,7 +391,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._wait(end_ns)
 
     def _wait(self, until_ns: int) -> None:
-        """Wait for a simulated time in this cycle [ns]."""
+        """Wait until a simulated time in this cycle [ns]."""
         ahead_ns = round((self._next_ns - until_ns) / self.options.rate)
         self._alarm.timer_period_ns = max(1, self._due_ns - ahead_ns - time.monotonic_ns())
         self._alarm.reset()
@@ -434,7 +435,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     @property
     def _delivered_ns(self) -> int:
-        """When the next image of a camera that runs free is delivered [ns]."""
+        """Delivery time of the next image of a free-running camera [ns]."""
         assert self._shot is not None
         return self._shots_ns + round(1e9 * self._shot.delivered)
 
@@ -455,12 +456,12 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Tables
 
     def _hear(self) -> None:
-        """Note that a table or motion has come."""
+        """Count a received table or motion."""
         self._input = self._input.heard(time.monotonic())
         self._tally.tables += 1
 
     def _refuse(self, error: PlateError) -> None:
-        """Note that it cannot be played."""
+        """Count a refused table or motion."""
         self._count["refused tables"] += 1
         self._tally.refused += 1
         self._tally.why = str(error)
@@ -541,7 +542,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_place(
         self, request: PlacePart.Request, response: PlacePart.Response
     ) -> PlacePart.Response:
-        """Put a part down by hand, where it lies from the next image on."""
+        """Place a part by hand. It is visible from the next image on."""
         place = np.array([request.x, request.y])
         try:
             response.id = self._simulation.place(request.id, request.type, place, request.angle)
@@ -556,7 +557,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_remove(
         self, request: RemovePart.Request, response: RemovePart.Response
     ) -> RemovePart.Response:
-        """Take a part off the plate by hand."""
+        """Remove a part from the plate by hand."""
         try:
             self._simulation.remove(request.id)
         except PlateError as error:
@@ -614,7 +615,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._truths.publish(parts_to_msg(truth, to_time(self._time_ns), Part.SIMULATED))
 
     def _publish_start(self) -> None:
-        """Tell what the plate plays, and since when."""
+        """Publish the cycle that the plate plays, with its start time."""
         if self._starts.get_subscription_count():
             self._starts.publish(cycle_to_msg(self._timeline.cycle, to_time(self._time_ns)))
 

@@ -1,4 +1,6 @@
-"""Image of the plate: parts of two greys or of types, their height, lens, light, blur, noise."""
+"""Synthetic image of the plate with parts of two greys or of types. It models the parts' height,
+the lens, light, shadows, motion blur and noise. Inputs are poses of parts and plate; output is the
+image."""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ GREY_OF_CLASS = {"black": 40.0, "grey": 130.0}
 """Grey values of the parts at full light, by class."""
 
 UNKNOWN_GREY = 80.0
-"""Of parts of a type whose colour is not known."""
+"""Grey value of parts of a type without a known colour."""
 
 SHADING = 0.10
 """Fraction of the light that is missing in the image's corners."""
@@ -33,16 +35,16 @@ NOISE = 2.0
 """Default standard deviation of a pixel's noise [grey values]."""
 
 NOISE_BANK = 1 << 20
-"""Ready-made noise values: drawing 307200 new ones would take 3 ms a frame."""
+"""Number of precomputed noise values. Drawing 307200 new ones takes 3 ms per image."""
 
 BLUR_STEP_PX = 0.1
-"""Distance between two positions averaged over the exposure; finer is not to be seen."""
+"""Distance between two positions averaged over the exposure. A finer one is not visible."""
 
 EDGE_STEP_PX = 0.25
 """The same for the plate's edges, of which there are many pixels: a quarter of an edge's width."""
 
 BLUR_MOST = 16
-"""Most positions averaged over one exposure."""
+"""Maximum number of positions averaged over one exposure."""
 
 MARK_PLACE, MARK_RADIUS = 0.5, 0.3
 """Where on a disc the mark of its angle is, and how large [radii]."""
@@ -56,7 +58,7 @@ STRIP_STEP = 0.002
 its pixels are kept."""
 
 FAR = 1e6
-"""What a pixel looks at that no light reaches through the lens [m]: not the plate."""
+"""Coordinate for pixels that the lens maps to no point [m], far off the plate."""
 
 SHADOW_M, SHADOW_DEG, PENUMBRA_M = 2.5e-3, -36.9, 1.5e-3
 """Defaults of a shadow: how far it reaches out from under a part [m], in which direction from x
@@ -66,7 +68,7 @@ PENUMBRA_STEPS = 5
 """Shadows of equal weight that a soft one is made of: at 1 px/mm an edge of 3 mm looks even."""
 
 SIDE_SHADE = 0.7
-"""Default brightness of a part's side face, over its top face."""
+"""Default brightness of a part's side face relative to its top face."""
 
 EDGE_PX = 0.7
 """Distance between the edges of a top face and of the highest section below it that is drawn [px]:
@@ -137,7 +139,7 @@ class Lighting:
 
     @property
     def shadow_way(self) -> np.ndarray:
-        """Unit vector (2,) in which shadows fall [plate_home]."""
+        """Direction (2,) of shadows, a unit vector [plate_home]."""
         angle = np.radians(self.shadow_deg)
         return np.array([np.cos(angle), np.sin(angle)])
 
@@ -497,7 +499,7 @@ class Camera:
         square = np.sum(slopes**2, axis=(1, 2))
         longest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4 * area**2, 0))))
         spread = np.linalg.norm(path - middle, axis=2).max(axis=0)
-        # A tenth more, as the scale changes across a part.
+        # 10 % margin, because the scale varies across a part.
         reach = 1.1 * longest * (radius + spread) + MARGIN_PX
         size = np.array([self._rig.camera.width_px, self._rig.camera.height_px])
         low = np.clip(seen - reach[:, None], 0, size).astype(int)
@@ -530,7 +532,7 @@ class Camera:
 
 
 def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
-    """Return how many positions are averaged along ways (n,) [px]."""
+    """Return the number of positions to average along paths of length (n,) [px]."""
     return np.minimum(BLUR_MOST, 1 + length_px / step_px).astype(int)
 
 

@@ -1,8 +1,8 @@
-"""Draws plate and parts into an image: loops over the pixels that matter.
+"""Rasterisation of plate and parts into an image, limited to the affected pixels.
 
-Every pixel knows the place of the plate's plane that it looks at, so that whatever lens and
-perspective there are is in that table. An edge is drawn as the fraction of the pixel it covers,
-taken as linear in the distance between the pixel's centre and the edge.
+A table gives for each pixel the point of the plate's plane that it shows; it includes lens and
+perspective. The intensity at an edge is the covered fraction of the pixel, approximated as linear
+in the distance between the pixel's centre and the edge.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from .. import _kernels
 from ..friction.outline import convex_pieces
 
 SPOT_GRID = 25
-"""Places along each axis that are tried for the one furthest from the rim."""
+"""Number of grid points per axis in the search for the point farthest from the outline."""
 
 
 class Outlines(NamedTuple):
-    """Outlines of M parts: convex polygons that lie side by side, then those of holes.
+    """Outlines of M parts: adjacent convex polygons, then those of holes.
 
     Attributes
     ----------
     edges : (e, 3)
         Outward normal, and distance from the part's centre [m], of all polygons' edges.
     pieces : (p + 1,)
-        The first edge of every polygon; the end.
+        Index of the first edge of every polygon, and the total number.
     first, hole : (M,)
-        The first polygon of every part, and of its holes; the same for a disc.
+        Index of the first polygon of every part, and of its holes. Equal for a disc.
     end : (M,)
-        The polygon after its last.
+        Index after its last polygon.
     reach : (M,)
-        How far the part reaches from its centre [m].
+        Maximum distance of the outline from the part's centre [m].
     spot : (M, 4)
-        The place that is furthest from the rim [m, part's frame], how far that is, and the part's
-        area [m2].
+        Point farthest from the outline [m, part's frame], its distance [m], and the part's area
+        [m2].
     """
 
     edges: np.ndarray

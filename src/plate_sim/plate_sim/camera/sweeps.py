@@ -2,9 +2,9 @@
 
 The camera sees a part of height h on the plate's plane, as if it were flat there. Its top face is
 displaced and enlarged by H/(H - h) about the point below the camera, which is H above the plate.
-Between bottom and top lie all sections in between, which grow and move evenly. They fill the convex
-hull of both ends of each convex piece; through a hole the plate is seen where no section hides it.
-A cast shadow is the same without growth: the outline, moved along the light.
+The sections between bottom and top are scaled and displaced linearly. For each convex piece they
+fill the convex hull of both ends. Through a hole the plate is visible if no section hides it. A
+shadow is the same without scaling: the outline, displaced along the light.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ROUND = 96
 reaches 0.05 % too far at its corners."""
 
 STRAIGHT = 1e-9
-"""A way of less than this sweeps nothing [m]."""
+"""Minimum length of a displacement that sweeps an area [m]."""
 
 
 class _Contour(NamedTuple):

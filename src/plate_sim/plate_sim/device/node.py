@@ -68,7 +68,7 @@ class Options(NodeOptions):
 
     @property
     def schedule(self) -> FaultSchedule:
-        """Return what is to go wrong."""
+        """Return the schedule of faults."""
         line = LineFaults(**{f.name: getattr(self, f.name) for f in fields(LineFaults)})
         own = [f.name for f in fields(FaultSchedule) if f.name != "line"]
         return FaultSchedule(line, **{name: getattr(self, name) for name in own})
@@ -92,7 +92,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self.report(self._find, self._values, "device", self._begin_report)
 
     def configure(self) -> None:
-        """Read the rig, and make the port."""
+        """Read the rig, and create the port."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._emulator = self._made()
@@ -120,18 +120,18 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._begin_ns = self.get_clock().now().nanoseconds - 1_000 * now_us
         self._steady_ns = time.monotonic_ns() - 1_000 * now_us
         self._late_ms = self._lost_ms = 0.0
-        self._terminal.read()  # what came without power is lost
+        self._terminal.read()  # bytes received without power are lost
 
     def rest(self) -> None:
-        """Switch it off: it forgets everything."""
+        """Switch the device off. It loses its state."""
         self._emulator.reset()
 
     def retune(self) -> None:
-        """Let other things go wrong."""
+        """Apply changed faults."""
         self._emulator.configure(self.options.schedule)
 
     def _serve(self) -> None:
-        """Let the device catch up with the clock."""
+        """Advance the device to the current time."""
         emulator, came = self._emulator, self._terminal.read()
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
@@ -159,7 +159,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._motions.publish(trajectory_to_msg(joints, segment.times, q, qd, qdd, stamp))
 
     def _stamp(self, time_s: float) -> Time:
-        """Return the stamp of a time of the device's clock [s]."""
+        """Convert a time of the device's clock [s] to a stamp."""
         return to_time(self._begin_ns + round(time_s * 1e9))
 
     def _find(self, _: float) -> Finding:

@@ -28,7 +28,7 @@ namespace plate {
 // Rows of a state: place [m], angle [rad] and their rates, in plate_home.
 constexpr int X = 0, Y = 1, ANGLE = 2, VX = 3, VY = 4, SPIN = 5;
 
-// Parts that lie side by side, in one vector.
+// Number of parts in one vector.
 constexpr int LANES = 4;
 
 // What does not change of a part: a record of BODY in step.py, or the same bytes as ten numbers.
@@ -36,7 +36,7 @@ struct Body {
     double mu_g, gyration2, radius, reach, slim, mass_inverse;
     std::int64_t first_point, end_point, first_piece, end_piece;
 
-    // Whether it is a disc that presses evenly on the plate.
+    // Whether it is a disc with uniform pressure.
     bool even() const { return first_point == end_point; }
 };
 static_assert(sizeof(Body) == 10 * sizeof(double));
@@ -52,7 +52,7 @@ struct Group {
     double mark[2][LANES];  // where they were at some time [m]
 };
 
-// The state of parts; the last one is the walls'.
+// State of the parts. The last one is the walls.
 struct State {
     std::span<Group> groups;
 
@@ -66,13 +66,13 @@ struct State {
 
 namespace plate::stepping {
 
-// How often a step is halved where the slip turns: friction reverses on time to 1/512 of it.
+// Maximum number of bisections of a step with a rotating slip. Reversals are exact to 1/512 of it.
 constexpr int HALVINGS = 9;
 // Least cosine of the slip's turn to the middle and the end of a step that is not halved.
 constexpr double STEADY = 0.9;
-// A slip below this share of mu g dt counts as none: it comes from rounding, not from sliding.
+// A slip below this fraction of mu g dt counts as 0: it is a rounding error.
 constexpr double STUCK = 1e-3;
-// Friction that changes by less than this share of the slip in a step needs no implicit rule.
+// If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
 constexpr double GENTLE = 0.5;
 // A disc's friction changes at most about so much [mu g] when its slip changes by its own size.
 constexpr double DISC_STIFF = 3.0;
@@ -111,7 +111,7 @@ inline bool alike(const Slip& a, const Slip& b, double gyration2) {
            product * product > STEADY * STEADY * dot(a, a, gyration2) * dot(b, b, gyration2);
 }
 
-// Twist of the plate at (x, y) less that of a part: equation (2).
+// Twist of the plate at (x, y) minus that of a part: equation (2).
 [[gnu::always_inline]] inline Slip slip(const PlateSample& plate, double x, double y, double vx,
                                        double vy, double spin) {
     return {plate.vx - plate.spin * (y - plate.y) - vx, plate.vy + plate.spin * (x - plate.x) - vy,
@@ -154,7 +154,7 @@ inline Slip slip_after(const Slip& free, double angle, double dv, const Body& bo
     return from_part(left, c, s);
 }
 
-// Whether friction that can give dv [m/s] takes all of a slip.
+// Whether friction with the velocity change dv [m/s] can stop a slip.
 inline bool holds(const Slip& slip, double angle, double dv, const Body& body, const Mesh& mesh) {
     constexpr double MOST = (1 + disc::SNAP) * (1 + disc::SNAP);
     if (slip.x * slip.x + slip.y * slip.y > MOST * dv * dv) return false;
