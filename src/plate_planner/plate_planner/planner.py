@@ -1,5 +1,4 @@
-"""The planner: computes the request for the parts once per plate cycle, from the parts in the
-images.
+"""The planner: computes the request once per plate cycle, from the parts in the images.
 
 All functions are pure; the time is an argument.
 """

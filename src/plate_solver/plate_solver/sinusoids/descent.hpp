@@ -185,7 +185,8 @@ private:
         const int size = motions.size(), bins = motions.bins(), parts = problem.ends.parts;
         const View<float, 4> by_twist{room.by_twist.data(), {bins, blocks, axes, 3 * LANES}};
         const auto adjoint = problem.turning() ? adjoint_turning : plate::adjoint;
-        adjoint({steps.data, steps.shape}, samples(room.twist), motions.dt, problem.coast, by_twist); const int wide = blocks * axes * 3 * LANES;
+        adjoint({steps.data, steps.shape}, samples(room.twist), motions.dt, problem.coast, by_twist);
+        const int wide = blocks * axes * 3 * LANES;
         room.on_twist.resize(size, wide);
         product(motions.twist_bins[0], size, room.by_twist.data(), wide, bins, size, wide,
                 room.on_twist[0], wide);
@@ -208,7 +209,8 @@ inline FitOf<float> descend(const Problem& problem, std::vector<double> theta, d
     Descent descent(problem, room);
     return levenberg_marquardt<float>(
         [&](auto& parameters, auto& error) { descent.evaluate(parameters, error); },
-        [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance, iterations);
+        [&](MatrixOf<float>& jacobian) { descent.slopes(jacobian); }, std::move(theta), DAMPING, tolerance,
+        iterations);
 }
 
 }  // namespace plate::descent
