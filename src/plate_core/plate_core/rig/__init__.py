@@ -1,8 +1,8 @@
-"""Measured facts of one rig: plate, friction, motors, limits, suspension, camera, lens, fiducials,
+"""Measured data of one rig: plate, friction, motors, limits, suspension, camera, lens, fiducials,
 part types and their polygons.
 
-Also its frames: room (`plate_home`), moving plate, image. A rig file is read by `load_rig`;
-`SECTIONS` are its keys.
+The package also converts between the frames: world-fixed (`plate_home`), moving plate, and image.
+`load_rig` reads a rig file. `SECTIONS` defines its keys.
 """
 
 from .consistency import CYCLE_HZ, LEAST_GAMMA, PART_PX, Doubt, doubts

@@ -1,6 +1,6 @@
-"""Tell what a rig can do, what limits it and what is inconsistent: `ros2 run plate_core check_rig`.
+"""Report a rig's capabilities, its limits and inconsistencies: `ros2 run plate_core check_rig`.
 
-Needs no ROS: `python -m plate_core.rig.check_rig FILE` does the same.
+Without ROS, `python -m plate_core.rig.check_rig FILE` does the same.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ from .motors import PEAK_OVER_RMS, motor_levers
 from .rig import Rig, read_rig, rig_names, rig_path
 
 EXAMPLE_M = 0.005
-"""Height of the part whose parallax the report gives [m]: a nut or a low cap."""
+"""Height of the example part for the reported parallax [m], such as a nut or a low cap."""
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
-"""Frequencies of the table: the range of the solvers' cycles, `consistency.CYCLE_HZ`."""
+"""Frequencies of the table [Hz]. They cover the range of the solvers' cycles,
+`consistency.CYCLE_HZ`."""
 
 
 class Shake(NamedTuple):
-    """A sinusoid of the plate as large as it may be: travel of the fastest point to either side
-    [m], its speed [m/s] and acceleration [m/s2], and what limits it."""
+    """The largest allowed sinusoid of the plate: amplitude [m], speed [m/s] and acceleration [m/s2]
+    of its fastest point, and the limit that determines it."""
 
     travel: float
     speed: float
@@ -40,7 +41,8 @@ class Shake(NamedTuple):
 
 @piped()
 def main() -> None:
-    """Run the command line; exit code 0: consistent, 1: not, 2: wrong arguments or files."""
+    """Run the command line. Exit code 0: consistent, 1: inconsistent, 2: wrong arguments or
+    files."""
     parser = argparse.ArgumentParser(
         prog="check_rig", description="Tell what a rig can do, and what is wrong with its file."
     )
@@ -60,10 +62,10 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     found = doubts(rig)
-    print(report(rig, path.name, found), flush=True)  # a drawing takes longer
+    print(report(rig, path.name, found), flush=True)  # before the drawing, which takes longer
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
     try:
-        from .drawing import draw  # what it draws with may be missing
+        from .drawing import draw  # imported here, because matplotlib may be missing
 
         drawing.parent.mkdir(parents=True, exist_ok=True)
         draw(rig, path.name, drawing)
@@ -78,7 +80,7 @@ def main() -> None:
 
 
 def report(rig: Rig, name: str, found: list[Doubt]) -> str:
-    """Return all there is to tell, as lines for a terminal."""
+    """Return the whole report as lines for a terminal."""
     plate, parts, limits = rig.plate, rig.parts, rig.limits
     lines = [
         f"{name}: plate of {plate.length_m:g} x {plate.width_m:g} m and {plate.mass_kg:g} kg, "
@@ -109,7 +111,7 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
 
 
 def _drives(rig: Rig) -> Iterator[str]:
-    """Yield what 1 mm along each motor's direction is to its drive."""
+    """Yield the number of drive counts or turns for 1 mm along each motor's direction."""
     for motor in rig.motors:
         if drive := motor.drive:
             odrive = drive.kind == "odrive"
@@ -121,7 +123,7 @@ def _drives(rig: Rig) -> Iterator[str]:
 
 
 def _view(rig: Rig) -> Iterator[str]:
-    """Yield the camera's place, and the parallax of parts whose height the rig file lacks."""
+    """Yield the camera's position, and the parallax of parts without a height in the rig file."""
     flat = ", ".join(name for name, part in rig.types.items() if part.height_m == 0)
     if not rig.types and rig.parts.height_m == 0:
         flat = "parts"
@@ -145,9 +147,9 @@ def _view(rig: Rig) -> Iterator[str]:
 
 
 def shake(rig: Rig, way: str, hz: float) -> Shake:
-    """Return the largest sinusoid in one coordinate that keeps all limits for a moment.
+    """Return the largest sinusoid in one coordinate within all limits except heat.
 
-    What heat allows depends on the whole of a motion: that is in `Rig.reach`.
+    The thermal limit depends on the whole motion and is part of `Rig.reach`.
     """
     omega, limits = 2 * np.pi * hz, rig.limits
     pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)

@@ -1,7 +1,7 @@
-"""Whether a rig's facts fit each other: the impossible is refused, of the rest there are warnings.
+"""Consistency checks of a rig's data: errors for impossible values, warnings for unlikely ones.
 
-A wrong decimal point or a file copied from another rig shows as a motor beside the plate, as image
-corners of another plate, as parts that are a pixel wide.
+The checks find wrong decimal points and values copied from another rig. Examples are a motor beside
+the plate, image corners of a plate with another shape, and parts that are one pixel wide.
 """
 
 from __future__ import annotations
@@ -20,57 +20,57 @@ if TYPE_CHECKING:
     from .rig import Rig
 
 PART_PX = (3.0, 200.0)
-"""Radius of a part in the image that the detector can see [px]."""
+"""Range of a part's radius in the image that the detector can detect [px]."""
 
 FINE_PX = 4.0
-"""Radius from which parts are seen well [px]."""
+"""Radius in the image above which detection is reliable [px]."""
 
 LEAST_GAMMA = 5.0
-"""Shaking ratio below which tasks take long, or fail for this reason alone [-]: docs/hardware.md
-has figures."""
+"""Shaking ratio below which tasks take long or fail [-]. docs/hardware.md has measured values."""
 
 CYCLE_HZ = (5.0, 40.0)
-"""Lowest and highest frequency in the solvers' cycles: one wave in 0.2 s, four in 0.1 s."""
+"""Lowest and highest frequency in the solvers' cycles [Hz]: one wave in 0.2 s, four in 0.1 s."""
 
 LEAST_FOLLOWING_M = 1e-5
-"""Following error below which every motor would be at fault [m]: no drive is better than this."""
+"""Minimum limit of the following error [m]. No drive is more accurate, so a smaller limit would
+make every motor fail."""
 
 COARSEST_M = 1e-5
-"""Count of a drive's position that is still good [m]."""
+"""Maximum resolution of a drive's position without a warning [m per count]."""
 
 MOST_COUNTS = 2**24
-"""Of a stroke: beyond, single precision loses counts."""
+"""Maximum number of counts per stroke. Single precision cannot represent more."""
 
 ODRIVE_NODES, ODRIVE_SPEED = 62, 32.767
-"""Greatest node number of an ODrive, 63 being that of one that has none; and greatest speed of its
-feed-forward [turns/s]."""
+"""Maximum node number of an ODrive (63 means not assigned), and maximum speed of its feedforward
+[turns/s]."""
 
 OUTSIDE, BESIDE = 0.5, 0.1
-"""How far outside the plate a motor may push it, over the plate's longer side: on a bracket; and
-from where on there is a warning."""
+"""Distance of a motor's point from the plate (on a bracket), relative to the plate's longer side:
+maximum, and threshold of the warning."""
 
 WORST_FIT, GOOD_FIT = 0.15, 0.03
-"""Relative error of lengths, or error of the right angle, that image corners may show; and from
-where on there is a warning."""
+"""Misfit of the image corners, as relative error of the lengths or as cosine of the angle between
+the axes: maximum, and threshold of the warning."""
 
 FOCAL_LENGTHS = np.geomspace(0.4, 20, 80)
-"""Focal lengths that are tried where none is known, over the width of the image."""
+"""Focal lengths to try if the lens is not calibrated, relative to the width of the image."""
 
 STEEP_DEG = 45.0
-"""A camera that is tilted more than this sees far parts badly."""
+"""Tilt of the camera above which distant parts are detected poorly [degrees]."""
 
 HEIGHT_ERROR = 0.1
-"""Relative difference between `camera: height_m` and the height that lens and corners give, from
-which on there is a warning."""
+"""Relative difference between `camera: height_m` and the height computed from lens and corners
+above which there is a warning."""
 
 PART_SHARE = (0.5, 0.15)
-"""Radius of a part over half the plate's shorter side: more cannot move; and from where on there is
-a warning."""
+"""Radius of a part, relative to half the plate's shorter side: maximum, above which parts cannot
+move, and threshold of the warning."""
 
 
 class Doubt(NamedTuple):
-    """Something about a rig that cannot be (`impossible`) or is hardly meant: what it concerns
-    (motors, camera, parts, limits), and the words for the user: thing, value, what is allowed."""
+    """An error (`impossible`) or a warning about a rig's data: its subject (motors, camera, parts
+    or limits), and a text for the user with name, value and allowed values."""
 
     about: str
     text: str
@@ -78,12 +78,12 @@ class Doubt(NamedTuple):
 
 
 def check(rig: Rig) -> None:
-    """Refuse a rig whose facts contradict each other.
+    """Check whether a rig's data are consistent.
 
     Raises
     ------
     RigError
-        Names the key, its value and what is allowed.
+        If they are impossible. The message states the key, its value and the allowed values.
     """
     for doubt in doubts(rig):
         if doubt.impossible:
@@ -91,7 +91,7 @@ def check(rig: Rig) -> None:
 
 
 def doubts(rig: Rig, *about: str) -> list[Doubt]:
-    """Return what is wrong and all warnings, or those about some subjects; the impossible first."""
+    """Return all errors, then all warnings. If subjects are given, return only those about them."""
     found = [*_motors(rig), *_limits(rig), *_parts(rig), *_fiducials(rig), *_camera(rig)]
     asked = [doubt for doubt in found if not about or doubt.about in about]
     return sorted(asked, key=lambda doubt: not doubt.impossible)
@@ -243,7 +243,7 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
 
 
 def _speeds(rig: Rig) -> Iterator[Doubt]:
-    """Stroke, speed and acceleration of sinusoids within the cycles' frequencies."""
+    """Check stroke and speed limits with sinusoids in the frequency range of the cycles."""
     limits, floor = rig.limits, rig.friction.accel
     low, high = 2 * np.pi * np.array(CYCLE_HZ)
     for key, value, unit, most in (
@@ -312,7 +312,7 @@ def _camera(rig: Rig) -> Iterator[Doubt]:
     if rig.camera.lens is not None and rig.camera.lens.bends:
         corners = rig.camera.lens.straighten(corners)
         if not np.all(np.isfinite(corners)):
-            return  # far outside what the lens shows: nothing more can be told
+            return  # the corners are outside the lens's field of view, so no more checks
     wrong = _order(corners) or _shape(rig, corners)
     if wrong is not None:
         yield wrong
@@ -324,7 +324,7 @@ def _camera(rig: Rig) -> Iterator[Doubt]:
 
 
 def _heights(rig: Rig) -> Iterator[Doubt]:
-    """Whether the camera's height fits its lens and corners, and parts are below it."""
+    """Check the camera's height against its lens and corners, and the parts' heights against it."""
     place = camera_place(rig)
     if place is None:
         return
@@ -348,7 +348,8 @@ def _heights(rig: Rig) -> Iterator[Doubt]:
 
 
 def _order(corners: np.ndarray) -> Doubt | None:
-    """Whether corners (4, 2) [px] go round the plate as a camera above it sees them."""
+    """Check that the corners (4, 2) [px] are convex and in the order that a camera above the plate
+    sees."""
     sides = np.roll(corners, -1, axis=0) - corners
     after = np.roll(sides, -1, axis=0)
     turn = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
@@ -364,7 +365,7 @@ def _order(corners: np.ndarray) -> Doubt | None:
 
 
 def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
-    """Whether a camera with square pixels can see this plate so."""
+    """Check that the corners are a view of this plate by a camera with square pixels."""
     misfit, tilt = _misfit(rig, corners, rig.plate.corners)
     if misfit > GOOD_FIT:
         length, width = rig.plate.length_m, rig.plate.width_m
@@ -390,11 +391,12 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
 
 
 def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, float]:
-    """Return how far the view is from that of a rectangle [-], and its tilt [rad].
+    """Return the misfit between the view and that of the plate's rectangle [-], and its tilt [rad].
 
-    With the camera matrix K and the homography H the columns of K^-1 H are the plate's axes, times
-    one scale: they must be as long as each other, and at right angles. Where K is not known the
-    focal length that fits best is taken, and the middle of the image for its centre.
+    With the camera matrix K and the homography H, the first two columns of K^-1 H are the plate's
+    axes times a common scale. They must have equal lengths and be orthogonal. If K is unknown, the
+    best focal length of `FOCAL_LENGTHS` is used, with the principal point in the middle of the
+    image.
     """
     camera = rig.camera
     view = fit_homography(plate, corners)

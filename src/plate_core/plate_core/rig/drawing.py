@@ -1,4 +1,4 @@
-"""A drawing of a rig: the plate with its motors, and where the camera sees it."""
+"""Drawing of a rig: the plate with its motors, and the plate in the camera image."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ __all__ = ["draw"]
 
 
 def draw(rig: Rig, name: str, path: Path) -> None:
-    """Draw the plate with motors, markers and parts, and where the camera sees it.
+    """Draw the plate with motors, markers and parts, and the plate in the camera image.
 
     Raises
     ------
     ValueError
-        If the file's ending is none that pictures have.
+        If the file's ending is no picture format.
     """
     figure = Figure(figsize=(13, 5.5), layout="constrained")
     above, image = figure.subplots(1, 2)
     figure.suptitle(f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}")
     _draw_plate(above, rig)
     _draw_image(image, rig)
-    with rc_context({"svg.fonttype": "none"}):  # text stays text
+    with rc_context({"svg.fonttype": "none"}):  # write text as text, not as curves
         figure.savefig(path, dpi=110)
 
 
@@ -39,13 +39,13 @@ def _draw_plate(axes: Axes, rig: Rig) -> None:
     axes.add_patch(Polygon(rig.plate.corners, facecolor="#eeeeee", edgecolor="black"))
     for motor in rig.motors:
         point, way = np.array(motor.point), np.array(motor.direction)
-        out = way if way @ point > 0 else -way  # drawn on the outside, away from the middle
+        out = way if way @ point > 0 else -way  # draw outside the plate, away from its centre
         (x, y), (far_x, far_y) = point, point + 0.14 * size * out
         style = "<|-" if way @ out < 0 else "-|>"
         arrow = {"arrowstyle": style, "color": "#b2182b", "lw": 2}
         axes.annotate("", (far_x, far_y), (x, y), arrowprops=arrow, annotation_clip=False)
         axes.plot(x, y, "o", color="#b2182b", markersize=4)
-        beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)  # of the arrow's middle
+        beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)  # from the arrow's middle
         axes.annotate(
             motor.name, ((x + 2 * far_x) / 3, (y + 2 * far_y) / 3), beside, ha="center",
             textcoords="offset points", va="center" if beside[0] else "bottom",
@@ -79,7 +79,7 @@ def _draw_image(axes: Axes, rig: Rig) -> None:
         middle = to_image(rig, np.zeros((1, 2)))[0]
         axes.add_patch(Circle((middle[0], middle[1]), part_radius_px(rig), color="#666666"))
     except np.linalg.LinAlgError:
-        pass  # corners of no plate: `doubts` has said so
+        pass  # `doubts` has already reported that these corners belong to no plate
     points = np.vstack([corners, [[0, 0], [camera.width_px, camera.height_px]]])
     low, high = points.min(axis=0) - 30, points.max(axis=0) + 30
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")

@@ -1,4 +1,4 @@
-"""Change values in a rig file and keep all other text, comments too."""
+"""Changing values in a rig file while all other text, including comments, is kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Markers on the plate by which a camera sees where it is."""
+"""Markers on the plate by which vision measures the pose of the plate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..yaml_fields import Fields
 from .keys import FAR_M, FIDUCIALS
 
 LEAST, MOST = 4, 16
-"""How many there may be: fewer than four cannot be checked against each other."""
+"""Minimum and maximum number of markers. Fewer than four cannot be checked for consistency."""
 
 NAME = re.compile(r"marker_(0|[1-9]\d{0,3})")
 """Keys of the markers in a rig file: their numbers in the dictionary."""
@@ -20,18 +20,18 @@ NAME = re.compile(r"marker_(0|[1-9]\d{0,3})")
 
 @dataclass(frozen=True)
 class Fiducials:
-    """ArUco markers that lie flat on the plate, their upper sides towards +y of the plate.
+    """ArUco markers flat on the plate, with their upper sides towards +y of the plate.
 
     Attributes
     ----------
     dictionary : str
-        Set of markers, by OpenCV's name without `DICT_`, such as 4X4_50.
+        Set of markers, OpenCV's name without `DICT_`, such as 4X4_50.
     side_m : float
         Side of the black square [m].
     numbers : (n,) tuple of int
-        Which markers.
+        Numbers of the markers in the dictionary.
     centres : (n,) tuple of (x, y)
-        Their centres [m, plate frame].
+        Centres of the markers [m, plate frame].
     """
 
     dictionary: str

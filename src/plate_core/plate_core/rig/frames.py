@@ -1,4 +1,8 @@
-"""The frames: plate_home (fixed in the room), the moving plate, and the camera's image."""
+"""Conversion between the frames: plate_home (world-fixed), the moving plate, and the image.
+
+The plate's corners in the image define a homography from plate_home to the image, to which the
+distortion of a calibrated lens is added. The camera's pose follows from homography and lens.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +16,11 @@ if TYPE_CHECKING:
     from .rig import Rig
 
 CORNER_PX = 1.0
-"""Error of a corner's coordinates in the image [px]: corners are clicked to about a pixel."""
+"""Assumed error of a corner's coordinates in the image [px], as if clicked by hand."""
 
 PLACE_ERROR = 0.1
-"""Maximum error of the camera's place, over its height, to which corners with errors of `CORNER_PX`
-must determine it; the parallax of parts is then known to about as large a fraction."""
+"""Maximum error of the camera's position for corner errors of `CORNER_PX`, relative to its height.
+The relative error of the parts' parallax is about as large."""
 
 
 def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -40,7 +44,7 @@ def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def to_plate(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Express points of plate_home in the moving plate: the inverse of `to_home`."""
+    """Express points of plate_home in the frame of the moving plate, the inverse of `to_home`."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     rotation = np.array([[cos, -sin], [sin, cos]])
     return (np.asarray(point) - pose[:2]) @ rotation
@@ -69,9 +73,10 @@ def surface_velocity(pose: np.ndarray, twist: np.ndarray, point: np.ndarray) -> 
 
 
 def homography(rig: Rig) -> np.ndarray:
-    """Map plate_home [m] to the image [px]: (3, 3), from the images of the plate's four corners.
+    """Return the homography (3, 3) from plate_home [m] to the image [px], from the image points of
+    the plate's four corners.
 
-    If the lens distorts: to the straight image, see `to_image`.
+    If the lens has distortion, the homography maps to the undistorted image, see `to_image`.
     """
     corners_px = np.array(rig.camera.corners_px)
     if rig.camera.lens is not None and rig.camera.lens.bends:
@@ -80,7 +85,7 @@ def homography(rig: Rig) -> np.ndarray:
 
 
 def fit_homography(point: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return the homography (3, 3) that takes four points (4, 2) to their images (4, 2)."""
+    """Return the homography (3, 3) that maps four points (4, 2) to their image points (4, 2)."""
     rows = []
     values = []
     for (x, y), (u, v) in zip(point, image, strict=True):
@@ -99,21 +104,21 @@ def project(matrix: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def to_image(rig: Rig, point: np.ndarray) -> np.ndarray:
-    """Return where the camera sees points (M, 2) [m, plate_home]: (M, 2) [px]."""
+    """Return the image points (M, 2) [px] of points (M, 2) [m, plate_home], with distortion."""
     straight = project(homography(rig), point)
     lens = rig.camera.lens
     return straight if lens is None or not lens.bends else lens.bend(straight)
 
 
 def row_delay(rig: Rig, point: np.ndarray) -> np.ndarray:
-    """Return by how much later (M,) [s] than the image's middle row those rows are exposed that
-    show points (M, 2) [m, plate_home]."""
+    """Return the exposure delay (M,) [s] of the image rows that show points (M, 2) [m, plate_home],
+    relative to the middle row."""
     row = to_image(rig, point)[:, 1]
     return np.asarray(rig.camera.readout_s * (row / rig.camera.height_px - 0.5))
 
 
 def part_radius_px(rig: Rig) -> float:
-    """Return the radius of a part in the middle of the plate as the camera sees it [px]."""
+    """Return the radius in the image of a part in the middle of the plate [px]."""
     radius = rig.parts.radius_m
     right, left, up, down = to_image(rig, radius * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
     (ax, ay), (bx, by) = right - left, up - down
@@ -121,12 +126,13 @@ def part_radius_px(rig: Rig) -> float:
 
 
 def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Return where plate_home is in the camera's frame, by the rig's corners and lens: `home_pose`.
+    """Return the pose of plate_home in the camera frame, from the rig's corners and lens. See
+    `home_pose`.
 
     Raises
     ------
     RigError
-        If the rig knows no lens.
+        If the lens is not calibrated.
     """
     lens = rig.camera.lens
     if lens is None:
@@ -135,27 +141,27 @@ def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 
 def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where plate_home is in the camera's frame (x to the right, y down, z ahead).
+    """Return the pose of plate_home in the camera frame (x right, y down, z forward).
 
-    The rigid pose that is nearest to the homography: K [r1 r2 t] up to scale. Corners measured to
-    a pixel fit it to about a pixel.
+    It is the rigid pose nearest to the homography, which equals K [r1 r2 t] up to scale. If the
+    corners are measured to a pixel, the pose reproduces them to about a pixel.
 
     Parameters
     ----------
     image_from_home : (3, 3)
-        Homography from plate_home [m] to the straight image [px].
+        Homography from plate_home [m] to the undistorted image [px].
     matrix : (3, 3)
         The camera matrix K [px].
 
     Returns
     -------
     rotation : (3, 3)
-        Its columns are the axes of plate_home.
+        Columns: axes of plate_home.
     translation : (3,)
-        Its origin [m].
+        Origin of plate_home [m].
     """
     columns = np.linalg.solve(matrix, image_from_home)
-    columns *= np.sign(columns[2, 2])  # the origin is ahead of the camera
+    columns *= np.sign(columns[2, 2])  # the origin is in front of the camera
     left, size, right = np.linalg.svd(columns[:, :2], full_matrices=False)
     axes = left @ right
     rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
@@ -167,24 +173,25 @@ def camera_place(rig: Rig) -> np.ndarray | None:
 
     There are three cases:
 
-    - The lens is calibrated (`focal_px`): the place is -R^T t, with R and t of `camera_pose`.
-    - Only the camera's height z is known (`camera: height_m`), and the principal point is taken to
-      be in the middle of the image. Let p be the point of the plate seen there, and let the third
-      row of the homography be (h, 1), h in 1/m: points with h x + 1 = 0 are as far ahead of the
-      camera as its own centre. The plate is D = (h p + 1) / norm(h) from there to p. A camera
-      that is tilted by theta from straight above has D = z (tan theta + cot theta)
-      = 2 z / sin(2 theta), and is above p - z tan(theta) h / norm(h). Without perspective h = 0:
-      it is above p. Tilts of more than 45 degrees are taken for 45.
-    - Neither is known: square pixels and the same principal point leave the focal length f, by
-      least squares in the two equations of `_focal_px`, and f gives the place as in the first case.
+    - The lens is calibrated (`focal_px`). The position is -R^T t, with R and t of `camera_pose`.
+    - Only the camera's height z is known (`camera: height_m`). The principal point is assumed in
+      the middle of the image. Let p be the point of the plate seen there, and let the third row of
+      the homography be (h, 1), with h in 1/m. Points with h x + 1 = 0 have depth zero in the camera
+      frame. Their line is at the distance D = (h p + 1) / norm(h) from p. A camera that is tilted
+      by theta from straight above has D = z (tan theta + cot theta) = 2 z / sin(2 theta), and is
+      above p - z tan(theta) h / norm(h). Without perspective, h = 0 and the camera is above p.
+      Tilts of more than 45 degrees are treated as 45 degrees.
+    - Neither is known. Square pixels and the same principal point are assumed. A least-squares
+      solution of the two equations of `_focal_px` gives the focal length f, and the position
+      follows as in the first case.
 
     Returns
     -------
     (3,) or None
-        None if the perspective is too weak for the third case: errors of `CORNER_PX` in all
-        coordinates of the corners would move the place by more than `PLACE_ERROR` of its height.
-        None, too, if the middle of the image shows no point of the plate's plane, or a corner is
-        outside of what the lens shows.
+        None if the perspective is too weak for the third case, that is, if errors of `CORNER_PX` in
+        all coordinates of the corners change the position by more than `PLACE_ERROR` of its height.
+        Also None if the middle of the image shows no point of the plate's plane, or if a corner is
+        outside the lens's field of view.
     """
     camera = rig.camera
     if camera.lens is not None:
@@ -214,7 +221,8 @@ def _place(image_from_home: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def _place_at_height(
     image_from_home: np.ndarray, middle: np.ndarray, height: float
 ) -> np.ndarray | None:
-    """Return the place (3,) of a camera of this height above the plate [m]: second case above."""
+    """Return the position (3,) of a camera with a known height above the plate [m], the second case
+    of `camera_place`."""
     (p,) = project(np.linalg.inv(image_from_home), middle)
     slope = image_from_home[2, :2] / image_from_home[2, 2]
     ahead, size = float(slope @ p + 1), float(np.hypot(*slope))
@@ -228,7 +236,8 @@ def _place_at_height(
 def _place_of_square_pixels(
     plate: np.ndarray, corners: np.ndarray, middle: np.ndarray
 ) -> np.ndarray | None:
-    """Return the place (3,) of a camera of unknown height and focal length: third case above."""
+    """Return the position (3,) of a camera with unknown height and focal length, the third case of
+    `camera_place`."""
     view = fit_homography(plate, corners)
     focal = _focal_px(view, middle)
     if focal is None:
@@ -238,13 +247,14 @@ def _place_of_square_pixels(
 
 
 def _focal_px(image_from_home: np.ndarray, middle: np.ndarray) -> float | None:
-    """Return the focal length [px] that square pixels leave to a homography (3, 3), None if it has
-    no perspective.
+    """Return the focal length [px] of a camera with square pixels from its homography (3, 3). None
+    if the homography has no perspective.
 
-    With K = diag(f, f, 1) about the middle, the columns of K^-1 H are the plate's axes, times one
-    scale. They are at right angles, a x . a y + f^2 b x b y = 0, and equally long,
-    |a x|^2 - |a y|^2 + f^2 (b x^2 - b y^2) = 0, where a and b are the first two and the third row
-    of H about the middle (Zhang 2000, equations 3 and 4).
+    With K = diag(f, f, 1) about the middle, the first two columns of K^-1 H are the plate's axes
+    times a common scale. They are orthogonal, ax . ay + f^2 bx by = 0, and have equal lengths,
+    norm(ax)^2 - norm(ay)^2 + f^2 (bx^2 - by^2) = 0. Here (ax, ay) are the first two rows and
+    (bx, by) is the third row of these columns of H about the middle (Zhang 2000, equations 3
+    and 4).
     """
     a = image_from_home[:2, :2] - np.outer(middle, image_from_home[2, :2])
     b = image_from_home[2, :2]

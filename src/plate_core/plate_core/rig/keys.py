@@ -1,5 +1,5 @@
-"""The keys of a rig file that are not plain numbers of `rig.py`: what may stand there, and what it
-means (docs/reference.md)."""
+"""Definitions of the keys of a rig file, except the plain numbers of `rig.py`: type, range and
+meaning (docs/reference.md)."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from ..yaml_fields import Choice, Flag, Key, Number, Numbers, Section, Sign, Tab
 from .lens import MODELS
 
 FAR_M = 10.0
-"""No coordinate is greater [m]."""
+"""Maximum magnitude of a coordinate [m]."""
 
 ODRIVE_COUNTS = 2**20
-"""Counts of ours in a turn of an ODrive, which tells turns."""
+"""Number of counts that this project uses for one turn of an ODrive, whose unit is turns."""
 
 STIFFEST = 1e9
-"""Greatest entry of a stiffness or damping matrix [N/m, N s/m and alike]: beyond is rigid."""
+"""Maximum entry of a stiffness or damping matrix [N/m, N s/m, ...]. A larger one means rigid."""
 
 MOTOR = Section(
     "motors, motor_1 to motor_4",
@@ -109,7 +109,7 @@ DICTIONARIES = (
     "ARUCO_ORIGINAL", "APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11",
     "ARUCO_MIP_36H12",
 )  # fmt: skip
-"""Sets of markers, by OpenCV's names without DICT_; older versions lack the last."""
+"""Sets of markers, with OpenCV's names without DICT_. Older OpenCV versions lack the last one."""
 
 FIDUCIALS = Section(
     "fiducials (may be left out)",

@@ -1,7 +1,8 @@
-"""A camera's lens: the K, D and distortion_model of sensor_msgs/CameraInfo.
+"""Lens model of a camera, with K, D and distortion_model of sensor_msgs/CameraInfo.
 
-Wrong lenses are refused here, with the same message for a rig file, a camera file and camera_info.
-Callers prepend the source of the lens.
+`Lens.bend` maps points of the undistorted image to the distorted image by OpenCV's formulas, and
+`Lens.straighten` inverts this by Newton's method. Invalid lenses raise the same error for a rig
+file, a camera file and camera_info. Callers prepend the source of the lens to the message.
 """
 
 from __future__ import annotations
@@ -19,54 +20,56 @@ MODELS = {
     "rational_polynomial": (5, 8, 12, 14),
     "equidistant": (4,),
 }
-"""Distortion models, and how many values each may have."""
+"""Distortion models, and the allowed numbers of values of each."""
 
 BIGGEST = 1e6
-"""Greatest absolute value in K [px] or D [-]."""
+"""Maximum absolute value in K [px] or D [-]."""
 
 LEAST_FOCAL_PX = 1.0
-"""Shortest focal length [px]."""
+"""Minimum focal length [px]."""
 
 STEEPEST_RAD = np.deg2rad(89.0)
-"""Greatest angle of a ray to the optical axis: at 90 degrees the straight image has no end."""
+"""Maximum angle between a ray and the optical axis [rad]. At 90 degrees the undistorted image is
+infinite."""
 
 SETTLED = 1e-8
-"""Last step of a ray [focal lengths] after which straightening ends: the error that is left is its
-square, 1e-13 px."""
+"""Size of a Newton step below which the iteration ends [focal lengths]. The remaining error is
+about its square, 1e-13 px."""
 
 CONVERGED = 1e-7
-"""Last step after which a result counts, over the length of the ray (x, y, 1)."""
+"""Maximum size of the last Newton step of a valid result, relative to the length of the ray
+(x, y, 1)."""
 
 MAX_STEPS = 30
-"""Newton steps of straightening; 2 or 3 are enough wherever a lens does not fold the image."""
+"""Maximum number of Newton steps. Wherever a lens does not fold the image, 2 or 3 are enough."""
 
 TABLE = 1025
-"""Radii in the table from which Newton's method starts."""
+"""Number of radii in the table of start values for Newton's method."""
 
 SHORT_OF = 1e-6
-"""Fraction by which the table ends before a fold: where the fold is a pole of a rational polynomial
-the image has no end."""
+"""Fraction by which the table ends before a fold. If the fold is a pole of a rational polynomial,
+the image is infinite there."""
 
 ROUNDED = 1.01
-"""Radius that a result may have over that at which the radial part of the lens folds: tangential
-terms move the fold."""
+"""Maximum radius of a result, relative to the radius at which the radial part of the lens folds.
+It exceeds 1 because tangential terms move the fold."""
 
 MARGIN = 0.05
-"""Border around the plate in which a lens must not fold the image either, over the plate's length
-and width: parts at the edge move with the plate."""
+"""Border around the plate in which a lens must not fold the image, relative to the plate's length
+and width. It is needed because parts at the edge move with the plate."""
 
 GRID = 33
-"""Points along each side of the grid over the plate on which folding is looked for."""
+"""Number of points along each side of the grid over the plate on which folding is checked."""
 
 VALUES = 14
-"""k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y."""
+"""Number of distortion values: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Where a ray of light falls on the image.
+    """Lens model: image point of a light ray.
 
-    The ray (x, y, 1) in the camera's frame (x to the right, y down, z ahead) is seen at
+    The image point of the ray (x, y, 1) in the camera frame (x right, y down, z forward) is
 
         u = fx x' + cx,    v = fy y' + cy
 
@@ -76,13 +79,13 @@ class Lens:
         x' = x c + 2 p1 x y + p2 (r2 + 2 x^2) + s1 r2 + s2 r2^2
         y' = y c + p1 (r2 + 2 y^2) + 2 p2 x y + s3 r2 + s4 r2^2
 
-    and, with tau_x and tau_y, the image plane is tilted. `equidistant`, with r = sqrt(r2) and
+    tau_x and tau_y describe a tilted image plane. `equidistant`, with r = sqrt(r2) and
     t = atan(r):
 
         (x', y') = (x, y) / r (t + k1 t^3 + k2 t^5 + k3 t^7 + k4 t^9)
 
-    These are the formulas of OpenCV's `projectPoints` and `fisheye.projectPoints`. In the straight
-    image x' = x and y' = y.
+    These are the formulas of OpenCV's `projectPoints` and `fisheye.projectPoints`. The undistorted
+    image has x' = x and y' = y.
 
     Attributes
     ----------
@@ -100,7 +103,7 @@ class Lens:
     ------
     RigError
         If the model is unknown, its number of values is not one of `MODELS`, or a value is not
-        allowed. Zeros, also none at all, may be of any number.
+        allowed. If all values are zero, any number of them is allowed, including none.
     """
 
     focal_px: tuple[float, float]
@@ -111,7 +114,8 @@ class Lens:
     def __post_init__(self) -> None:
         values = tuple(float(value) for value in self.distortion)
         if not self.model and not any(values):
-            object.__setattr__(self, "model", "plumb_bob")  # as drivers of ideal cameras publish it
+            # drivers of ideal cameras publish an empty model
+            object.__setattr__(self, "model", "plumb_bob")
         if self.model not in MODELS:
             raise RigError(
                 f"lens: distortion_model is {self.model!r}, allowed: {', '.join(MODELS)}"
@@ -146,27 +150,28 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """Whether there is any distortion: an equidistant lens bends lines with zeros too."""
+        """Whether the lens has distortion. An equidistant lens has it even if all values are
+        zero."""
         return self.model == "equidistant" or any(self.distortion)
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
-        """Return where points (..., 2) [px] of the straight image are seen (..., 2) [px]."""
+        """Map points (..., 2) [px] of the undistorted image to the distorted one (..., 2) [px]."""
         seen, _ = self._distort(self._rays(point_px))
         return _tilted(seen, self._tilt)[0] * self.focal_px + self.centre_px
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
-        """Derivative (..., 2, 2) of `bend` at points (..., 2) [px] of the straight image."""
+        """Derivative (..., 2, 2) of `bend` at points (..., 2) [px] of the undistorted image."""
         seen, slopes = self._distort(self._rays(point_px))
         _, tilts = _tilted(seen, self._tilt)
         focal = np.array(self.focal_px)
         return (slopes if tilts is None else tilts @ slopes) * focal[:, None] / focal
 
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
-        """Return where seen points (..., 2) [px] are in the straight image (..., 2) [px].
+        """Map points (..., 2) [px] of the distorted image to the undistorted image (..., 2) [px].
 
-        The inverse of `bend`, by Newton's method; NaN where there is none, that is outside of what
-        the lens shows. Of several rays that are seen in one place it is the one on the axis's side
-        of the fold.
+        This is the inverse of `bend`, computed by Newton's method. The result is NaN outside the
+        lens's field of view, where no inverse exists. If several rays have the same image point,
+        the result is the ray between the optical axis and the fold.
         """
         tilt = self._tilt
         seen = _tilted(self._rays(point_px), None if tilt is None else np.linalg.inv(tilt))[0]
@@ -191,14 +196,14 @@ class Lens:
         return np.where(shown[..., None], straight, np.nan)
 
     def folds(self, corners_px: np.ndarray, straight: bool = False) -> str:
-        """Return a message if the lens folds the image of a plate; empty if it maps it one to one.
+        """Return a message if the lens folds the image of a plate. Empty if its map is one to one.
 
         Parameters
         ----------
         corners_px : (4, 2)
-            Where the plate's corners are seen [px].
+            Image points of the plate's corners [px].
         straight : bool
-            They are those of the straight image.
+            Whether these are points of the undistorted image.
         """
         if not self.bends:
             return ""
@@ -228,8 +233,8 @@ class Lens:
         return (np.asarray(point_px, dtype=float) - self.centre_px) / self.focal_px
 
     def _upright(self, volume: np.ndarray, trace: np.ndarray, r2: np.ndarray) -> np.ndarray:
-        """Whether the image is neither folded nor mirrored (...) where the derivative has a
-        determinant and a trace (...), at rays with squared radii (...)."""
+        """Whether the image is neither folded nor mirrored (...), from the determinant and the
+        trace of the derivative (...) at rays with the squared radii r2 (...)."""
         return (volume > 0) & (trace > 0) & (r2 <= (ROUNDED * self._reach) ** 2)
 
     @cached_property
@@ -238,7 +243,7 @@ class Lens:
 
     @cached_property
     def _tilt(self) -> np.ndarray | None:
-        """The projection (3, 3) onto a tilted image plane; None if it is not."""
+        """The projection (3, 3) onto a tilted image plane. None if the plane is not tilted."""
         tau_x, tau_y = self._all[12:]
         if self.model == "equidistant" or (tau_x == 0 and tau_y == 0):
             return None
@@ -252,8 +257,9 @@ class Lens:
 
     @cached_property
     def _reach(self) -> float:
-        """Radius [focal lengths] of the rays at which the radial part folds the image; infinite if
-        it never does. An equidistant lens sees beyond 90 degrees, but not the straight image."""
+        """Radius [focal lengths] of the rays at which the radial part folds the image. Infinite if
+        it never does. An equidistant lens can see beyond 90 degrees, but the undistorted image
+        cannot show this, so the radius is limited by `STEEPEST_RAD`."""
         if self.model == "equidistant":
             powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
             return float(np.tan(min(np.sqrt(_first_root(powers)), STEEPEST_RAD)))
@@ -268,13 +274,14 @@ class Lens:
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Radii of rays from 0 on, and where the radial part has them: growing [focal lengths]."""
+        """Table of increasing radii of rays, and their radii after the radial distortion [focal
+        lengths]."""
         steep = min(np.arctan(self._reach), STEEPEST_RAD)
         radius = np.tan(np.linspace(0, (1 - SHORT_OF) * steep, TABLE))
         return radius, radius * self._radial(radius * radius)[0]
 
     def _radial(self, r2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return c and its derivative in r2 for the squares r2 of the radii of rays."""
+        """Return the radial factor c and its derivative by r2, for squared radii r2 of rays."""
         if self.model == "equidistant":
             k1, k2, k3, k4 = self.distortion
             far = r2 > 1e-8
@@ -351,16 +358,16 @@ def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) 
 
 
 def _first_root(powers: np.ndarray) -> float:
-    """Return the least positive root of a polynomial with these coefficients, lowest first;
-    infinite if there is none."""
+    """Return the smallest positive root of a polynomial with these coefficients, lowest power
+    first. Infinite if there is none."""
     roots = np.polynomial.Polynomial(powers).trim().roots()
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
     return float(np.min(real[real > 0], initial=np.inf))
 
 
 def _tilted(ray: np.ndarray, tilt: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Project rays (..., 2) onto a tilted plane by a matrix (3, 3), and return the derivative
-    (..., 2, 2) too; None: it is not tilted."""
+    """Project rays (..., 2) onto a tilted plane with a matrix (3, 3). Return the points and their
+    derivative (..., 2, 2). If the matrix is None, return the rays, and None as derivative."""
     if tilt is None:
         return ray, None
     third = ray @ tilt[2, :2] + tilt[2, 2]

@@ -1,4 +1,4 @@
-"""Facts of a rig file that nobody has measured yet: they equal those of a shipped rig file."""
+"""Detection of values in a rig file that were not measured: they equal those of a shipped file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from .rig import Rig, load_rig, rig_names
 
 
 def unmeasured(rig: Rig) -> list[str]:
-    """Return the facts that must still be measured, each as a sentence with the command.
+    """Return the values that must still be measured, each as a sentence with the command.
 
-    A value counts as not measured if a shipped rig file has the same. `doubts` finds inconsistent
-    values.
+    A value counts as not measured if a shipped rig file has the same value. `doubts` finds
+    inconsistent values.
     """
     shipped = [load_rig(name) for name in ("", *rig_names())]
     corners = np.array(rig.camera.corners_px)

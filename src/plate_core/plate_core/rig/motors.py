@@ -1,8 +1,9 @@
-"""What force a motion takes of the four motors, and what acceleration they have force and heat for.
+"""Motor forces of a plate motion, and the maximum acceleration within force and thermal limits.
 
-A motion of the plate z(t) = (x, y, theta) takes the forces f = B^+ (M z'' + C z' + K z): B carries
-the motors' forces to the plate, M is its mass matrix, C and K are those of its flexures. The
-pseudo-inverse shares the load so that the sum of squares, the heat, is least.
+A motion z(t) = (x, y, theta) of the plate needs the motor forces f = B^+ (M z'' + C z' + K z). B
+maps motor forces to the wrench on the plate, M is the plate's mass matrix, and C and K are damping
+and stiffness of its flexures. The pseudo-inverse B^+ minimises the sum of squared forces, and
+therefore the heat.
 """
 
 from __future__ import annotations
@@ -17,38 +18,40 @@ if TYPE_CHECKING:
     from .rig import Rig
 
 PEAK_OVER_RMS = 1.6
-"""A motor's peak force over its root mean square in the solvers' motions, about the least:
-rotations have 1.6 to 2, sinusoids 2 to 2.5 (`test_weak_motors.py`)."""
+"""Ratio of a motor's peak force to its root mean square force in the solvers' motions, about the
+minimum. Rotations have 1.6 to 2, sinusoids 2 to 2.5 (`test_weak_motors.py`)."""
 
 TURN_STEPS = 400
-"""Steps of angular acceleration between none and all that a corner may have."""
+"""Number of steps of angular acceleration, from 0 to the maximum for the plate's corners."""
 
 
 class Reach(NamedTuple):
-    """The greatest acceleration, and what limits it, in words."""
+    """Maximum acceleration [m/s2], and a text that names the limit."""
 
     accel: float
     limit: str
 
 
 def motor_levers(rig: Rig) -> np.ndarray:
-    """Return B^T (4, 3) at home: what each motor's travel is of the pose x, y, theta [1, 1, m].
+    """Return B^T (4, 3) at home, the derivative of each motor's travel by the pose x, y, theta
+    [1, 1, m].
 
-    So forces f (4,) push the plate with the wrench f B^T [N, N, N m].
+    Motor forces f (4,) therefore exert the wrench f B^T [N, N, N m] on the plate.
     """
     (x, y), (ex, ey) = np.array([[m.point, m.direction] for m in rig.motors]).transpose(1, 2, 0)
     return np.column_stack([ex, ey, x * ey - y * ex])
 
 
 def plate_mass(rig: Rig) -> np.ndarray:
-    """Return M (3, 3): the suspension's, where the rig has one, or that of a uniform plate."""
+    """Return the mass matrix M (3, 3) of the suspension, or of a uniform plate if the rig has no
+    suspension."""
     if rig.suspension is not None:
         return np.array(rig.suspension.mass)
     return np.array(mass_matrix(rig.plate.mass_kg, rig.plate.inertia_kgm2))
 
 
 def motor_loads(rig: Rig) -> np.ndarray:
-    """Compute `Rig.motor_loads`, which keeps it."""
+    """Compute `Rig.motor_loads`, which caches the result."""
     inverse = np.linalg.pinv(motor_levers(rig).T)
     suspension, none = rig.suspension, np.zeros((3, 3))
     stiffness = none if suspension is None else np.array(suspension.stiffness)
@@ -57,10 +60,10 @@ def motor_loads(rig: Rig) -> np.ndarray:
 
 
 def force_per_accel(rig: Rig) -> np.ndarray:
-    """Return the most force (4,) [N] of each motor for 1 m/s2 at most of any point of the plate.
+    """Return the maximum force (4,) [N] of each motor if no point of the plate exceeds 1 m/s2.
 
-    Shift and turn together, in the direction that is worst for this motor. The flexures' share is
-    left out: it goes with the travel.
+    Translation and rotation are combined in the worst direction for each motor. The forces of the
+    flexures are omitted, because they depend on the travel and not on the acceleration.
     """
     load = rig.motor_loads[2]
     half = rig.plate.half
@@ -69,10 +72,10 @@ def force_per_accel(rig: Rig) -> np.ndarray:
 
 
 def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Greatest row . (ax, ay, turn) for each angular acceleration, corners within 1 m/s2.
+    """Maximum of row . (ax, ay, turn) for each angular acceleration, with corners within 1 m/s2.
 
-    The shift is in the intersection of four unit discs about (+-p, +-q), p = turn half_y and
-    q = turn half_x: an arc about (-p, -q) bounds its first quadrant.
+    The translation (ax, ay) is in the intersection of four unit discs about (+-p, +-q), with
+    p = turn half_y and q = turn half_x. An arc about (-p, -q) bounds its first quadrant.
     """
     q, p = np.minimum(turn * half[0], 1), np.minimum(turn * half[1], 1)
     first, last = np.arcsin(q), np.arccos(p)
@@ -82,10 +85,10 @@ def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 def motor_reach(rig: Rig) -> Reach:
-    """Return what the motors can give any point of the plate in any direction, continuously.
+    """Return the maximum continuous acceleration by the motors of any point in any direction.
 
-    The lesser of what their peak force gives; and of what heat allows them, in motions whose peak
-    is `PEAK_OVER_RMS` times the root mean square.
+    It is the minimum of two limits: that of the peak force, and that of the continuous force in
+    motions whose peak force is `PEAK_OVER_RMS` times the root mean square force.
     """
     most, limits = force_per_accel(rig), rig.limits
     motor = rig.motors[int(np.argmax(most))].name
@@ -98,6 +101,6 @@ def motor_reach(rig: Rig) -> Reach:
 
 
 def reach(rig: Rig) -> Reach:
-    """Compute `Rig.reach`, which keeps it."""
+    """Compute `Rig.reach`, which caches the result."""
     allowed = Reach(rig.limits.accel, "accel_mps2")
     return min(allowed, motor_reach(rig), key=lambda each: each.accel)

@@ -1,7 +1,7 @@
-"""Part types: outline, mass, friction and looks, read from a file of them.
+"""Part types: outline, mass, friction, colour and symmetry, read from a YAML file.
 
-A part has a frame of its own: its origin is the centre of its area, where its mass is if it is
-evenly thick; at an angle of 0 it lies as its outline is written.
+The origin of a part's frame is the centroid of its area. For uniform thickness this is its centre
+of mass. At angle 0 the part has the orientation of its outline in the file.
 """
 
 from __future__ import annotations
@@ -31,34 +31,35 @@ from ..yaml_fields import (
 from .polygons import cross, is_inside, is_simple, moments, overlap
 
 MOST_CORNERS = 32
-"""Of an outline, and of a hole: more are a contour that nobody simplified."""
+"""Maximum number of corners of an outline or a hole. A contour with more must be simplified."""
 
 MOST_HOLES = 8
-"""Of a part."""
+"""Maximum number of holes of a part."""
 
 ROUND_CORNERS = 96
-"""Corners of the polygon that stands for a disc where one is needed."""
+"""Number of corners of a polygon that approximates a disc."""
 
 LARGEST_M = 1.0
-"""No corner is further from the centre [m]."""
+"""Maximum magnitude of a corner's coordinate in the file [m]."""
 
 MAX_HEIGHT_M = 0.1
-"""Maximum height of a part above the plate [m]: a taller one topples on a plate that shakes."""
+"""Maximum height of a part above the plate [m]. A taller part topples on a shaking plate."""
 
 SMALLEST_M2 = 1e-8
-"""Least area of a part or hole [m2]."""
+"""Minimum area of a part or hole [m2]."""
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
-"""Of a type: as `nut` or `nut_m4`; a number alone after the last _ would be taken for a part's."""
+"""Pattern of a type's name, such as `nut` or `nut_m4`. The name must not end with _ and only
+digits, because this is the form of a part's id."""
 
 LONGEST = 32
-"""Letters of a name."""
+"""Maximum length of a name [characters]."""
 
 TAKEN = ("black", "grey", *NAMELESS)
-"""The classes of round parts on rigs without types, and of what is of no type."""
+"""Reserved names: the classes of round parts on rigs without types, and of objects of no type."""
 
 CENTRED = 0.03
-"""Distances of less than this fraction of a part's reach are of its making."""
+"""Tolerance of manufacture and measurement, as a fraction of a part's reach."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) [m], counter-clockwise."""
@@ -107,23 +108,24 @@ class PartType:
     ----------
     name : str
     outline : Polygon
-        Corners [m], counter-clockwise, about the centre of its area less its holes; of a disc none.
+        Corners [m], counter-clockwise, relative to the centroid of the area without holes. Empty
+        for a disc.
     radius_m : float
-        Of a disc; else 0.
+        Radius of a disc [m]. 0 for other parts.
     holes : tuple of Polygon
-        Corners [m], counter-clockwise.
+        Corners of each hole [m], counter-clockwise.
     mass_kg, mu : float or None
-        None: as the rig's parts.
+        Mass [kg] and friction coefficient [-]. None: the values of the rig.
     colour_lab : tuple of 3 float, or None
-        CIE L, a, b; None: not known.
+        Colour in CIE L, a, b. None if unknown.
     symmetry : int
-        In how many directions it looks the same; 0: in all.
+        Order of rotational symmetry. 0 for a disc.
     scatter_m : float
-        How far outlines of parts of this type are from this one, RMS [m].
+        RMS deviation of the outlines of individual parts from this outline [m].
     picture : str
-        Name of a file, or nothing.
+        Name of a picture file, or empty.
     height_m : float
-        Height above the plate [m]; 0: flat, or unknown.
+        Height above the plate [m]. 0 if flat or unknown.
     """
 
     name: str
@@ -140,25 +142,26 @@ class PartType:
 
     @cached_property
     def polygon(self) -> np.ndarray:
-        """Corners (n, 2) of the outline [m]; of a disc `ROUND_CORNERS` with its area."""
+        """Corners (n, 2) of the outline [m]. For a disc, a polygon of equal area with
+        `ROUND_CORNERS` corners."""
         if self.outline:
             return np.array(self.outline)
         return disc_polygon(self.radius_m)
 
     @cached_property
     def reach_m(self) -> float:
-        """Greatest distance of its rim from its centre [m]."""
+        """Maximum distance between the edge of the part and its centre [m]."""
         return self.radius_m or float(np.max(np.hypot(*self.polygon.T)))
 
     @cached_property
     def area_m2(self) -> float:
-        """Of the outline, less the holes [m2]."""
+        """Area inside the outline without the holes [m2]."""
         return float(self._moments[0])
 
     @cached_property
     def spread_m2(self) -> np.ndarray:
-        """Mean of x x, x y; y x, y y over its area (2, 2) [m2]: its trace is the square of the
-        radius of gyration."""
+        """Means of x x, x y; y x, y y over the area (2, 2) [m2]. The trace is the squared radius of
+        gyration."""
         area, _, second = self._moments
         return np.asarray(second / area)
 
@@ -168,18 +171,18 @@ class PartType:
 
 
 def load_part_types(path: str | Path) -> Mapping[str, PartType]:
-    """Read a file of part types, such as `ros2 run plate_vision teach` writes.
+    """Read a file of part types, such as the output of `ros2 run plate_vision teach`.
 
     Raises
     ------
     RigError
-        If a key is missing or unknown, or its value is not allowed: the message names it.
+        If a key is missing or unknown, or its value is not allowed. The message states the key.
     """
     return read_part_types(read_yaml(Path(path), RigError))
 
 
 def read_part_types(fields: Fields) -> Mapping[str, PartType]:
-    """Read a mapping of names to part types; errors as `load_part_types`."""
+    """Read a mapping of names to part types. Raises the same errors as `load_part_types`."""
     types, names = {}, fields.keys()
     for name in names:
         if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
@@ -238,7 +241,8 @@ def _part_type(name: str, fields: Fields) -> PartType:
 
 
 def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
-    """Return a polygon's corners (n, 2) counter-clockwise, once it is one."""
+    """Return the corners (n, 2) of a polygon in counter-clockwise order. Raise an error if they are
+    no valid polygon."""
     if not 3 <= len(corner) <= MOST_CORNERS or not is_simple(corner):
         raise fields.fail(
             key, f"3 to {MOST_CORNERS} corners, in order, of a polygon no two edges of which cross"
@@ -254,7 +258,8 @@ def _pairs(corner: np.ndarray) -> Polygon:
 
 
 def disc_polygon(radius: float) -> np.ndarray:
-    """Return `ROUND_CORNERS` corners (n, 2) [m] of a polygon with a disc's area."""
+    """Return the `ROUND_CORNERS` corners (n, 2) [m] of a regular polygon with the area of a
+    disc."""
     turn = 2 * np.pi * np.arange(ROUND_CORNERS) / ROUND_CORNERS
     step = 2 * np.pi / ROUND_CORNERS
     own = radius * np.sqrt(step / np.sin(step))
@@ -262,12 +267,12 @@ def disc_polygon(radius: float) -> np.ndarray:
 
 
 def symmetry_of(outline: np.ndarray) -> int:
-    """Return in how many directions a polygon (n, 2), centred, looks the same: its corners then
-    fall on each other, within `CENTRED` of its reach."""
+    """Return the order of rotational symmetry of a polygon (n, 2) about the origin. The corners
+    must coincide after the rotation, within `CENTRED` of the polygon's reach."""
     near = CENTRED * np.max(np.hypot(*outline.T))
     before, after = np.roll(outline, 1, axis=0) - outline, np.roll(outline, -1, axis=0) - outline
     height = np.abs(cross(before, after)) / np.linalg.norm(after - before, axis=1)
-    outline = outline[height > near / 3]  # without corners on a straight edge
+    outline = outline[height > near / 3]  # remove corners on a straight edge
     for count in range(len(outline), 1, -1):
         c, s = np.cos(2 * np.pi / count), np.sin(2 * np.pi / count)
         turned = outline @ np.array([[c, s], [-s, c]])

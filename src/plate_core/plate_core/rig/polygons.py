@@ -1,18 +1,19 @@
-"""Polygons: corners (n, 2) [m] in order, the last of which is joined to the first."""
+"""Geometry of polygons, given by their corners (n, 2) [m] in order. The last corner is connected to
+the first."""
 
 from __future__ import annotations
 
 import numpy as np
 
 APART_M2 = 1e-12
-"""Least area of a polygon [m2]."""
+"""Minimum area of a polygon, times two [m2]."""
 
 
 def moments(
     outline: np.ndarray, holes: list[np.ndarray] | tuple[np.ndarray, ...] = ()
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return area [m2], centre (2,) [m] and second moments of area (2, 2) [m4] about the origin, of
-    a polygon (n, 2) without its holes (k, 2); all counter-clockwise."""
+    """Return area [m2], centroid (2,) [m] and second moments of area (2, 2) [m4] about the origin
+    of a polygon (n, 2) minus its holes (k, 2). All polygons are counter-clockwise."""
     area, first, second = 0.0, np.zeros(2), np.zeros((2, 2))
     for sign, corner in [(1, outline), *((-1, hole) for hole in holes)]:
         after = np.roll(corner, -1, axis=0)
@@ -30,7 +31,8 @@ def moments(
 
 
 def contains(corner: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Whether points (..., 2) are in a polygon (n, 2): a ray from each crosses it an odd number."""
+    """Whether points (..., 2) are inside a polygon (n, 2). A point is inside if a ray from it
+    crosses an odd number of edges."""
     after = np.roll(corner, -1, axis=0)
     x, y = point[..., 0, None], point[..., 1, None]
     crosses = (corner[:, 1] > y) != (after[:, 1] > y)
@@ -50,7 +52,7 @@ def rim_distance(corner: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def is_simple(corner: np.ndarray) -> bool:
-    """Whether a polygon (n, 2) [m] has an area, and no two of its edges cross or touch."""
+    """Whether a polygon (n, 2) [m] has a positive area and none of its edges cross or touch."""
     if len(corner) < 3:
         return False
     after = np.roll(corner, -1, axis=0)
@@ -63,7 +65,7 @@ def is_simple(corner: np.ndarray) -> bool:
                 np.maximum(a, b), np.maximum(c, d)
             )
             if (
-                np.all(near)  # edges in one line need not touch
+                np.all(near)  # needed because collinear edges need not touch
                 and cross(b - a, c - a) * cross(b - a, d - a) <= 0
                 and cross(d - c, a - c) * cross(d - c, b - c) <= 0
             ):
@@ -72,7 +74,8 @@ def is_simple(corner: np.ndarray) -> bool:
 
 
 def is_inside(inner: np.ndarray, outer: np.ndarray) -> bool:
-    """Whether a polygon (n, 2) lies in another (k, 2): its corners do, and no two edges cross."""
+    """Whether a polygon (n, 2) is inside another (k, 2): all its corners are inside, and no edges
+    cross."""
     return bool(np.all(contains(outer, inner))) and not _cross_each_other(inner, outer)
 
 

@@ -1,4 +1,8 @@
-"""Measured facts of one rig, read from a YAML file and checked."""
+"""Measured data of one rig, read from a YAML file and checked.
+
+`load_rig` returns a `Rig` with plate, friction, parts, limits, motors and camera. Lengths are in
+metres and positions in plate_home.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +26,13 @@ from .part_types import MAX_HEIGHT_M, PART_TYPE, PartType, load_part_types, read
 from .suspension import Suspension, read_suspension
 
 LEAST_RADII, WALL_RADII = 0.5, 1.25
-"""How much further than the motors' stroke from the plate's edges the centre of a part is to be led
-at least, and the wall that parts keep behind wherever they can [part radii]."""
+"""Distances from the plate's edges, in addition to the motors' stroke [part radii]: the minimum
+for the centre of a part, and the wall. Parts stay behind the wall if possible. See `EdgeMargin`."""
 
 
 @dataclass(frozen=True)
 class Plate:
-    """The plate: its sides along x and y at rest [m] and its mass [kg]."""
+    """The plate: side lengths along x and y at rest [m], and mass [kg]."""
 
     length_m: float = measured("length_m", 0.05, 10, "Side of the plate along x.")
     width_m: float = measured("width_m", 0.05, 10, "Side of the plate along y.")
@@ -43,7 +47,7 @@ class Plate:
 
     @property
     def inertia_kgm2(self) -> float:
-        """Moment of inertia about its centre, if it is uniform [kg m2]."""
+        """Moment of inertia of a uniform plate about its centre [kg m2]."""
         return self.mass_kg * (self.length_m**2 + self.width_m**2) / 12
 
     @property
@@ -61,14 +65,14 @@ class Friction:
 
     @property
     def accel(self) -> float:
-        """Greatest acceleration that friction gives a part, mu g [m/s2]."""
+        """Maximum acceleration of a part by friction, mu g [m/s2]."""
         return self.mu * self.gravity
 
 
 @dataclass(frozen=True)
 class PartFacts:
-    """The parts that are of no type of `types`: round, all alike; mass [kg], radius [m] and height
-    above the plate [m], 0 if they are flat or their height is unknown."""
+    """Data of the parts without a type in `types`: identical discs with this mass [kg], radius [m]
+    and height above the plate [m]. The height is 0 if they are flat or it is unknown."""
 
     mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
     radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
@@ -79,22 +83,26 @@ class PartFacts:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the rig can do: stroke [m] to either side and speed [m/s] of each motor,
-    acceleration [m/s2] of any point of the plate, force [N] of each motor and its heat.
+    """Limits of the rig.
 
     Attributes
     ----------
-    stroke_m, speed, accel : float
+    stroke_m : float
+        Maximum travel of each motor from home, to either side [m].
+    speed : float
+        Maximum speed of each motor [m/s].
+    accel : float
+        Maximum acceleration of any point of the plate [m/s2].
     force : float
         Peak force of a motor [N].
     continuous_force : float
-        Root mean square [N] that a motor bears continuously.
+        Root mean square force that a motor can supply continuously [N].
     thermal_time_s : float
-        Time constant of a winding's heat [s].
+        Thermal time constant of a motor's winding [s].
     heat_rise_k : float
-        Winding over ambient at the continuous force [K].
+        Temperature of the winding above ambient at the continuous force [K].
     following_error_m : float
-        Distance of a motor from its setpoint that is a fault [m]; 0: not watched.
+        Following error of a motor that counts as a fault [m]. 0: not checked.
     """
 
     stroke_m: float = measured(
@@ -144,15 +152,16 @@ class Drive:
     Attributes
     ----------
     node : int
-        1 to 126; of an ODrive to 62.
+        Node number, 1 to 126, for an ODrive 1 to 62.
     counts_per_m : float
-        Counts of its position for a metre; of an ODrive, `ODRIVE_COUNTS` of keys.py in a turn.
+        Position counts per metre. One turn of an ODrive has `ODRIVE_COUNTS` (keys.py) counts.
     sign : int
-        -1 where it counts against the motor's direction, else 1.
+        -1 if the counts decrease in the motor's direction, else 1.
     absolute : bool
-        Whether its position is 0 at home; if not, home is where the plate hangs.
+        Whether the drive's position is 0 at home. If false, home is where the plate hangs freely at
+        the first enable.
     serial : int
-        Object 1018h:04; 0: any.
+        Serial number, object 1018h:04. 0: any.
     kind : str
         cia402 or odrive.
     """
@@ -167,8 +176,9 @@ class Drive:
 
 @dataclass(frozen=True)
 class Motor:
-    """A linear motor: name, point where its shaft meets the plate at rest (x, y) [m, plate_home],
-    unit direction in which it pushes; and its drive, unless a bridge of the board drives it."""
+    """A linear motor: its name, the point (x, y) where its shaft meets the plate at rest [m,
+    plate_home], the unit vector of its force, and its drive. The drive is None if a bridge of the
+    board drives the motor."""
 
     name: str
     point: tuple[float, float]
@@ -178,8 +188,8 @@ class Motor:
 
 @dataclass(frozen=True)
 class CameraTrigger:
-    """The line by which the motor controller triggers the camera: at which fraction of each cycle,
-    and for how long it is high [s]."""
+    """Trigger of the camera by the motor controller: the phase as a fraction of each cycle, and the
+    pulse length [s]."""
 
     phase: float
     pulse_s: float = 0.002
@@ -187,11 +197,29 @@ class CameraTrigger:
 
 @dataclass(frozen=True)
 class Camera:
-    """The camera: image size [px], exposure [s], image points of the plate's corners at rest
-    (4 pairs, order of `Plate.corners`) [px] as they are seen; its lens, if that is calibrated; and
-    by how much its last row is exposed later than its first [s]; what triggers it, if that is the
-    motor controller; whether it sees colours; and the height of its lens above the plate [m], if
-    the rig file gives it: `camera_place` needs it where the lens is not calibrated."""
+    """The camera.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Image size [px].
+    exposure_s : float
+        Exposure time [s].
+    corners_px : 4 pairs of float
+        Image points of the plate's corners at rest, with lens distortion, in the order of
+        `Plate.corners` [px].
+    lens : Lens or None
+        None if the lens is not calibrated.
+    readout_s : float
+        Delay between the exposures of the first and the last row [s].
+    trigger : CameraTrigger or None
+        None if the motor controller does not trigger the camera.
+    colour : bool
+        Whether the images have colours.
+    height_m : float or None
+        Height of the lens above the plate [m]. None if the rig file does not give it.
+        `camera_place` needs it if the lens is not calibrated.
+    """
 
     width_px: int
     height_px: int
@@ -205,10 +233,10 @@ class Camera:
 
 
 class EdgeMargin(NamedTuple):
-    """How far from the plate's edges the centre of a part is to be [m].
+    """Required distance of a part's centre from the plate's edges [m].
 
-    Nearer than `least_m` it is lost: the plate moves away under it by the motors' stroke, or a
-    part of it is off the plate. Behind the wall, `wall_m` from the edges, it is safe.
+    Below `least_m` the part is lost: the plate can move away under it by the motors' stroke, or the
+    part overhangs the edge. Behind the wall, `wall_m` from the edges, it is safe.
     """
 
     least_m: float
@@ -217,8 +245,11 @@ class EdgeMargin(NamedTuple):
 
 @dataclass(frozen=True)
 class Rig:
-    """All facts of one rig; without a suspension the plate is rigid and does as commanded, without
-    fiducials the camera sees only the plate's edges, without types parts are round and alike."""
+    """All data of one rig.
+
+    Without a suspension, the plate is rigid and follows its commands exactly. Without fiducials,
+    the camera finds the plate only by its edges. Without types, all parts are identical discs.
+    """
 
     plate: Plate
     friction: Friction
@@ -231,8 +262,8 @@ class Rig:
     types: Mapping[str, PartType] = field(default_factory=dict, hash=False)
 
     def part_type(self, name: str) -> PartType:
-        """Return a type of part with its mass and friction; one that is not in `types` is round, as
-        `parts` says."""
+        """Return a part type, with the rig's default mass and friction if the type has none. An
+        unknown type is a disc with the data of `parts`."""
         if name not in self._part_types:
             known = self.types.get(name) or PartType(
                 name, radius_m=self.parts.radius_m, symmetry=0, height_m=self.parts.height_m
@@ -245,7 +276,8 @@ class Rig:
         return self._part_types[name]
 
     def edge_margin(self, name: str) -> EdgeMargin:
-        """Return how far from the plate's edges the centre of a part of this type is to be [m]."""
+        """Return the required distance of the centre of a part of this type from the plate's edges
+        [m]."""
         stroke, reach = self.limits.stroke_m, self.part_type(name).reach_m
         return EdgeMargin(max(stroke + LEAST_RADII * reach, reach), stroke + WALL_RADII * reach)
 
@@ -255,31 +287,30 @@ class Rig:
 
     @cached_property
     def reach(self) -> Reach:
-        """What acceleration any point of the plate can have in any direction continuously, and
-        what limits it: the rig file, or the motors."""
+        """Maximum continuous acceleration of any point of the plate in any direction [m/s2], and
+        the key of the limit that determines it."""
         return reach(self)
 
     @cached_property
     def motor_loads(self) -> np.ndarray:
-        """The motors' forces for pose, twist and acceleration of the plate (3, 4, 3) [N/...]."""
+        """Matrices (3, 4, 3) from pose, twist and acceleration of the plate to motor forces [N]."""
         return motor_loads(self)
 
     @property
     def gamma(self) -> float:
-        """Shaking ratio a_max/(mu g) [-], the number that rules the problem: a_max is `reach`."""
+        """Shaking ratio a_max/(mu g) [-], with a_max from `reach`. It is the governing parameter of
+        the problem."""
         return self.reach.accel / self.friction.accel
 
     @property
     def force_unit(self) -> float:
-        """Sliding friction of one part, mu m g [N]: the unit of the solvers' forces."""
+        """Sliding friction force of one part, mu m g [N]. The solvers use it as unit of force."""
         return self.parts.mass_kg * self.friction.accel
 
 
 def default_rig_path() -> Path:
-    """Return the rig file to use when none is named.
-
-    That is the one named by the environment variable PLATE_RIG, or else config/rig.yaml.
-    """
+    """Return the default rig file: the value of the environment variable PLATE_RIG if it is set,
+    otherwise config/rig.yaml."""
     if "PLATE_RIG" in os.environ:
         return Path(os.environ["PLATE_RIG"])
     return config_path("rig.yaml")
@@ -291,12 +322,12 @@ def rig_names() -> tuple[str, ...]:
 
 
 def rig_path(name_or_path: str | Path | None = None) -> Path:
-    """Return the file of a rig that is named, or the default one: as `load_rig`.
+    """Return the rig file for an argument of `load_rig`.
 
     Raises
     ------
     RigError
-        If it is neither a file nor the name of one: the message lists those there are.
+        If the argument is neither a file nor the name of a rig. The message lists the names.
     """
     text = str(name_or_path or "")
     if not text:
@@ -318,8 +349,8 @@ def load_rig(path: str | Path | None = None) -> Rig:
     Parameters
     ----------
     path : path, optional
-        YAML file, or the name of one in config/rigs, such as desk; `default_rig_path()` if None or
-        empty.
+        YAML file, or the name of one in config/rigs, such as desk. None or empty:
+        `default_rig_path()`.
 
     Returns
     -------
@@ -328,8 +359,8 @@ def load_rig(path: str | Path | None = None) -> Rig:
     Raises
     ------
     RigError
-        If a key is missing, unknown, or its value is out of range, or facts contradict each other:
-        the message names the key, the value and what is allowed.
+        If a key is missing or unknown, a value is out of range, or values are inconsistent. The
+        message states the key, the value and the allowed values.
     """
     file = rig_path(path)
     rig = read_rig(file)
@@ -341,7 +372,7 @@ def load_rig(path: str | Path | None = None) -> Rig:
 
 
 def read_rig(path: Path) -> Rig:
-    """Read a rig file as `load_rig`, but do not hold its facts against each other."""
+    """Read a rig file like `load_rig`, but do not check whether its values are consistent."""
     fields = read_yaml(path, RigError)
     plate = fields.child("plate").read(Plate)
     rig = Rig(
@@ -360,7 +391,7 @@ def read_rig(path: Path) -> Rig:
 
 
 def _types(fields: Fields, folder: Path) -> Mapping[str, PartType]:
-    """Return the part types that stand in a rig file, or in a file beside it."""
+    """Return the part types in a rig file, or in the file that its key `types` names."""
     if not fields.has("types"):
         return {}
     if fields.holds_mapping("types"):
@@ -481,4 +512,4 @@ SECTIONS = (
     keys.SUSPENSION,
     PART_TYPE,
 )
-"""All of a rig file, in the order of the reference."""
+"""All sections of a rig file, in the order of the reference."""

@@ -1,4 +1,8 @@
-"""How the plate hangs and how its motors push: what a real rig adds to a rigid, obedient plate."""
+"""Model of a real rig's suspension and motors, beyond a rigid plate that follows its commands.
+
+It consists of mass, damping and stiffness matrices of the plate on its flexures, and of the
+feedforward, gain, bandwidth and position control of the motors.
+"""
 
 from __future__ import annotations
 
@@ -14,32 +18,32 @@ from .keys import SUSPENSION
 Matrix = tuple[tuple[float, float, float], ...]
 
 ASYMMETRY = 1e-6
-"""Greatest difference of entries that should mirror each other, as a fraction of the largest."""
+"""Maximum asymmetry of a matrix, as a fraction of its largest entry."""
 
 
 @dataclass(frozen=True)
 class Suspension:
     """The plate on its flexures, and the motors' drive.
 
-    Matrices (3, 3) act on the pose x, y, theta [m, m, rad] in plate_home, and are symmetric; one
+    The symmetric matrices (3, 3) act on the pose x, y, theta [m, m, rad] in plate_home. A matrix
     that is not diagonal couples the degrees of freedom.
 
     Attributes
     ----------
     mass : matrix
-        [kg, kg m, kg m2], positive.
+        Mass matrix [kg, kg m, kg m2], positive definite.
     damping, stiffness : matrix
-        Of the flexures [N s/m, ...] and [N/m, ...], not negative.
+        Matrices of the flexures [N s/m, ...] and [N/m, ...], positive semidefinite.
     feedforward : (3,)
-        Fractions of the forces of mass, damping and stiffness that the drive supplies in advance
-        for the motion it is commanded: (1, 1, 1) knows the plate by heart, (1, 0, 0) takes it for
-        free and rigid, (0, 0, 1) for flexures without mass.
+        Fractions of the inertial, damping and stiffness forces of the commanded motion that the
+        drive supplies as feedforward. (1, 1, 1) is a perfect model of the plate, (1, 0, 0) that of
+        a free rigid plate, (0, 0, 1) that of flexures without mass.
     motor_gain : (4,)
-        Force of each motor over the force asked of it.
+        Actual force of each motor divided by its commanded force.
     motor_bandwidth_hz : float
-        Corner [Hz] of the motors' first-order lag; inf: none.
+        Corner frequency of the motors' first-order lag [Hz]. inf: no lag.
     servo : (2,)
-        Stiffness [N/m] and damping [N s/m] by which each motor follows its own setpoint.
+        Stiffness [N/m] and damping [N s/m] of each motor's position controller.
     """
 
     mass: Matrix
@@ -93,9 +97,9 @@ def mass_matrix(
     Parameters
     ----------
     inertia_kgm2 : float
-        About the centre of mass.
+        Moment of inertia about the centre of mass.
     centre_of_mass_m : (2,)
-        At rest [m, plate_home].
+        Centre of mass at rest [m, plate_home].
     """
     x, y = centre_of_mass_m
     return (
@@ -128,7 +132,7 @@ def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Susp
     Parameters
     ----------
     mass_kg, inertia_kgm2 : float
-        Of the plate; the inertia is used where the file gives none.
+        Mass and moment of inertia of the plate. The latter is used if the file gives none.
 
     Raises
     ------
