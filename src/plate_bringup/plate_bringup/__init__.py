@@ -1,7 +1,7 @@
-"""The closed loop as a whole: which nodes it has, their parameters for one run, how it is launched;
-and without ROS, in one process: `loop`.
+"""The complete closed loop: its nodes, their parameters for one run, and the launch files.
 
-This package puts the stages together. Of the others `plate_gym` alone imports it.
+The module `loop` runs the same loop without ROS in one process. This package combines the stages.
+Of the other packages, only `plate_gym` imports it.
 """
 
 from .graph import GraphError, GraphNode, RunOptions, Value, load_graph

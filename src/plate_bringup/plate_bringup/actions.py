@@ -1,4 +1,5 @@
-"""What the launch files start: the nodes of config/graph.yaml, and a recorder if it is wanted."""
+"""Actions of the launch files: they start the nodes of config/graph.yaml and, on request, a
+recorder."""
 
 from __future__ import annotations
 
@@ -75,8 +76,8 @@ PACKAGE = "plate_bringup"
 
 
 def describe(hardware: bool, file: str) -> LaunchDescription:
-    """Return the description of the launch file with that path: simulation, or hardware."""
-    # On hardware there may be transports that are not ours.
+    """Return the launch description of the launch file `file`, for hardware or simulation."""
+    # On hardware, users may have transports of their own.
     choices = {name: CHOICES[name] for name in CHOICES if not (hardware and name == "transport")}
     arguments = [
         DeclareLaunchArgument(
@@ -91,27 +92,27 @@ def describe(hardware: bool, file: str) -> LaunchDescription:
 
 
 def arguments_of(hardware: bool) -> dict[str, str]:
-    """Return the arguments of a launch file, name to meaning."""
+    """Return the arguments of a launch file, with their meanings by name."""
     return (HARDWARE if hardware else SIMULATED) | COMMON
 
 
 def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
-    """Refuse unknown arguments on the command line, if it starts this launch file.
+    """Check the arguments on the command line, if it starts this launch file directly.
 
-    A launch file that includes this one has other arguments, which launch passes on to this one.
+    A launch file that includes this one may have additional arguments, which launch passes on.
 
     Parameters
     ----------
     hardware : bool
     words : sequence of str
-        Of the command line.
+        Arguments of the command line.
     file : str
         Path of the launch file.
 
     Raises
     ------
     GraphError
-        With the name of the argument and the allowed names.
+        If an argument is unknown. The message states its name and the allowed names.
     """
     if not any(_names(file, before, word) for before, word in pairwise(["", *words])):
         return
@@ -131,14 +132,14 @@ def _names(file: str, before: str, word: str) -> bool:
 
 
 def namespace_of(pushed: str, own: str) -> str:
-    """Return the namespace of the nodes, without slashes at its ends; empty: none.
+    """Return the namespace of the nodes, without slashes at its ends. Empty if there is none.
 
     Parameters
     ----------
     pushed : str
         Namespace pushed by actions PushRosNamespace around this launch file.
     own : str
-        Argument `namespace`. It is below the pushed one, unless it begins with a slash.
+        Argument `namespace`. It is relative to the pushed one, unless it begins with a slash.
     """
     return (own if own.startswith("/") else f"{pushed}/{own}").strip("/").replace("//", "/")
 
@@ -149,8 +150,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     Raises
     ------
     GraphError
-        If an argument is mistyped, or there is no such file of parameters: ROS would go on without
-        it.
+        If an argument is unknown, or the parameter file does not exist. ROS would start without it.
     """
     check_words(hardware, sys.argv, file)
     known = arguments_of(hardware)
@@ -176,7 +176,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     defaults = default_files(hardware, space, [node.name for node in options.nodes(load_graph())])
     actions: list[Any] = [OpaqueFunction(function=partial(_put_first, defaults))]
-    if hardware and "params_file" not in given:  # which may name the rig
+    if hardware and "params_file" not in given:  # a parameter file may name another rig
         facts = unmeasured(load_rig(given.get("rig_file", "")))
         actions += [LogInfo(msg=f"not known of this rig: {text}") for text in facts]
     views = {node.name for node in load_graph() if node.view}
@@ -199,7 +199,8 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
-    """Return the files of the nodes' default parameters; in a namespace, frames have prefixes."""
+    """Return the files with the nodes' default parameters. In a namespace, one of them sets the
+    prefix of the frames."""
     files = [str(config_path("nodes.yaml"))]
     if hardware:
         files.append(str(config_path("hardware.yaml")))
@@ -210,11 +211,12 @@ def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]
 
 
 def _put_first(defaults: Sequence[str], context: Any) -> None:
-    """Put files of default parameters before all others.
+    """Put the files of default parameters before all others.
 
-    ROS merges the values of all files by the section's name. Of two sections that fit a node, that
-    wins whose name comes later for the first time. So `/**/solver` must come before `/left/solver`.
-    launch_ros puts parameters of outer actions, such as SetParametersFromFile, before a node's own.
+    ROS merges the values of all files by the section's name. If two sections match a node, the one
+    whose name first occurs later has priority. `/**/solver` must therefore occur before
+    `/left/solver`. launch_ros puts parameters of outer actions, such as SetParametersFromFile,
+    before those of the node.
     """
     outer = context.launch_configurations.get("global_params", [])
     context.launch_configurations["global_params"] = [*defaults, *outer]
@@ -229,7 +231,8 @@ def _written(text: str) -> str:
 def programs(
     options: RunOptions, given: Mapping[str, str], space: str
 ) -> dict[str, dict[str, Any]]:
-    """Return what is started, by name: package, executable, parameters over those of the files."""
+    """Return the programs to start, by name: package, executable, and the parameters that override
+    those of the files."""
     nodes = options.nodes(load_graph())
     if given.get("one_process") != "true":
         return {
@@ -253,7 +256,7 @@ def _remember(last_words: list[str], event: Any) -> None:
 
 
 def _end(name: str, last_words: list[str], event: Any, context: Any) -> list[Any] | None:
-    """Take everything down with a node that has ended, and say why."""
+    """Shut down all nodes after one has ended, and log the reason."""
     if context.is_shutdown:
         return None
     why = f"{name} ended with exit code {event.returncode}: {last_words[0]}"

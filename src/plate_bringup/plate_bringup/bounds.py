@@ -1,31 +1,33 @@
-"""How fast one part can drift at most on a plate that shakes along a line.
+"""Upper bounds of the drift speed of one part on a plate that shakes along a line.
 
-In a steady drift friction pulls a part as long one way as the other, and meanwhile the plate comes
-back to where it was. What the plate can do in the half in which it is slower than the part is
-limited by its acceleration, its stroke and its speed.
+In a steady drift, friction acts equally long in both directions, and the plate returns to its
+initial position. During half of the time the plate is slower than the part. Its acceleration,
+stroke and speed limit the slip in this half, and therefore the drift.
 
-Proof, of a motion that repeats with T: a = mu g, A the plate's greatest acceleration, G = A/a, S
-its stroke to either side. Let the plate go along a line with velocity u, and the part with v, on
-average v_0 > 0. The plate comes home, so the mean of the slip w = u - v is -v_0, and the area of w
-below 0 is v_0 T or more. The part's velocity repeats, so the mean friction is 0: it is a while
-w > 0 and -a while w < 0, hence w < 0 for at most T/2.
+Proof for a motion with the period T. Let a = mu g, A the plate's maximum acceleration, G = A/a, and
+S the stroke to either side. The plate moves along a line with velocity u, and the part with
+velocity v, whose mean is v_0 > 0. The plate returns, so the mean of the slip w = u - v is -v_0, and
+the area of w below 0 is at least v_0 T. The part's velocity is periodic, so the mean friction is 0.
+Friction accelerates the part with a while w > 0 and with -a while w < 0. Hence w < 0 for at most
+T/2.
 
-Acceleration: meanwhile v' = -a, so w' is between -(A - a) and A + a, and in an interval p from
-w = 0 to w = 0 it has an area of c p^2 at most, c = (A^2 - a^2)/(4 A). All intervals together have
-c (T/2)^2 or less:
+Acceleration: while w < 0, v' = -a, so w' is between -(A - a) and A + a. In an interval of length p
+from w = 0 to w = 0, the area is at most c p^2, with c = (A^2 - a^2)/(4 A). The sum over all
+intervals is at most c (T/2)^2:
 
     v_0 <= A T/16 (1 - 1/G^2)
 
-Stroke: in an interval p the plate goes back by 2 S at most, and the part goes on by v_m p at most,
-where v_m <= v_0 + d, d = a T/4, is its greatest velocity: so the area is at most 2 S + v_m p too.
-The lesser of both is r p or less, r = (v_m + sqrt(v_m^2 + 8 S c))/2, and v_0 T <= r T/2 gives
+Stroke: in an interval p the plate moves back by at most 2 S, and the part moves forward by at most
+v_m p. Its maximum velocity is v_m <= v_0 + d, with d = a T/4. The area is therefore also at most
+2 S + v_m p. The minimum of both bounds is at most r p, with r = (v_m + sqrt(v_m^2 + 8 S c))/2, and
+v_0 T <= r T/2 gives
 
     v_0 <= d/2 + sqrt(d^2/4 + S c)
 
-Two parts: along the line that joins them a rigid plate has the same velocity u under both. Let
-friction act along it alone, and v_1 > v_2 all the time. In a steady drift u < v_1 for at most T/2,
-and u > v_2 for at most T/2; but one or the other is true at any time, so u, which has to pass from
-one side of the two to the other, would have to jump.
+Two parts: along the line that connects them, a rigid plate has the same velocity u under both.
+Assume that friction acts only along this line, and that v_1 > v_2 at all times. In a steady drift,
+u < v_1 for at most T/2, and u > v_2 for at most T/2. At any time at least one of both is true, so u
+would have to jump from below v_2 to above v_1, which is impossible.
 """
 
 from __future__ import annotations
@@ -41,16 +43,16 @@ __all__ = ["SpeedBounds", "rest_to_rest_s", "shift_accel", "speed_bounds"]
 
 
 class SpeedBounds(NamedTuple):
-    """Greatest mean speeds of one part [m/s], each by one limit of the rig alone.
+    """Upper bounds of the mean speed of one part [m/s], each for one limit of the rig.
 
     Attributes
     ----------
     accel : float
-        By the plate's acceleration in a cycle of length T.
+        Bound by the plate's acceleration in a cycle of length T.
     stroke : float
-        By the motors' stroke, and the acceleration, whatever T is.
+        Bound by the motors' stroke and the acceleration.
     speed : float
-        By the motors' speed.
+        Bound by the motors' speed.
     """
 
     accel: float
@@ -59,25 +61,25 @@ class SpeedBounds(NamedTuple):
 
     @property
     def least(self) -> float:
-        """The one that binds [m/s]."""
+        """The smallest bound [m/s]."""
         return min(self)
 
     @property
     def binds(self) -> str:
-        """What the one that binds is about."""
+        """Name of the limit with the smallest bound."""
         return self._fields[self.index(self.least)]
 
 
 def speed_bounds(rig: Rig, period: float) -> SpeedBounds:
     """Return the bounds of one part's steady drift, in cycles of `period` [s].
 
-    With a = mu g, A = `shift_accel`, G = A/a, d = a T/4, and S the stroke, each along the line that
-    allows most of it:
+    With a = mu g, A = `shift_accel`, G = A/a, d = a T/4, and the stroke S, each along its most
+    favourable line:
 
         accel:   A T/16 (1 - 1/G^2)
         stroke:  d/2 + sqrt(d^2/4 + A S/4 (1 - 1/G^2))
 
-    All are 0 where the plate cannot make a part slide.
+    All bounds are 0 if the plate cannot make a part slide.
     """
     a, most = rig.friction.accel, shift_accel(rig)
     net = max(1 - (a / most) ** 2, 0.0)
@@ -90,9 +92,10 @@ def speed_bounds(rig: Rig, period: float) -> SpeedBounds:
 
 
 def shift_accel(rig: Rig) -> float:
-    """Return the greatest acceleration of the plate along any line [m/s2], for a moment.
+    """Return the maximum momentary acceleration of the plate along its most favourable line [m/s2].
 
-    By the file's limit and by the motors' peak force; flexures, which may help, leave the first.
+    It is limited by `accel_mps2` of the rig file and by the motors' peak force. For a rig with
+    flexures only the former counts, because flexures may support the motors.
     """
     if rig.suspension is not None:
         return float(rig.limits.accel)
@@ -101,16 +104,18 @@ def shift_accel(rig: Rig) -> float:
 
 
 def _travel(rig: Rig) -> float:
-    """Travel of the motor that moves most, over that of the plate, along the best line [-]."""
+    """Maximum travel of the motors divided by that of the plate, along the best line [-]."""
     return _least(motor_levers(rig))
 
 
 def _least(rows: np.ndarray) -> float:
-    """Least over directions of the greatest |row . direction|; rows (4, 3) of x, y and theta."""
+    """Minimum over all directions of the maximum magnitude of row . direction. The rows (4, 3) have
+    columns x, y and theta."""
     angle = np.linspace(0, np.pi, 181)
     return float(np.min(np.max(np.abs(rows[:, :2] @ [np.cos(angle), np.sin(angle)]), axis=0)))
 
 
 def rest_to_rest_s(way: float, friction_accel: float) -> float:
-    """Return the least time [s] in which friction takes a part over a way [m] from rest to rest."""
+    """Return the minimum time [s] in which friction moves a part by a distance [m] from rest to
+    rest."""
     return float(2 * np.sqrt(way / friction_accel))

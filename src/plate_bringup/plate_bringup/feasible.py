@@ -1,6 +1,7 @@
-"""Tell before a task starts whether a rig can do it: `ros2 run plate_bringup feasible`.
+"""Predict whether a rig can perform a task: `ros2 run plate_bringup feasible`.
 
-Needs no ROS: `python -m plate_bringup.feasible` does the same.
+The task is rehearsed with the solver's own prediction (`rehearsal`). Without ROS,
+`python -m plate_bringup.feasible` does the same.
 """
 
 from __future__ import annotations
@@ -33,24 +34,25 @@ NOT_REHEARSED = {
     MoveTask: "targets that may change are not rehearsed; the demo shows it",
     FeedTask: "parts that come and go are not rehearsed; `ros2 run plate_bringup qualify` shows it",
 }
-"""Tasks that are not judged here, and why."""
+"""Tasks that are not rehearsed, and the reasons."""
 
 COUNTS = (1, 2, 4, 10)
-"""Numbers of parts that are tried where no scenario is given."""
+"""Numbers of parts to rehearse if no scenario is given."""
 
 WAY_M, PERIOD_S = 0.1, 0.2
-"""A way whose least time is shown [m], and the longest cycle of the solver [s]."""
+"""Distance for which the report gives the minimum time [m], and the longest cycle of the solver
+[s]."""
 
 KEYS = {
     "stroke": "stroke_m", "speed": "speed_mps", "acceleration": "accel_mps2", "force": "force_n",
     "heat": "continuous_force_n",
 }  # fmt: skip
-"""What is used of a rig -> what limits it, in the rig file."""
+"""Keys of the limits in the rig file, by field of `Share`."""
 
 
 @piped()
 def main() -> None:
-    """Run the command line; exit code 0: likely, 1: not, 2: wrong arguments or files."""
+    """Run the command line. Exit code 0: likely, 1: not likely, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(
         prog="feasible",
         description="Tell whether a rig can do a task, how fast parts can be driven, and what "
@@ -78,8 +80,8 @@ def main() -> None:
 
 
 def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
-    """Return all there is to tell, as lines for a terminal, and whether the task, or moving one
-    part, is likely to succeed."""
+    """Return the report as lines for a terminal, and whether the task is likely to succeed. Without
+    a task, return whether moving one part is likely to succeed."""
     lines = [
         f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide above 1",
         one_part(rig),
@@ -90,7 +92,7 @@ def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
 
 
 def one_part(rig: Rig) -> str:
-    """Say how fast one part can be at most."""
+    """Return a line about the maximum speed of one part."""
     bounds = speed_bounds(rig, PERIOD_S)
     return (
         f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion of "
@@ -100,7 +102,7 @@ def one_part(rig: Rig) -> str:
 
 
 def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
-    """Judge a scenario."""
+    """Return the lines about a scenario, and whether it is likely to succeed."""
     for kind, what in NOT_REHEARSED.items():
         if isinstance(scenario.task, kind):
             return [f"{scenario.name}: not known: {what}"], False
@@ -129,7 +131,8 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
 
 
 def of_counts(rig: Rig) -> tuple[list[str], bool]:
-    """Tell how fast numbers of parts are, half of them to the left, half to the right."""
+    """Return a table of the speed for several numbers of parts. Half of them move to the left, half
+    to the right."""
     lines = ["scattered, to either side   mean speed [mm/s]   most used"]
     moved = False
     for count in COUNTS:
@@ -149,7 +152,7 @@ def of_counts(rig: Rig) -> tuple[list[str], bool]:
 
 
 def sides(count: int) -> Scenario:
-    """Return a sort of `count` parts, black to the left and grey to the right."""
+    """Return a sort task with `count` parts, black ones to the left and grey ones to the right."""
     groups = {"black": Side(-1, 0), "grey": Side(1, 0)}
     numbers = zip(groups, (count - count // 2, count // 2), strict=True)
     return Scenario(
@@ -166,14 +169,14 @@ def _time(seconds: float) -> str:
 
 
 def _used(verdict: Verdict) -> str:
-    """Say what is used of the limits."""
+    """Return a line about the used fractions of the rig's limits."""
     share = verdict.share
     told = ", ".join(f"{name} {100 * value:.0f} %" for name, value in share._asdict().items())
     return f"used of the rig's limits: {told}; {KEYS[share.binds]} binds"
 
 
 def remedy(rig: Rig, verdict: Verdict) -> str:
-    """Say what would help."""
+    """Return advice about changes that would help."""
     binds = verdict.share.binds
     said = f"most used is {binds} ({KEYS[binds]}); fewer parts may do"
     if rig.gamma < LEAST_GAMMA:

@@ -25,19 +25,20 @@ OWN = {
     "driver": ("transport", "autostart"),
     "page": ("scenario",),
 }
-"""Options of a run that are parameters of a node, under the same name."""
+"""Options of a run that are parameters of a node with the same name."""
 
 UNTIMED_S = 30.0
-"""Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
+"""Input timeout of these nodes with simulated time [s, wall time]. It is long, because the duration
+of a step then has no meaning."""
 
 
 SERIAL_ANSWER_S, SERIAL_HANDOVER_S = 0.14, 0.08
-"""The planner's answer_s, and the solver's handover_s, with a serial line, on which a table takes
-its time [s]."""
+"""The planner's answer_s and the solver's handover_s with a serial line [s]. They include the
+transmission time of a table."""
 
 
 class GraphError(PlateError):
-    """The list of nodes is wrong, or a node does not do its part."""
+    """The list of nodes is wrong, or a node does not work as required."""
 
 
 @dataclass(frozen=True)
@@ -47,19 +48,19 @@ class GraphNode:
     Attributes
     ----------
     name, package, executable : str
-        What `ros2 run PACKAGE EXECUTABLE` starts, and the name it has in the graph.
+        Name of the node in the graph, and the arguments of `ros2 run PACKAGE EXECUTABLE`.
     component : str
-        Its class.
+        Qualified name of the node's class.
     on_hardware : bool
-        Whether it runs on hardware too; False for what stands in for the hardware.
+        Whether the node also runs with hardware. False for nodes that simulate the hardware.
     transport : str
-        The only transport that it is for; empty: all.
+        The only transport with which the node runs. Empty: all transports.
     view : bool
-        Whether it only shows the graph. Such a node is started only on request.
+        Whether the node only displays the graph. Such a node is started only on request.
     feed : bool
-        Whether it is for a task of `feed` alone.
+        Whether the node runs only with a feed task.
     camera : bool
-        Whether it runs only if the option `camera` is given.
+        Whether the node runs only if the option `camera` is given.
     """
 
     name: str
@@ -74,17 +75,17 @@ class GraphNode:
 
 
 def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
-    """Read the list of nodes, in the order in which they are to be started.
+    """Read the list of nodes, in the order of their start.
 
     Parameters
     ----------
     path : path, optional
-        YAML file; config/graph.yaml if left out.
+        YAML file. Default: config/graph.yaml.
 
     Raises
     ------
     GraphError
-        If the file is broken, or a name is given twice.
+        If the file is invalid, or a name occurs twice.
     """
     fields = read_yaml(path or config_path("graph.yaml"), GraphError)
     nodes = tuple(_node(child) for child in fields.children("nodes"))
@@ -113,47 +114,48 @@ def _node(fields: Fields) -> GraphNode:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What is to be run, and how: becomes parameters of the nodes.
+    """Options of one run, which determine the nodes and their parameters.
 
     Attributes
     ----------
     scenario : str
-        Name or path: to the simulator.
+        Name or path of the simulator's scenario.
     method : str
-        Of the solver.
+        Method of the solver.
     seed : int
-        Of simulator and solver.
+        Random seed of simulator and solver.
     transport, port : str
-        Of the driver.
+        Transport and serial port of the driver.
     camera : str
         Device of the camera node. If empty, images come from the simulator or another node.
     hardware : bool
         Whether nothing is simulated. A port has the same effect. With a camera but no port, only
         the motor controller is simulated.
     link : str
-        The simulated device's port.
+        Serial port of the simulated device.
     firmware : str
-        Program of the firmware for drives, which the simulated device runs; empty: no bus.
+        Firmware program for drives that the simulated device runs. Empty: no drive bus.
     lockstep : bool
-        The simulator waits for every answer; time is the simulator's.
+        Whether the simulator waits for every reply. Time is then simulated.
     rate : float
-        Simulated seconds per wall second; other than 1, time is the simulator's.
+        Simulated seconds per second of wall time. If it is not 1, time is simulated.
     simulated_time : bool
-        Time is the simulator's at rate 1 too: its parameter `rate` may change while it runs.
+        Whether time is simulated at rate 1 too. The simulator's parameter `rate` may then change
+        during the run.
     image_rate : float
-        Images of a simulated camera that runs free [1/s]; 0: one at the start of each cycle.
+        Image rate of a free-running simulated camera [1/s]. 0: one image at each start of a cycle.
     rig_file : str
-        To all nodes; empty: the default rig.
+        Rig file of all nodes. Empty: the default rig.
     autostart : bool
-        False: the driver waits until it is configured and activated from outside.
+        If False, the driver waits until another program configures and activates it.
     one_process : bool
-        All nodes in one process, `plate_bringup one_process`.
+        Whether all nodes run in one process, `plate_bringup one_process`.
     view : bool
-        The live page too.
+        Whether to show the live page.
     recipe : str
-        What the feeder feeds, as `scenario`; empty: the scenario, if it is one of `feed`.
+        Name or path of the feeder's scenario. Empty: `scenario`, if it is a feed task.
     robot_port : int
-        On which the feeder serves robots; 0: any free one.
+        TCP port on which the feeder serves robots. 0: any free port.
     """
 
     scenario: str = "sort_10"
@@ -178,7 +180,7 @@ class RunOptions:
 
     @property
     def feeds(self) -> str:
-        """What the feeder feeds; empty: there is none."""
+        """Scenario of the feeder. Empty if there is no feeder."""
         if self.recipe or self.hardware or self.port or self.camera:
             return self.recipe
         return self.scenario if isinstance(load_scenario(self.scenario).task, FeedTask) else ""
@@ -198,7 +200,7 @@ class RunOptions:
 
     @property
     def over_link(self) -> bool:
-        """Whether the driver talks to the simulated device."""
+        """Whether the driver is connected to the simulated device."""
         return self.transport == "serial" and not (self.hardware or self.port)
 
     def parameter_file(
@@ -209,7 +211,8 @@ class RunOptions:
         Parameters
         ----------
         space : str, optional
-            Namespace of the nodes, without slashes at its ends; empty: none. Any, if left out.
+            Namespace of the nodes, without slashes at its ends. Empty: no namespace. By default
+            the parameters apply to all namespaces.
         """
         where = f"/{space}".rstrip("/")
         values = {
@@ -219,13 +222,13 @@ class RunOptions:
         return str(yaml.safe_dump({name: v for name, v in values.items() if v["ros__parameters"]}))
 
     def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
-        """Return the parameters of a node, over those of nodes.yaml.
+        """Return the parameters of a node that override those of nodes.yaml.
 
         Parameters
         ----------
         given : names, optional
-            Options that were chosen: all others are left as nodes.yaml has them. If left out all
-            options were.
+            Names of the chosen options. The others keep their values of nodes.yaml. Default: all
+            options are chosen.
         """
         chosen = {option.name for option in fields(self)} if given is None else {*given}
         names = [name for name in OWN.get(node.name, ()) if name in chosen]
@@ -244,7 +247,7 @@ class RunOptions:
                 values["firmware"] = self.firmware
         if node.name == "simulator" and self.over_link:
             values["driven_by"] = "device"
-        serial = self.transport == "serial" and not self.hardware  # that has a file of its own
+        serial = self.transport == "serial" and not self.hardware  # hardware.yaml sets its values
         if node.name == "planner" and (self.image_rate > 0 or serial):
             values["camera_triggered"] = False
             if self.transport == "serial":

@@ -1,9 +1,10 @@
-"""The closed loop without ROS: the same cores as the nodes, composed in one process.
+"""The closed loop without ROS: it runs the same cores as the nodes in one process.
 
-Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph. A camera
-that runs free takes images at any time, and each cycle is answered a while before its end. Where
-no answer comes, the plate repeats what it did. How answers get to the plate is an argument: at once
-(`Direct`), or over a serial line (`SerialLine` of `bench/harness/serial.py`).
+Image k is taken at the start of cycle k, and the cycle computed from it runs as cycle k + 1, as in
+the graph. A free-running camera takes images at any time, and the loop computes each cycle shortly
+before the present one ends. If no new cycle arrives, the plate repeats the present one. An argument
+selects the transport of cycles to the plate: immediate (`Direct`), or over a serial line
+(`SerialLine` of `bench/harness/serial.py`).
 """
 
 from __future__ import annotations
@@ -79,23 +80,23 @@ __all__ = [
 ALIKE = {
     "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
 }  # fmt: skip
-"""Variables of the environment by which a seed gives the same run, to the last bit, on each
-processor that has AVX2 and FMA. Libraries read them when they are loaded."""
+"""Environment variables with which a seed gives a bit-identical run on every processor with AVX2
+and FMA. Libraries read them when they are loaded."""
 
 EFFORT = ("iterations", "restarts")
-"""Options of the solvers that make an answer take longer, and better."""
+"""Options of the solvers that improve the result and increase the computation time."""
 
 MOMENT_S = 1e-6
-"""Least time that passes between two events [s]."""
+"""Minimum time between two events [s]."""
 
 CAMERA = ("exposure_s", "readout_s")
-"""Facts of the rig's camera that a setting replaces."""
+"""Data of the rig's camera that a setting can replace."""
 
 VIEW = ("tilt_deg", "towards_deg", "focal_px", "distance_m")
-"""Arguments of `view_from` that are settings, with `camera_` before."""
+"""Arguments of `view_from` that are settings with the prefix `camera_`."""
 
 PLANNER_BYTES = 1_000_000
-"""Most in a Python file of a planner."""
+"""Maximum size of a planner's Python file [bytes]."""
 
 NUMBERS = {
     **WORLD_RANGES, "image_age_s": (0.0, 1.0), "exposure_s": (0.0, 0.1), "readout_s": (0.0, 0.1),
@@ -103,43 +104,42 @@ NUMBERS = {
     "camera_focal_px": (50.0, 20000.0), "camera_distance_m": (0.0, 100.0),
     "rig_height_m": (0.0, MAX_HEIGHT_M),
 }  # fmt: skip
-"""Settings of `Setup` itself that are numbers, and what is allowed."""
+"""Numeric settings, and their allowed ranges."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """One run: what is to be done, by which method, in which world.
+    """Settings of one run: task, method and simulated world.
 
     Attributes
     ----------
     scenario : str or Scenario
-        Name or path, or itself.
+        Scenario, or its name or path.
     seed : int
-        Of scattered parts, image noise and the solver's restarts.
+        Random seed of the start positions, the image noise and the solver's restarts.
     method : str
         A key of `METHODS`.
     noise : float
         Image noise [grey levels].
     mu_scale : float
-        True friction over the rig's.
+        True friction divided by the rig's [-].
     disturbances : Disturbances
-        Of the world.
+        Disturbances of the simulated world.
     planner : PlannerOptions
     exposure_s, readout_s : float or None
-        Of the rig's camera [s], where they are to be others.
+        Replacements for those of the rig's camera [s]. None: the rig's.
     camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
-        If one of them is given, the camera looks from elsewhere: `view_from`, with its defaults
-        for the others.
+        If one of them is given, `view_from` moves the camera, with its defaults for the others.
     rig_height_m : float or None
-        Height of all parts in the rig, of which all stages know [m]; None: the rig file's.
+        Height of all parts in the rig that all stages use [m]. None: the rig file's.
     image_age_s : float or None
-        What the planner takes the images' latency to be [s]; None: it finds out.
+        Image latency that the planner assumes [s]. None: the planner estimates it.
     effort : mapping of str to int
-        `iterations`, `restarts` of the solver, where `Controller`'s own are not wanted.
+        `iterations` and `restarts` of the solver, if they differ from the defaults of `Controller`.
     own_planner : str
-        Python file with a class `OwnPlanner` that says what is wanted of the parts, in place of
-        ours, which then only judges: it says when the task is done, stuck or has lost a part, and
-        rests the plate for the image that shows it done.
+        Python file with a class `OwnPlanner`, which requests the forces. The project's planner then
+        only supervises the task: it decides whether the task is done, stuck or has lost a part, and
+        it lets the plate rest for the image that confirms the result.
     """
 
     scenario: str | Scenario
@@ -162,21 +162,21 @@ class Setup:
 
     @property
     def recipe(self) -> Scenario:
-        """The scenario itself."""
+        """The scenario, loaded if only its name or path is given."""
         return (
             self.scenario if isinstance(self.scenario, Scenario) else load_scenario(self.scenario)
         )
 
 
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
-    """Return the setup with settings `key=value` of the command line.
+    """Apply settings `key=value` of the command line to a setup.
 
-    Keys are fields of `Setup`, `Disturbances` and `FollowOptions`, and `EFFORT`.
+    Keys are fields of `Setup`, `Disturbances` and `FollowOptions`, and those of `EFFORT`.
 
     Raises
     ------
     PlateError
-        If a key is unknown or a value does not fit.
+        If a key is unknown or a value is not allowed.
     """
     follow, world = setup.planner.follow, setup.disturbances
     for key, text in settings.items():
@@ -231,39 +231,39 @@ def _method(name: str) -> str:
 
 @dataclass(frozen=True)
 class Moment:
-    """What there is to know at the start of one cycle, for judging and drawing.
+    """State of the loop in one cycle, for evaluation and drawing.
 
     Attributes
     ----------
     time : float
-        Since the first image [s].
+        Start of the running cycle [s].
     world : WorldState
-        True parts.
+        True state of the parts at this time.
     parts : Parts
-        As seen.
+        Detected parts.
     wanted : Wanted
-        Of the solver.
+        Request to the solver.
     answer : Answer
-        Cycle to run next.
+        Result of the solver, with the cycle to run next.
     progress : Progress
     image : (H, W)
-        What the camera saw.
+        Last camera image.
     solve_s : float
-        Time of the cores that the answer took [s].
+        CPU time of the solver [s].
     step_s : float
-        And from the image to the motors' table [s].
+        CPU time from the image to the motors' table [s].
     limit_share, force_share, heat_share : float
-        Greatest share of any limit that the motors' table uses; of a motor's peak force; and of its
-        continuous force, were the table played continuously.
+        Used fractions of the limits by the motors' table [-]: maximum over all limits, peak force,
+        and continuous force if the table is played continuously.
     scaled : bool
-        Whether the driver had to scale the answer down to these limits.
+        Whether the driver had to scale the cycle down to these limits.
     error_m : (P,)
-        True distance of each seen part from its reference or place [m], at the start of the running
-        cycle; empty when sorting.
+        True distance of each detected part from its reference or target at the start of the running
+        cycle [m]. Empty in a sort task.
     turn_error : (P,)
-        What is missing to its angle [rad], in a task of poses.
+        True angle error of each part in a pose task [rad].
     held : int
-        Cycles since the last image that repeated what had run before, because no new image came.
+        Number of repeated cycles since the last image, because no new image arrived.
     """
 
     time: float
@@ -285,54 +285,54 @@ class Moment:
 
 
 class Transport(Protocol):
-    """How answers get to the plate, and how the plate moves meanwhile.
+    """Transport of cycles to the plate, and the plate's motion.
 
     Attributes
     ----------
     now : float
-        Time [s].
+        Present time [s].
     """
 
     now: float
 
     @property
     def began(self) -> float:
-        """When the cycle that is played began [s]."""
+        """Start time of the running cycle [s]."""
 
     @property
     def running(self) -> PlateCycle:
-        """The cycle, or tail of one, that is played."""
+        """The running cycle, or the running tail of one."""
 
     def send(self, table: MotorTable) -> None:
-        """Take an answer."""
+        """Send the table of the next cycle."""
 
     def play(self, until: float) -> Sequence[PlateCycle | PlateMotion]:
-        """Let time pass until a cycle begins, but no longer than `until` [s]; returns the plate's
-        motions until then."""
+        """Advance the time to the start of the next cycle, but at most to `until` [s]. Return the
+        plate's motions in this time."""
 
 
 class Scene(Protocol):
-    """The parts that the loop moves, and how they are seen."""
+    """The parts that the loop moves, and their detection."""
 
     @property
     def state(self) -> WorldState:
-        """The true parts now."""
+        """Present true state of the parts."""
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Return the images of a camera that runs free, from a time [s] on."""
+        """Return the images of a free-running camera from the time `begin` [s] on."""
 
     def capture(self, age: float | None = None) -> np.ndarray | None:
-        """Return an image (H, W) of now, or of `age` [s] ago; None where there is none."""
+        """Return an image (H, W) of the present, or of `age` [s] ago. None if there is none."""
 
     def see(self, image: np.ndarray, stamp: float, expected: Prediction | None) -> Parts:
-        """Return the parts in an image that was taken at a stamp [s]."""
+        """Return the parts detected in an image with this stamp [s]."""
 
     def run(self, motion: PlateCycle | PlateMotion) -> None:
-        """Let the plate move."""
+        """Move the plate, and the parts with it."""
 
 
 class Watched:
-    """The simulator's parts, as vision sees them in its camera's images."""
+    """The simulator's parts, detected by vision in the images of the simulated camera."""
 
     def __init__(self, setup: Setup, scenario: Scenario, rig: Rig) -> None:
         self.simulation = Simulation(
@@ -374,29 +374,29 @@ class Watched:
 
 
 class Cell(Protocol):
-    """What is around the plate, such as a hopper and a robot, and gives a task of `feed` orders."""
+    """The surroundings of the plate, such as hopper and robot. They control a feed task."""
 
     def act(self, simulation: Simulation, now: float) -> None:
-        """Do what is due at a time [s], before an image is taken."""
+        """Perform all actions that are due at the time `now` [s], before an image is taken."""
 
     def order(self, report: FeedReport, now: float) -> FeedOrder:
-        """Take in what the last image showed, and say what is to be done from now [s] on."""
+        """Process the report of the last image. Return the order for the task from `now` [s] on."""
 
 
 class ControlLaw(Protocol):
-    """An own planner: made from the rig, asked once for each image."""
+    """A planner of the user. It is created with the rig and called once per image."""
 
     def plan(self, parts: Parts, t: float) -> Wanted:
-        """Return the mean force wanted on each part; `t` is the stamp of the image [s]."""
+        """Return the requested mean force on each part. `t` is the stamp of the image [s]."""
 
 
 def load_planner(path: str, rig: Rig) -> ControlLaw:
-    """Return the `OwnPlanner` of a Python file.
+    """Load the class `OwnPlanner` from a Python file and return an instance.
 
     Raises
     ------
     PlateError
-        If there is no such file, or no such class in it.
+        If the file does not exist, cannot be loaded, or has no such class.
     """
     if not Path(path).is_file():
         raise PlateError(f"planner is {path!r}, allowed: a Python file with a class OwnPlanner")
@@ -416,7 +416,7 @@ def load_planner(path: str, rig: Rig) -> ControlLaw:
 
 
 def _checked(wanted: object, path: str) -> Wanted:
-    """Return what an own planner wants, if it can be meant."""
+    """Return the request of a user's planner. Raise an error if it is invalid."""
     if not isinstance(wanted, Wanted):
         raise PlateError(
             f"planner {path}: plan returned {type(wanted).__name__}, allowed: a plate_core.Wanted"
@@ -433,7 +433,8 @@ def _checked(wanted: object, path: str) -> Wanted:
 
 
 class Direct:
-    """The simulator's own transport: what is sent during a cycle is played after it."""
+    """Immediate transport to the simulator. A cycle that is sent during another one runs after
+    it."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -441,20 +442,20 @@ class Direct:
 
     @property
     def running(self) -> PlateCycle:
-        """The cycle that is being played."""
+        """The running cycle."""
         return self._timeline.cycle
 
     @property
     def began(self) -> float:
-        """When it began [s]."""
+        """Start time of the running cycle [s]."""
         return self._timeline.begin
 
     def send(self, table: MotorTable) -> None:
-        """Take what is played next."""
+        """Send the table of the next cycle."""
         self._timeline = self._timeline.send(table.cycle)
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
-        """Let the cycle that is being played pass, up to its end or `until` [s]."""
+        """Advance the running cycle to its end, but at most to `until` [s]. Return the motion."""
         played, began, end = self.running, self.began, self._timeline.end
         until = until if until < end - MOMENT_S else end
         begin, stop = self.now - began, min(until - began, played.period)
@@ -473,10 +474,10 @@ def run(
     cell: Cell | None = None,
     scene: Scene | None = None,
 ) -> Iterator[Moment]:
-    """Run the loop until the task has ended; yields every cycle with an image.
+    """Run the loop until the task has ended. Yield a `Moment` for each computed cycle.
 
-    `drag` gives, for a task of `move` that has begun, targets to be replaced at a time [s]; `cell`
-    is for one of `feed`; `scene` has the parts, those of the simulator if left out.
+    `drag` is a function of the time [s]. In a running move task it returns new targets. `cell` is
+    for a feed task. `scene` provides the parts, by default those of the simulator.
     """
     line = transport or Direct()
     scenario = setup.recipe
@@ -493,7 +494,7 @@ def run(
     parts = Parts.make((), np.zeros((0, 2)))
     while True:
         world, now, at_work = scene.state, line.now, cpu_time()
-        if line.began > began:  # another cycle
+        if line.began > began:  # a new cycle has started
             held, began, start = held + 1, line.began, world
             state = planner.started(state, line.running, began, not free)
         new, stamp = None, now
@@ -518,7 +519,7 @@ def run(
                 planner = planner.order(state, cell.order(state.memory.report, now))
             state, wanted, progress = planner.answer(state)
             expected = predicted(wanted, state)
-            # What is held is to be seen at rest, also with a planner of the user's own.
+            # While the task is held, the plate must rest for the image, also with a user's planner.
             if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
                 wanted = _checked(own.plan(parts, began), setup.own_planner)
             solving = cpu_time()
@@ -546,14 +547,15 @@ def run(
 
 
 def predicted(wanted: Wanted, state: PlannerState) -> Prediction | None:
-    """Return what the planner's answer says of where parts will be; None if it does not."""
+    """Return the positions of the parts that the planner predicts for the next start of a cycle.
+    None if its request contains no prediction."""
     if wanted.start is None:
         return None
     return Prediction(wanted.parts.ids, state.estimator.next_start, wanted.start[:, :2])
 
 
 def seen_by(setup: Setup, rig: Rig) -> Rig:
-    """Return the rig with the setup's camera, and its height of parts."""
+    """Return the rig with the setup's camera and height of parts."""
     view = {key: getattr(setup, f"camera_{key}") for key in VIEW}
     if any(value is not None for value in view.values()):
         rig = view_from(rig, **{key: value for key, value in view.items() if value is not None})
@@ -571,8 +573,8 @@ def _true_errors(
     world: WorldState,
     t: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (P,) [m] of the true parts from their references or places, once these count; and
-    what is missing to their angles (P,) [rad], in a task of poses."""
+    """Return the true position errors (P,) [m] of the parts relative to their references or
+    targets, and in a pose task their angle errors (P,) [rad]. Empty while there are none."""
     task, true, none = scenario.task, world.position, np.zeros(0)
     if not len(true):
         return none, none
@@ -602,7 +604,7 @@ def _true_errors(
 
 
 def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
-    """Return the true parts that are seen as those wanted, by the names of these."""
+    """Return the true parts nearest to the detected parts with the ids `wanted`, with these ids."""
     ids = [name for name in wanted if name in parts.ids]
     seen = parts.position[[parts.ids.index(name) for name in ids]]
     rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
@@ -610,9 +612,9 @@ def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
 
 
 def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
-    """Whether the true parts are, at the end, what the task asks; all of them still on the plate.
+    """Whether the final true state of the parts fulfils the task, with all parts on the plate.
 
-    `error` (n,) [m] are their distances from where they should have been, as far as these count.
+    `error` (n,) [m] are the relevant distances of the parts from their references.
     """
     if moment.world.dropped:
         return False
@@ -651,9 +653,9 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         errors.append(moment.error_m)
     stay = isinstance(task, PoseTask) and all(pose.place is None for pose in task.poses)
     all_along = stay or isinstance(task, FollowTask)
-    error = np.concatenate(errors) if all_along else errors[-1]  # assembled: the end counts
+    error = np.concatenate(errors) if all_along else errors[-1]  # else only the end counts
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
-    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
+    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # without the first, which makes tables
     steps = 1e3 * np.array(step_s[1:] or [0.0])
     most = np.max(shares, axis=0).tolist()
     return {

@@ -1,4 +1,4 @@
-"""All nodes of the loop in one process and one executor: for a small computer, or a debugger."""
+"""Run all nodes of the loop in one process and one executor, for small computers or debugging."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .graph import RunOptions, load_graph
 
 
 def main() -> None:
-    """Run the nodes that are named."""
+    """Run the nodes that the command line names."""
     graph = {node.name: node for node in load_graph()}
     default = [node.name for node in RunOptions().nodes(graph.values())]
     parser = argparse.ArgumentParser(
@@ -37,6 +37,6 @@ def main() -> None:
 
 
 def component(name: str) -> Any:
-    """Return the class of that name."""
+    """Return the class with this qualified name."""
     module, _, kind = name.rpartition(".")
     return getattr(import_module(module), kind)

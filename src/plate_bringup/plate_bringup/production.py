@@ -1,7 +1,8 @@
-"""Simulated production: a feeder and a robot that picks, in simulated time and without ROS.
+"""Simulated production with a feeder and a picking robot, in simulated time and without ROS.
 
-The plate's loop is that of `loop`, the feeder's rules are those of its node, hopper and robot are
-the simulator's. The plate is almost empty at first, so it begins with a heap out of the hopper.
+It uses the control loop of `loop`, the feeder's rules, and the simulator's hopper and robot. The
+plate is almost empty at first, so production starts with a heap of parts from the hopper. The
+result is a `Production` with the number of parts per minute and the robot's waiting time.
 """
 
 from __future__ import annotations
@@ -28,20 +29,20 @@ __all__ = [
 ]  # fmt: skip
 
 LEAVES, ASKS, COMES = 0.15, 0.6, 0.85
-"""When a robot has left the view after its grip, asks for the next part, and comes into view again
-[its cycle]."""
+"""Times after a grip at which the robot has left the view, requests the next part, and enters the
+view again [fractions of its cycle]."""
 
 AGAIN = 0.1
-"""A robot that is refused a part asks again so much later [its cycle]."""
+"""Delay until the robot requests a part again after a refusal [fraction of its cycle]."""
 
 SHORT_S = 1e-9
-"""Times are sums of rounded ones [s]."""
+"""Tolerance of times for rounding errors [s]."""
 
 CLIENT = "robot"
 
 
 class Act(Enum):
-    """What a robot does next."""
+    """Next action of a robot."""
 
     LEAVE = "leave"
     ASK = "ask"
@@ -51,26 +52,27 @@ class Act(Enum):
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot that picks parts, one each cycle of C s.
+    """A robot that picks one part per cycle of length C.
 
-    It grips at time 0, and at once knows whether it has the part. It hides part of the image until
-    0.15 C, and tells then. At 0.6 C it asks for the next part. If it has the answer it comes into
-    view at 0.85 C, and grips at C; else it waits outside the view for the answer, and grips 0.15 C
-    after it. This waiting is what counts. A grip that fails takes as long as any other.
+    The robot grips at time 0 and detects immediately whether it has the part. It hides a part of
+    the image until 0.15 C, and then reports the result. At 0.6 C it requests the next part. If the
+    reply arrives in time, it enters the view at 0.85 C and grips at C. Otherwise it waits outside
+    the view for the reply, and grips 0.15 C after it. This wait is the measured waiting time. A
+    failed grip takes as long as a successful one.
 
     Attributes
     ----------
     cycle_s : float
-        C [s].
+        Cycle length C [s].
     since : float
-        When it has gripped last [s].
+        Time of the last grip [s].
     next : Act
     place : (x, y, angle) or None
-        Where it is to grip [m, m, rad, plate_home]; None: it does not know.
+        Pose of the next grip [m, m, rad, plate_home]. None if not yet known.
     answered : float
-        When it got to know [s].
+        Time of the reply with this pose [s].
     refused : float
-        When it was refused a part [s].
+        Time of the last refusal [s].
     """
 
     cycle_s: float
@@ -82,18 +84,19 @@ class Robot:
 
     @classmethod
     def ready(cls, cycle_s: float) -> Robot:
-        """Return one that asks for its first part at time 0."""
+        """Return a robot that requests its first part at time 0."""
         return cls(cycle_s, -ASKS * cycle_s, Act.ASK)
 
     def told(self, place: tuple[float, float, float] | None, now: float) -> Robot:
-        """Take the answer [m, m, rad, plate_home] at a time [s]; None: there is no part."""
+        """Return the robot after a reply at the time `now` [s]. `place` is the pose of the part
+        [m, m, rad, plate_home], or None if there is no part."""
         if place is None:
             return replace(self, next=Act.ASK, refused=now)
         return replace(self, place=place, answered=now)
 
     @property
     def due(self) -> float:
-        """When the next act is [s]; infinite while it waits."""
+        """Time of the next action [s]. Infinite while the robot waits for a reply."""
         if self.next is Act.LEAVE:
             return self.since + LEAVES * self.cycle_s
         if self.next is Act.ASK:
@@ -104,7 +107,8 @@ class Robot:
         return comes if self.next is Act.COME else comes + (1 - COMES) * self.cycle_s
 
     def step(self, now: float) -> tuple[Robot, Act | None]:
-        """Return it after the first act that is due by now [s], and that act; None: none is."""
+        """Return the robot after the first action that is due at `now` [s], and this action. The
+        action is None if none is due."""
         if self.due > now + SHORT_S:
             return self, None
         act = self.next
@@ -114,31 +118,32 @@ class Robot:
         return replace(self, next=follows[act]), act
 
     def waited(self, now: float) -> float:
-        """Return how long it has waited for its next part until now [s]."""
+        """Return the robot's waiting time for its next part until `now` [s]."""
         until = now if self.place is None else self.answered
         return max(0.0, until - self.since - COMES * self.cycle_s)
 
 
 @dataclass
 class Tally:
-    """What is counted in a production.
+    """Counters of a running production.
 
     Attributes
     ----------
     time_s : float
-        How long it has been going on [s].
+        Elapsed time [s].
     first_s : float
-        When the first part was picked [s]; not a number: none was.
+        Time of the first successful grip [s]. NaN if there was none.
     picks, failed : int
-        Grips that had a part; that had none.
+        Numbers of successful and failed grips.
     waited_s : float
-        How long the robot waited for parts after the first [s].
+        Total waiting time of the robot after the first pick [s].
     error_m, error_rad : list of float
-        How far parts lay from where they were said, and turned otherwise, when they were gripped.
+        Differences between the reported and the true position [m] and angle [rad] of each part at
+        the grip.
     refused : list of str
-        Answers to the robot's questions other than a part.
+        Replies to the robot's requests without a part.
     cpu_s : float
-        Time of the cores for vision, planner, solver and driver [s].
+        CPU time of vision, planner, solver and driver [s].
     """
 
     time_s: float = 0.0
@@ -152,7 +157,7 @@ class Tally:
     cpu_s: float = 0.0
 
     def gripped(self, robot: Robot, result: Grip) -> None:
-        """Count a grip that was due."""
+        """Record a grip and its result."""
         self.picks += result.success
         self.failed += not result.success
         if not np.isnan(self.first_s):
@@ -165,29 +170,30 @@ class Tally:
 
 @dataclass(frozen=True)
 class Production:
-    """What came of a production.
+    """Result of a production.
 
     Attributes
     ----------
     parts_per_min : float
-        Parts that were picked, after the first one, by the time since then; if there was but one,
-        by all the time.
+        Number of parts picked after the first one, divided by the time since the first pick
+        [1/min]. If there was only one, it is divided by the whole time.
     waiting : float
-        Share of the time since the first pick in which the robot waited for a part [-]; 1 if no
-        second one followed.
+        Fraction of the time since the first pick in which the robot waited for a part [-]. 1 if
+        there was no second pick.
     first_s : float
-        Until the first pick [s].
+        Time until the first pick [s].
     picks, failed : int
-        Grips that had a part, and that had none.
+        Numbers of successful and failed grips.
     lost, discharged : int
-        Parts that left the plate otherwise: over an edge, or wanted ones over the chute's; and
-        others over the chute's.
+        Numbers of parts that left the plate by other means. Lost parts fell over an edge, or were
+        requested ones that fell over the chute's edge. Discharged parts are the others that fell
+        over the chute's edge.
     error_mm, error_deg : (median, 95 %, worst)
-        Of parts' places and angles when they were gripped.
+        Errors of the reported positions and angles of parts at the grip.
     cpu : float
-        Time of a core for each second, without that of the simulator [-].
+        CPU time per simulated second, without the simulator [-].
     refused : tuple of str
-        Answers to the robot's questions other than a part.
+        Replies to the robot's requests without a part.
     """
 
     parts_per_min: float
@@ -204,7 +210,7 @@ class Production:
 
     @classmethod
     def of(cls, tally: Tally, robot: Robot, simulation: Simulation, task: FeedTask) -> Production:
-        """Sum up what was counted until now."""
+        """Return the result from the counters so far."""
         astray = sum(simulation.chuted_classes[pick.label] for pick in task.picks)
         counts = tally.picks >= 2
         since = tally.time_s - tally.first_s if counts else max(tally.time_s, SHORT_S)
@@ -225,12 +231,13 @@ class Production:
 
     @property
     def row(self) -> dict[str, Any]:
-        """The same as JSON has it."""
+        """The result as a dictionary for JSON."""
         return asdict(self)
 
 
 def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, float]:
-    """Return median, 95 % and greatest of values that are finite, in a unit."""
+    """Return median, 95th percentile and maximum of the finite values, multiplied by `unit`. NaN if
+    there are none."""
     there = unit * np.array([value for value in values if np.isfinite(value)])
     if not len(there):
         return (np.nan, np.nan, np.nan)
@@ -238,7 +245,7 @@ def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, flo
 
 
 class FeederCell:
-    """What is around the plate: the feeder's rules, the hopper and a robot.
+    """The surroundings of the plate: the feeder's rules, the hopper and a robot.
 
     Attributes
     ----------
@@ -246,16 +253,16 @@ class FeederCell:
     robot : Robot
     tally : Tally
     simulation : Simulation or None
-        None: nothing has happened so far.
+        None before the first call of `act`.
     """
 
     def __init__(self, task: FeedTask, rig: Rig, cycle_s: float) -> None:
         self.feeder, self.robot, self.tally = Feeder(task, rig), Robot.ready(cycle_s), Tally()
         self.simulation: Simulation | None = None
-        self._id, self._has = "", False  # of the part that it was told; whether it has it
+        self._id, self._has = "", False  # id of the robot's part, and whether it holds it
 
     def act(self, simulation: Simulation, now: float) -> None:
-        """Have the robot do what is due by now [s]."""
+        """Perform all actions of the robot that are due at `now` [s]."""
         self.simulation, self.tally.time_s = simulation, now
         while True:
             before = self.robot
@@ -275,18 +282,18 @@ class FeederCell:
                 self._has = result.success
 
     def order(self, report: FeedReport, now: float) -> FeedOrder:
-        """Hand the planner's report to the feeder, and return what it orders."""
+        """Pass the planner's report to the feeder, and return the feeder's order."""
         self.feeder.hear(status_of(report), now)
         output = self.feeder.step(now)
         if output.open_s is not None and self.simulation is not None:
-            with suppress(PlateError):  # of a full plate: the node is refused, too
+            with suppress(PlateError):  # raised for a full plate, as with the node
                 self.simulation.open_hopper(output.open_s)
         for _, reply in output.replies:
             self._hear(reply, now)
         return output.order
 
     def _hear(self, reply: Reply | None, now: float) -> None:
-        """Take the feeder's answer to the robot; None: it comes later."""
+        """Process the feeder's reply to the robot. None: the reply follows later."""
         if reply is None:
             return
         part = reply.part
@@ -299,7 +306,7 @@ class FeederCell:
 
 
 def status_of(report: FeedReport) -> FeedStatus:
-    """Return what the feeder gets to know of an image."""
+    """Convert the planner's report about an image to the feeder's input."""
     ready = report.ready
     parts = zip(ready.ids, ready.position.tolist(), ready.angle.tolist(), strict=True)
     return FeedStatus(
@@ -314,13 +321,12 @@ def status_of(report: FeedReport) -> FeedStatus:
 
 
 def check_robot(task: FeedTask, cycle_s: float) -> None:
-    """Refuse a robot whose cycle [s] is so long that its part is no longer reserved while it stands
-    over the plate.
+    """Check that a part stays reserved until the robot with this cycle [s] has left the plate.
 
     Raises
     ------
     PlateError
-        If it is.
+        If the robot's cycle is too long for the task's `valid_s`.
     """
     least = (1 + LEAVES - ASKS) * cycle_s
     if task.valid_s < least:
@@ -331,13 +337,15 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
 
 
 def filled(recipe: Scenario, fill: int) -> Scenario:
-    """Return a recipe whose hopper keeps so many parts on the plate, and that begins with one of
-    those that are wanted, and the others that it has.
+    """Return a recipe whose hopper keeps `fill` parts on the plate.
+
+    At the start, the plate has one part of the first requested class and all parts of the classes
+    that are not requested.
 
     Raises
     ------
     PlateError
-        If it is no recipe of a feeder with a hopper, or there cannot be so many parts.
+        If the recipe is no feed task with a hopper, or `fill` is out of range.
     """
     task = recipe.task
     if not isinstance(task, FeedTask) or task.hopper is None:
@@ -369,22 +377,23 @@ def produce(
     rig: Rig | None = None,
     note: Callable[[FeederCell], None] = lambda _: None,
 ) -> Production:
-    """Run the feeder with a robot of a cycle [s] for a time [s].
+    """Simulate a production with a feeder and a robot.
 
     Parameters
     ----------
     setup : Setup
-        Its scenario is a recipe.
+        Setup whose scenario is a feed task.
     cycle_s, time_s : float
+        The robot's cycle and the duration of the production [s].
     rig : Rig, optional
-        In place of the recipe's.
+        Default: the rig of the recipe.
     note : callable
-        Called after each image.
+        Called after each computed cycle.
 
     Raises
     ------
     PlateError
-        If the task ends, which it should not, or the robot is too slow for the recipe.
+        If the task ends unexpectedly, or the robot is too slow for the recipe.
     """
     recipe = setup.recipe
     rig = rig or load_rig(recipe.rig)

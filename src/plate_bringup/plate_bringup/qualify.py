@@ -1,7 +1,7 @@
-"""Say how many parts a minute a feeder will do, before a rig is set up: simulated production with
-several fills of the plate, as `ros2 run plate_bringup qualify`.
+"""Predict the parts per minute of a feeder before a rig is built: `ros2 run plate_bringup qualify`.
 
-Needs no ROS: `python -m plate_bringup.qualify` does the same.
+It simulates production with several numbers of parts on the plate. Without ROS,
+`python -m plate_bringup.qualify` does the same.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from .production import FeederCell, Production, filled, percentiles, produce
 __all__ = ["Row", "page", "qualified"]
 
 AS_GOOD = 0.99
-"""Of fills that do nearly as much [of the most parts a minute], the smallest is the best."""
+"""Fraction of the maximum parts per minute that the best fill must reach. The best fill is the
+smallest one that does."""
 
 CYCLE_S, MINUTES = (0.2, 60.0), (0.05, 60.0)
-"""A robot's cycle [s] and the time of one production [min] that may be asked for."""
+"""Allowed ranges of the robot's cycle [s] and of the duration of one production [min]."""
 
 MOST_SEEDS = 100
 
@@ -42,14 +43,14 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class Row:
-    """What came of one fill.
+    """Results for one fill.
 
     Attributes
     ----------
     fill : int
-        Parts that the hopper keeps on the plate.
+        Number of parts that the hopper keeps on the plate.
     runs : tuple of Production
-        One for each seed.
+        One result for each seed.
     """
 
     fill: int
@@ -57,17 +58,17 @@ class Row:
 
     @property
     def parts_per_min(self) -> float:
-        """Mean over the runs."""
+        """Mean parts per minute over the runs."""
         return float(np.mean([run.parts_per_min for run in self.runs]))
 
     @property
     def waiting(self) -> float:
-        """Mean share of time in which the robot waits [-]."""
+        """Mean fraction of the time in which the robot waits [-]."""
         return float(np.mean([run.waiting for run in self.runs]))
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """As text, under `HEADINGS`."""
+        """The results as texts, in the order of `HEADINGS`."""
         runs = self.runs
         first = percentiles([run.first_s for run in runs], 1.0)[0]
         error = percentiles([run.error_mm[1] for run in runs], 1.0)[2]
@@ -87,7 +88,8 @@ def _shown(value: float, unit: str, digits: int) -> str:
 
 
 def best(rows: Sequence[Row]) -> Row | None:
-    """Return the smallest fill that does nearly the most parts a minute; None if none does any."""
+    """Return the smallest fill with at least `AS_GOOD` of the maximum parts per minute. None if no
+    part was picked."""
     most = max(row.parts_per_min for row in rows)
     good = [row for row in rows if row.parts_per_min >= AS_GOOD * most]
     return min(good, key=lambda row: row.fill) if most > 0 else None
@@ -107,19 +109,19 @@ def qualified(
     Parameters
     ----------
     recipe : Scenario
-        Of a feeder with a hopper.
+        Feed task with a hopper.
     rig : Rig
     fill : int
     cycle_s, time_s : float
-        The robot's cycle and the time of one production [s].
+        The robot's cycle and the duration of one production [s].
     seeds : sequence of int
     note : callable
-        Called with the seed after each image.
+        Called with the seed after each computed cycle.
 
     Raises
     ------
     PlateError
-        If the recipe, the rig and the fill do not fit each other.
+        If recipe, rig and fill are inconsistent.
     """
     setups = [Setup(filled(recipe, fill), seed) for seed in seeds]
     runs = [
@@ -130,7 +132,7 @@ def qualified(
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return the rows for a terminal; the best is marked."""
+    """Return the rows as a table for a terminal. The best fill is marked."""
     chosen = best(rows)
     cells = [HEADINGS, *(row.cells for row in rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(HEADINGS))]
@@ -147,7 +149,7 @@ def page(path: Path, title: str, about: str, rows: Sequence[Row]) -> None:
     Raises
     ------
     PlateError
-        If it cannot be written.
+        If the page cannot be written.
     """
     chosen = best(rows)
     head = "".join(f"<th>{escape(word)}</th>" for word in HEADINGS)
@@ -187,7 +189,8 @@ grip. CPU: share of one core of this machine for vision, planner, solver and dri
 
 
 def chart(rows: Sequence[Row]) -> str:
-    """Return parts a minute and waiting against fill as SVG; a dot is one run."""
+    """Return a chart of parts per minute and waiting time over the fill, as SVG. Each dot is one
+    run."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -213,7 +216,7 @@ def chart(rows: Sequence[Row]) -> str:
 
 @piped()
 def main() -> None:
-    """Run the command line; exit code 0: parts were picked, 1: none, 2: wrong arguments."""
+    """Run the command line. Exit code 0: parts were picked, 1: no parts, 2: wrong arguments."""
     args = arguments()
     try:
         recipe = load_scenario(args.recipe)
@@ -249,7 +252,7 @@ def main() -> None:
 
 
 class Progress:
-    """Tells on stderr how far the runs of a fill are; on a terminal in one line."""
+    """Reports the progress of the runs of a fill on stderr. On a terminal it uses one line."""
 
     def __init__(self, fill: int, seeds: int, time_s: float) -> None:
         self._fill, self._seeds, self._time_s = fill, seeds, time_s
@@ -258,7 +261,7 @@ class Progress:
         self._begin, self._end, self._each = ("\r\033[K", "", 1) if terminal else ("", "\n", 10)
 
     def __call__(self, seed: int, cell: FeederCell) -> None:
-        """Take in one image."""
+        """Update the progress after a computed cycle."""
         tally = cell.tally
         done = int(100 * (seed + min(tally.time_s / self._time_s, 1.0)) / self._seeds)
         if done < self._told + self._each:
@@ -271,7 +274,7 @@ class Progress:
         )  # fmt: skip
 
     def done(self, row: Row) -> None:
-        """Tell what came of it."""
+        """Print the result of the fill."""
         print(
             f"{self._begin}fill {row.fill}: {row.parts_per_min:.1f} parts a minute, the robot "
             f"waits {100 * row.waiting:.1f} % of the time",

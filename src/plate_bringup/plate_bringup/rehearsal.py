@@ -1,8 +1,9 @@
-"""Whether a rig can do a task: it is rehearsed on the solver's own map, before it starts.
+"""Rehearsal of a task by prediction, to find out whether a rig can perform it.
 
-A rehearsal is the loop with the real planner and solver and the rig's true limits. The solver's
-prediction stands in for plate and camera: parts are seen without error, friction differs from part
-to part, and parts never touch.
+A rehearsal runs the loop with the real planner and solver and the rig's limits. The solver's cycle
+map replaces plate and camera: parts are observed without error, the friction coefficient differs
+from part to part, and parts never collide. The results are the predicted time and speed, and the
+used fractions of the rig's limits.
 """
 
 from __future__ import annotations
@@ -28,29 +29,30 @@ from .loop import Setup, run
 __all__ = ["REHEARSALS", "STILL", "Rehearsal", "Share", "Verdict", "judge_task", "rehearse"]
 
 REHEARSALS = 3
-"""Starts from which a task is rehearsed."""
+"""Number of rehearsals of a task, each with other random start positions."""
 
 MOST_CYCLES = 150
-"""Of one rehearsal; what is left of the task then is estimated by the speed of its second half."""
+"""Maximum number of cycles per rehearsal. The time for the rest is extrapolated from the speed in
+the second half."""
 
 UNEVEN = 0.1
-"""Standard deviation of the parts' friction [the rig's]."""
+"""Standard deviation of the parts' friction, relative to that of the rig [-]."""
 
 STILL = 0.5e-3
-"""Parts that come nearer more slowly do not come nearer [m/s]."""
+"""Speed of approach below which parts count as not approaching their targets [m/s]."""
 
 REHEARSED = SortTask, FollowTask, AssembleTask
-"""Kinds of tasks whose parts may be taken for points."""
+"""Kinds of tasks in which parts can be modelled as points."""
 
 ENDLESS_S = 1e5
-"""A rehearsal has so long [s]: it tells the time that would do."""
+"""Time limit of a rehearsal [s]. It is long, because the rehearsal determines the required time."""
 
 NOTHING_SEEN = np.zeros((0, 0))
 """Image of a scene without a camera."""
 
 
 class Share(NamedTuple):
-    """What motions use of the rig's limits, as fractions of them: medians over the cycles."""
+    """Used fractions of the rig's limits, as medians over the cycles [-]."""
 
     stroke: float = 0.0
     speed: float = 0.0
@@ -60,24 +62,25 @@ class Share(NamedTuple):
 
     @property
     def binds(self) -> str:
-        """The limit of which most is used."""
+        """Name of the limit with the largest used fraction."""
         return self._fields[int(np.argmax(self))]
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """How a task went.
+    """Result of one rehearsal.
 
     Attributes
     ----------
     time_s : float
-        Until it was done, with what was left after `MOST_CYCLES`; infinite where it failed, or
-        parts came no nearer.
+        Time until the task succeeded, extrapolated if it was not finished after `MOST_CYCLES` [s].
+        Infinite if it failed or if the parts did not approach their targets.
     speed : float
-        Mean over the parts until half of all ways was done [m/s].
+        Mean speed of the parts until the remaining distance was halved [m/s].
     lost : bool
         Whether a part left the plate.
     share : Share
+        Used fractions of the rig's limits.
     """
 
     time_s: float
@@ -87,19 +90,19 @@ class Rehearsal:
 
 
 class Verdict(NamedTuple):
-    """Rehearsals of a task from several starts, and the time that it may take [s]."""
+    """Rehearsals of a task from several starts, and its time limit [s]."""
 
     rehearsals: tuple[Rehearsal, ...]
     time_limit_s: float
 
     @property
     def in_time(self) -> int:
-        """How many ended well."""
+        """Number of rehearsals that succeeded within the time limit without losing a part."""
         return sum(one.time_s <= self.time_limit_s and not one.lost for one in self.rehearsals)
 
     @property
     def likely(self) -> bool:
-        """Whether most did."""
+        """Whether more than half of the rehearsals succeeded in time."""
         return 2 * self.in_time > len(self.rehearsals)
 
     @property
@@ -109,12 +112,12 @@ class Verdict(NamedTuple):
 
     @property
     def speed(self) -> float:
-        """Median of the parts' speeds [m/s]; not less than 0."""
+        """Median of the parts' speeds, at least 0 [m/s]."""
         return max(float(np.median([one.speed for one in self.rehearsals])), 0.0)
 
     @property
     def share(self) -> Share:
-        """Median of what is used of the limits."""
+        """Medians of the used fractions of the limits."""
         return Share(*np.median([one.share for one in self.rehearsals], axis=0))
 
 
@@ -124,26 +127,27 @@ def judge_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Ve
     Raises
     ------
     PlateError
-        If the scenario does not fit on the plate.
+        If the scenario is impossible on this rig.
     """
     done = tuple(rehearse(rig, scenario, seed) for seed in range(rehearsals))
     return Verdict(done, scenario.time_limit_s)
 
 
 class Predicted:
-    """A `Scene` of the solver's cycle map: parts at rest at first, seen as they are.
+    """A `Scene` that moves parts by the solver's cycle map. Parts start at rest and are observed
+    without error.
 
     Parameters
     ----------
     scenario : Scenario
     rig : Rig
     seed : int
-        Scatters parts, and makes friction uneven.
+        Random seed of the start positions and of the parts' friction.
 
     Raises
     ------
     PlateError
-        If the scenario does not fit on the plate.
+        If the scenario is impossible on this rig.
     """
 
     def __init__(self, scenario: Scenario, rig: Rig, seed: int) -> None:
@@ -154,7 +158,7 @@ class Predicted:
         self._half = rig.plate.half
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Return no images of a camera that runs free."""
+        """Return no images, since there is no free-running camera."""
         return iter(())
 
     def capture(self, age: float | None = None) -> np.ndarray:
@@ -162,12 +166,12 @@ class Predicted:
         return NOTHING_SEEN
 
     def see(self, image: np.ndarray, stamp: float, expected: Prediction | None) -> Parts:
-        """Return the parts that are on the plate."""
+        """Return the true parts on the plate."""
         state = self.state.take(self.state.on_plate)
         return Parts.make(state.ids, state.position, angle=state.angle)
 
     def run(self, motion: PlateCycle | PlateMotion) -> None:
-        """Let parts slide; each as if it were a point, and alone."""
+        """Move the parts by the cycle map. Parts are points and do not collide."""
         state = self.state
         position, velocity = after(motion, state.position, state.velocity, self._friction)
         on_plate = state.on_plate & np.all(np.abs(position) <= self._half, axis=1)
@@ -175,12 +179,13 @@ class Predicted:
 
 
 def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
-    """Rehearse a task once, by Method B; the seed scatters parts and makes friction uneven.
+    """Rehearse a task once by Method B. The seed determines start positions and friction.
 
     Raises
     ------
     PlateError
-        If the scenario does not fit on the plate, or is not rehearsed: angles, moving, feeding.
+        If the scenario is impossible on this rig, or its kind of task (pose, move, feed) cannot be
+        rehearsed.
     """
     if not isinstance(scenario.task, REHEARSED):
         raise PlateError("tasks of angles, and of targets that may change, are not rehearsed")
@@ -192,7 +197,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     times = np.array([progress.time_s for progress in told])
     begin = int(np.argmax(left))
     left, times, first = left[begin:], times[begin:], told[begin]
-    # Following, the longest way is told; else the sum of all.
+    # A follow task reports the largest remaining distance, other tasks the sum over all parts.
     going = 1 if isinstance(scenario.task, FollowTask) else first.parts_total - first.parts_sorted
     half = int(np.argmax(left <= left[0] / 2)) if np.any(left <= left[0] / 2) else -1
     speed = (left[0] - left[half]) / max(going, 1) / max(times[half] - times[0], IDLE_S)
@@ -209,7 +214,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
 
 
 def share_of(rig: Rig, cycle: PlateCycle) -> Share:
-    """Return what a motion uses of the rig's limits."""
+    """Return the fractions of the rig's limits that a motion uses."""
     used, limits = usage(rig, cycle), rig.limits
     return Share(
         used.stroke_m / limits.stroke_m,

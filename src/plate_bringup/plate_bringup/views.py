@@ -1,4 +1,4 @@
-"""Rigs whose camera is elsewhere: tilted, nearer, or with another lens."""
+"""Variants of a rig with another camera: tilted, nearer, or with another lens."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from plate_core.rig import Lens
 __all__ = ["MARGIN_PX", "view_from", "with_height"]
 
 MARGIN_PX = 12.0
-"""Least distance of the plate's corners from the image's edges [px], where the camera is as near as
-that allows."""
+"""Minimum distance between the plate's corners and the image's edges, which determines the
+camera's distance if none is given [px]."""
 
 NEAREST_M, FARTHEST_M = 0.05, 100.0
-"""Distances that are tried [m]."""
+"""Range of the search for the camera's distance [m]."""
 
 HALVINGS = 60
-"""Of that range: to rounding."""
+"""Number of bisections of that range. The result is exact up to rounding."""
 
 
 def view_from(
@@ -32,27 +32,28 @@ def view_from(
     distance_m: float = 0.0,
     distortion: Sequence[float] = (),
 ) -> Rig:
-    """Return a rig whose camera looks at the middle of the plate, with its upper side towards +y.
+    """Return a rig whose camera looks at the middle of the plate, with the top of the image towards
+    +y.
 
     Parameters
     ----------
     rig : Rig
-        Gives everything else, such as the size of the image.
+        Source of all other data, such as the size of the image.
     tilt_deg, towards_deg : float
-        Angle of the view from straight above [degrees], and the direction in which the camera is
-        then, from x: 0 is sideways.
+        Tilt of the camera from straight above [degrees], and direction from the plate's middle to
+        the camera, counter-clockwise from x [degrees].
     focal_px : float
-        Focal length of the lens [px], whose centre is the middle of the image.
+        Focal length of the lens [px]. The principal point is the middle of the image.
     distance_m : float
-        From the camera to the middle of the plate [m]; 0: the least at which all of the plate is
-        `MARGIN_PX` within the image.
+        Distance between the camera and the middle of the plate [m]. 0: the smallest distance at
+        which the corners are at least `MARGIN_PX` inside the image.
     distortion : sequence of float
-        Of the lens: k1, k2, p1, p2, k3; empty: none.
+        Distortion of the lens, k1, k2, p1, p2, k3. Empty: no distortion.
 
     Raises
     ------
     PlateError
-        If the whole plate is in front of the camera at no distance that is tried.
+        If a corner of the plate is not in front of the camera at this distance.
     """
     size = np.array([rig.camera.width_px, rig.camera.height_px])
     middle = (float(size[0] - 1) / 2, float(size[1] - 1) / 2)
@@ -84,13 +85,13 @@ def view_from(
 
 
 def with_height(rig: Rig, height_m: float) -> Rig:
-    """Return a rig all of whose parts have a height [m], those of types, too."""
+    """Return a rig in which all parts, also those with a type, have this height [m]."""
     types = {name: replace(part, height_m=height_m) for name, part in rig.types.items()}
     return replace(rig, parts=replace(rig.parts, height_m=height_m), types=types)
 
 
 def _rotation(tilt_deg: float, towards_deg: float) -> np.ndarray:
-    """Return the axes of plate_home in the camera's frame (3, 3), as columns."""
+    """Return the axes of plate_home in the camera frame as columns (3, 3)."""
     tilt, towards = np.radians([tilt_deg, towards_deg])
     beside = np.array([np.cos(towards), np.sin(towards), 0.0])
     ahead = -np.sin(tilt) * beside - np.array([0.0, 0.0, np.cos(tilt)])
