@@ -55,6 +55,7 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         def truth():
             return msg_to_parts(heard["ground_truth"])
 
+        assert observer.until(lambda: {"parts", "ground_truth", "task_status"} <= heard.keys(), 10)
         seen = msg_to_parts(heard["parts"])
         start = seen.position[seen.ids.index("black_1")]
         for place in ((0.15, 0.05), clear_place(seen, start)):  # the second while it is on its way

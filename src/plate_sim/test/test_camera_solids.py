@@ -296,12 +296,14 @@ def test_heights_and_sizes_of_a_run():
     assert np.abs(said.capture().astype(float) - flat.capture()).max() > 50
     spread = Disturbances(size_spread=0.3)
     one, two = (Simulation(rig, scenario, seed, spread, noise=0.0) for seed in (3, 4))
-    assert np.all(np.abs(one._size - 1) <= 0.3)
-    assert np.ptp(one._size) > 0.05
-    assert not np.array_equal(one._size, two._size)
-    before = dict(zip(one.state.ids, one._size, strict=True))
+    assert np.all(np.abs(one._view._size - 1) <= 0.3)
+    assert np.ptp(one._view._size) > 0.05
+    assert not np.array_equal(one._view._size, two._view._size)
+    before = dict(zip(one.state.ids, one._view._size, strict=True))
     one.remove(one.state.ids[0])
-    assert all(before[name] == size for name, size in zip(one.state.ids, one._size, strict=True))
+    assert all(
+        before[name] == size for name, size in zip(one.state.ids, one._view._size, strict=True)
+    )
 
 
 def test_a_change_draws_the_plate_again():
