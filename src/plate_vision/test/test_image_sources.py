@@ -215,7 +215,7 @@ def test_jpeg_frames(make):
     assert (found.shape, name) == ((48, 64, 3), "bgr8")
     with pytest.raises(ImageError, match="size is 64 x 48 px, allowed: 32 x 24"):
         unpack_frame(data, "MJPG", (32, 24))
-    with pytest.raises(ImageError, match="200 bytes .* allowed: whole files"):
+    with pytest.raises(ImageError, match=r"200 bytes .* allowed: whole files"):
         unpack_frame(data[:200], "MJPG", (64, 48))
 
 
