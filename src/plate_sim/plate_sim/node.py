@@ -197,8 +197,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth; /clock if simulated.
     Services: ~/reset places the parts again, with the seed if it was set, otherwise with the next
     seed; ~/place_part and ~/remove_part act by hand; hopper/open drops parts; ~/move_robot takes a
-    part. After such a change, or a change of a live parameter, the seed no longer reproduces the
-    run.
+    part. After one of these, or a change of a live parameter, a seed does not reproduce the run.
 
     `ground_truth` (parts on the plate with true names, angles, velocities and spins) is only for
     the evaluation of a run. No stage may subscribe to it.
