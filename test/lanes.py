@@ -2,8 +2,8 @@
 
 Most files of test/ start nodes or programs and mostly wait for them. All others compute: those of
 the packages, in src/, and those of test/ that name neither. The first half of the workers runs the
-files that wait, then what is left. The other half runs the files that compute, at a lower priority:
-it uses the time in which the first half waits.
+files that wait, then the other files. The other half runs the files that compute, at a lower
+priority: it uses the time in which the first half waits.
 """
 
 import os

@@ -14,7 +14,7 @@ TESTS = [f"{file}::test_{n}" for n in range(3) for file in FILES]
 
 @pytest.fixture(autouse=True)
 def _files(tmp_path, monkeypatch):
-    """All files of test/ start nodes, but for d.py."""
+    """All files of test/ except d.py start nodes."""
     monkeypatch.setattr(lanes, "ROOT", tmp_path)
     lanes.computes.cache_clear()
     (tmp_path / "test").mkdir()

@@ -36,17 +36,17 @@ def measure(quick: bool) -> Result:
     nodes = ("--nodes", "planner", "driver") if quick else ()
     tables, summary = [], []
     for transport, where in TRANSPORTS.items():
-        found = told("faults", *nodes, "--transport", transport)
+        found = run_case("faults", *nodes, "--transport", transport)
         tables.append(Table(f"faults_{transport}", where, FAULTS, cells(found)))
         well = sum(row["well"] for row in found["rows"])
         summary.append(
             f"{where}: {well} of {len(found['rows'])} faults ended as they should; "
             f"{found['tables']} motor tables, {len(found['faults'])} broke a limit"
         )
-    verdicts = told("fuzz", "--count", QUICK_MESSAGES if quick else MESSAGES)
+    verdicts = run_case("fuzz", "--count", QUICK_MESSAGES if quick else MESSAGES)
     tables.append(Table.of("fuzz", verdicts))
     summary.append(f"malformed messages: {sum(v['crashes'] for v in verdicts)} crashes")
-    goals = told("goals", "--count", QUICK_GOALS if quick else GOALS)
+    goals = run_case("goals", "--count", QUICK_GOALS if quick else GOALS)
     reasons = ", ".join(f"{count} {name.lower()}" for name, count in goals.pop("reasons").items())
     summary.append(
         f"goals at random: {goals['goals']}, of which {goals['wrong']} wrong, {goals['cancels']} "
@@ -54,7 +54,7 @@ def measure(quick: bool) -> Result:
         f"{goals['wrong ones that began']} wrong ones began ({reasons}); at the end the plate "
         + ("rests" if goals["plate rests"] else "does not rest")
     )
-    hours = told("soak", "--minutes", QUICK_MINUTES if quick else MINUTES)
+    hours = run_case("soak", "--minutes", QUICK_MINUTES if quick else MINUTES)
     tables.append(memory(hours))
     summary.append(
         f"{60 * hours['hours']:.1f} minutes of sorting: {hours['done']} of {hours['tasks']} tasks "
@@ -65,10 +65,10 @@ def measure(quick: bool) -> Result:
     return Result(tables, summary)
 
 
-def told(case: str, *words: object) -> Any:
+def run_case(case: str, *words: object) -> Any:
     """Run a case of `tools/robustness.py`, and return its result."""
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "told.json"
+        path = Path(folder) / "result.json"
         command = [
             sys.executable,
             str(ROOT / "tools/robustness.py"),

@@ -1,6 +1,6 @@
 """Trials beyond the greedy step: a motion played again, a learned cost-to-go, a learned start.
 
-Each answer of the solver minimises what is left once its motion was played n times,
+Each answer of the solver minimises the remaining error after its motion was played n times,
 
     J(xn) = |w way(xn)|^2 + edges + neighbours,   xk = F(xk-1, pk-1; a),   pk = E a,
 

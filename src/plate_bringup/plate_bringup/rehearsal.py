@@ -191,12 +191,12 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
         raise PlateError("tasks of angles, and of targets that may change, are not rehearsed")
     setup = Setup(replace(scenario, time_limit_s=ENDLESS_S), seed, image_age_s=0.0)
     moments = list(islice(run(setup, rig, scene=Predicted(scenario, rig, seed)), MOST_CYCLES))
-    told = [moment.progress for moment in moments]
-    last = told[-1]
-    left = np.array([progress.to_go_m for progress in told])
-    times = np.array([progress.time_s for progress in told])
+    progresses = [moment.progress for moment in moments]
+    last = progresses[-1]
+    left = np.array([progress.to_go_m for progress in progresses])
+    times = np.array([progress.time_s for progress in progresses])
     begin = int(np.argmax(left))
-    left, times, first = left[begin:], times[begin:], told[begin]
+    left, times, first = left[begin:], times[begin:], progresses[begin]
     # A follow task reports the largest remaining distance, other tasks the sum over all parts.
     going = 1 if isinstance(scenario.task, FollowTask) else first.parts_total - first.parts_sorted
     half = int(np.argmax(left <= left[0] / 2)) if np.any(left <= left[0] / 2) else -1

@@ -205,7 +205,7 @@ def going(begin, end):
 LEAVES, GOES_ON = going(HOME, STATE), going(STATE, 2 * STATE)
 
 
-def told(*runs):
+def reported(*runs):
     """A log of reported runs, of a camera that is triggered at their starts."""
     log = CycleLog()
     for begin, cycle in runs:
@@ -216,7 +216,7 @@ def told(*runs):
 def test_the_state_of_the_plate_is_certain_only_while_reports_come():
     assert not CycleLog().certain
     assert not CycleLog().hear(LEAVES, 0.95).advance(1.0).certain
-    log = told((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0)
+    log = reported((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0)
     assert log.certain
     assert np.array_equal(log.until_answer.plate, STATE)
     log = log.advance(1.1)  # the report may come after the image
@@ -229,7 +229,7 @@ def test_the_state_of_the_plate_is_certain_only_while_reports_come():
 
 
 def test_a_report_says_what_has_begun_in_spite_of_what_was_expected():
-    expected = told((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0).advance(1.1)
+    expected = reported((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0).advance(1.1)
     log = expected.started(LEAVES.tail, 1.1, triggered=True)
     assert [cycle for _, cycle in log.runs] == [LEAVES, LEAVES.tail]
     assert np.array_equal(log.until_answer.plate, HOME)
@@ -239,26 +239,26 @@ def test_a_report_says_what_has_begun_in_spite_of_what_was_expected():
 
 
 def test_a_report_that_comes_again_changes_nothing():
-    log = told((1.0, LEAVES), (1.1, GOES_ON)).hear(SHORT, 1.15, 1.1)
+    log = reported((1.0, LEAVES), (1.1, GOES_ON)).hear(SHORT, 1.15, 1.1)
     for begin, cycle in log.runs:
         assert log.started(cycle, begin, triggered=True) is log
 
 
 def test_a_cycle_that_has_begun_does_not_begin_again_without_its_report():
-    log = told((1.0, SHORT)).hear(LEAVES, 1.05, 1.0).advance(1.1).advance(1.2).advance(1.25)
+    log = reported((1.0, SHORT)).hear(LEAVES, 1.05, 1.0).advance(1.1).advance(1.2).advance(1.25)
     assert [cycle.moves for _, cycle in log.runs] == [False, True, True, False]
     assert not log.advance(1.35).runs[-1][1].moves
 
 
 def test_an_image_that_is_older_than_the_last_report_does_not_undo_it():
-    log = told((1.0, LEAVES), (1.1, LEAVES.tail), (1.15, SHORT))
+    log = reported((1.0, LEAVES), (1.1, LEAVES.tail), (1.15, SHORT))
     assert log.advance(1.1) == log
     assert log.advance(1.0).certain
     assert not log.advance(0.9).known  # time began anew
 
 
 def test_a_tail_is_no_cycle_as_others():
-    log = told((1.0, LEAVES), (1.1, LEAVES.tail))
+    log = reported((1.0, LEAVES), (1.1, LEAVES.tail))
     assert log.period == pytest.approx(0.1)
     assert log.end == pytest.approx(1.15)
     assert log.advance(1.15).period == pytest.approx(0.1)
@@ -293,7 +293,7 @@ def test_cycles_that_move_the_plate_without_an_answer_are_counted():
     assert (log.begun, log.unanswered) == (12, 0)
     again = log.started(swinging(11), 1.2)
     assert (again.begun, again.unanswered) == (13, 1)
-    assert again.started(swinging(11), 1.2) == again  # told once more
+    assert again.started(swinging(11), 1.2) == again  # reported once more
     assert log.started(SHORT, 1.2).unanswered == 0  # rest
     # A tail is what no answer leads to, unless it was rest that was asked.
     log = CycleLog().started(SHORT, 0.9).hear(LEAVES, 0.95, 0.9).started(LEAVES, 1.0)
@@ -314,7 +314,7 @@ def test_a_cycle_that_is_played_otherwise_than_sent_is_no_lack_of_an_answer():
 def test_a_clock_that_was_set_back_makes_all_older_things_forgotten():
     log = played(12, 1).hear(swinging(12), 1.15, 1.1)
     new = log.started(SHORT, log.begin - MEMORY_S - 1e-3)
-    assert new == CycleLog(((new.begin, SHORT),), reported=True, told=new.begin)
+    assert new == CycleLog(((new.begin, SHORT),), reported=True, last_report=new.begin)
     assert not log.started(SHORT, log.begin - MEMORY_S - 1e-3, triggered=True).reported
     # So old is the oldest report that is taken for a late one.
     late = log.started(SHORT, log.begin - MEMORY_S)
@@ -337,7 +337,7 @@ def test_what_was_sent_is_kept_where_no_image_came_for_long():
 
 
 def test_what_is_awaited_may_move_the_plate_until_it_has_begun():
-    log = told((1.0, SHORT)).hear(LEAVES, 1.05, 1.0)
+    log = reported((1.0, SHORT)).hear(LEAVES, 1.05, 1.0)
     assert log.may_move(1.1)
     assert not log.may_move(1.0 - MEMORY_S - 1e-3)  # the clock was put back
     assert log.started(SHORT, 1.1).may_move(1.1)
@@ -349,7 +349,7 @@ def test_what_is_awaited_may_move_the_plate_until_it_has_begun():
 
 
 def test_a_cycle_that_waits_for_its_report_is_sent_until_then():
-    log = told((1.0, SHORT)).hear(swinging(1), 1.02, 1.0).hear(swinging(2), 1.05, 1.0)
+    log = reported((1.0, SHORT)).hear(swinging(1), 1.02, 1.0).hear(swinging(2), 1.05, 1.0)
     assert log.advance(1.1).sent == log.sent
     assert [one.cycle.knot_pose[1, 0] for one in log.started(swinging(1), 1.1).sent] == [2e-4]
     assert log.started(swinging(2), 1.1).sent == ()

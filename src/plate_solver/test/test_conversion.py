@@ -99,10 +99,10 @@ def test_forces_beside_targets_are_information(heavy):
     zone = Targets(PLACE, PLACE + 0.01, np.ones((2, 2)), 0.003)
     bare = goal_of(heavy, Wanted.make(moving(), targets=zone))
     shown = Wanted.make(moving(), np.full((2, 2), 1e-3), None, np.full(2, 1e-6), targets=zone)
-    told = goal_of(heavy, shown)
-    assert np.array_equal(told.displacement, bare.displacement)
-    assert np.array_equal(told.tolerance, bare.tolerance)
-    assert told.turns is None
+    with_targets = goal_of(heavy, shown)
+    assert np.array_equal(with_targets.displacement, bare.displacement)
+    assert np.array_equal(with_targets.tolerance, bare.tolerance)
+    assert with_targets.turns is None
 
 
 def test_facts_of_a_request(rig):

@@ -156,7 +156,7 @@ class LineModel:
 
     @property
     def lossy(self) -> bool:
-        """Whether the line loses so many bytes that messages are sent in several copies."""
+        """Whether the line loses bytes too often, so that messages are sent in several copies."""
         return self.answered < LOSSY
 
     @property

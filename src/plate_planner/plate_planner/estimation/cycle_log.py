@@ -78,7 +78,7 @@ class CycleLog:
         newest one.
     reported : bool
         Whether only reports determine the cycle starts. If False, images are taken at cycle starts.
-    told : float
+    last_report : float
         Start of the last reported cycle [s]; minus infinity if there is none.
     delays : tuple of int
         Delays of the last answers in cycles, relative to the end of the cycle that they answer.
@@ -95,7 +95,7 @@ class CycleLog:
     sent: tuple[Sent, ...] = ()
     reported: bool = False
     delays: tuple[int, ...] = ()
-    told: float = -math.inf
+    last_report: float = -math.inf
     answered: float = -math.inf
     awaited: Sent | None = None
     begun: int = 0
@@ -131,7 +131,7 @@ class CycleLog:
         without recent reports. It also requires answers without delay: the start of an answer must
         not depend on another one that has not begun.
         """
-        return self.known and self.told >= self.runs[-2:][0][0] and not self.delay
+        return self.known and self.last_report >= self.runs[-2:][0][0] and not self.delay
 
     @property
     def plate(self) -> np.ndarray:
@@ -183,7 +183,7 @@ class CycleLog:
             return self
         if asked is None:
             asked = self.begin if self.runs else arrival
-        before = self.sent[-LATEST:] if math.isfinite(self.told) else ()
+        before = self.sent[-LATEST:] if math.isfinite(self.last_report) else ()
         one = Sent(arrival, cycle, asked)
         awaited = one if cycle.moves else self.awaited
         return replace(self, sent=(*before, one), answered=asked, awaited=awaited)
@@ -194,7 +194,7 @@ class CycleLog:
         if not _playable(cycle):
             return self
         if self._clock_was_reset(begin):
-            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)
+            return CycleLog(((begin, cycle),), reported=not triggered, last_report=begin)
         if self._is_reported(cycle, begin):
             return self
         before = self._runs_before(begin)
@@ -206,7 +206,7 @@ class CycleLog:
             sent=self.sent if answer is None else self.sent[answer + 1 :],
             reported=not triggered,
             delays=self._delays_with(answer, kept),
-            told=begin,
+            last_report=begin,
             awaited=self._awaited_after(cycle),
             begun=self.begun + 1,
             unanswered=self.unanswered + (answer is None and self._goes_on(cycle, before)),
@@ -218,7 +218,7 @@ class CycleLog:
 
     def _is_reported(self, cycle: PlateCycle, begin: float) -> bool:
         """Whether it was reported before that this cycle began at `begin` [s]."""
-        return begin <= self.told and any(
+        return begin <= self.last_report and any(
             begin == start and _same(cycle, run) for start, run in self.runs
         )
 
@@ -235,7 +235,7 @@ class CycleLog:
         self, answer: int | None, kept: tuple[tuple[float, PlateCycle], ...]
     ) -> tuple[int, ...]:
         """Return the delays after the answer of this index in `sent` has begun, after the runs
-        `kept`. Rest adds none: one cycle of rest cannot be told from another."""
+        `kept`. Rest adds none: one cycle of rest cannot be distinguished from another."""
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
         asked = self.sent[answer].asked
@@ -264,7 +264,7 @@ class CycleLog:
                 log = log._begin(log.end)
             return log
         log = self
-        if self.runs and t < (self.runs[0][0] if self.begin == self.told else self.begin):
+        if self.runs and t < (self.runs[0][0] if self.begin == self.last_report else self.begin):
             log = CycleLog()  # the clock restarted
         elif self.runs and t > self.end + MEMORY_S:
             # No image for a long time.
@@ -303,7 +303,7 @@ class CycleLog:
             return self
         cycle = self.next(waiting) if self.runs else waiting[-1]
         # Keep the sent cycles for a later report of the start, and for the end of a tail.
-        keeps = math.isfinite(self.told) or not any(cycle is each for each in waiting)
+        keeps = math.isfinite(self.last_report) or not any(cycle is each for each in waiting)
         awaited = self.awaited if keeps else self._awaited_after(cycle)
         runs = (*self.runs, (t, cycle))
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)

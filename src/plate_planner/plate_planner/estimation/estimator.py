@@ -318,7 +318,7 @@ class Estimator:
         if self.clock.went_back(t):
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
             hypotheses = replace(hypotheses, estimate=forgotten)
-        if not log.reported and abs(t - log.told) < STARTS_S:
+        if not log.reported and abs(t - log.last_report) < STARTS_S:
             hypotheses = hypotheses.none_old(log, self.friction_accel)
         delay = np.zeros(len(parts))
         if self.rig.camera.readout_s > 0:
@@ -434,10 +434,10 @@ class Estimator:
         if not log.known:
             return self._known_rest
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
-        reports = log.told > self.taken - MEMORY_S  # False: no recent report
+        reports = log.last_report > self.taken - MEMORY_S  # False: no recent report
         unanswered = log.answered < asked < self.taken + MEMORY_S  # False: clock set back
-        may_come = unanswered or log.may_move(log.told if reports else self.taken)
-        return np.inf if may_come or (reports and log.told < shown) else log.resting_since
+        may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
+        return np.inf if may_come or (reports and log.last_report < shown) else log.resting_since
 
     @property
     def period(self) -> float:

@@ -93,7 +93,9 @@ class ForceSolver(MotionSolver):
 
         def nothing() -> Solution:
             rest = PlateCycle.rest(self.steering_period(len(request.force)))
-            return Solution(True, "nothing is asked: the plate rests", rest, request.force, 0, 1.0)
+            return Solution(
+                True, "no force is requested: the plate rests", rest, request.force, 0, 1.0
+            )
 
         if request.idle:
             return nothing()

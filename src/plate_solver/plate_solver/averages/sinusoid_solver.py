@@ -86,11 +86,11 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         self._warm.clear()
 
     def harmonics(self, constraints: int) -> int:
-        """Return how many harmonics the motions for so many forces have."""
+        """Return the number of harmonics of motions that give this number of forces."""
         return self._key(constraints)[0]
 
     def search_of(self, constraints: int) -> tuple[Motions, np.ndarray]:
-        """Return what `invert` takes for so many forces: motions, and random ones to start from."""
+        """Return the arguments of `invert` for this number of forces: motions, random starts."""
         key = self._key(constraints)
         if key not in self._searches:
             basis = sinusoid_basis(*key)
@@ -100,7 +100,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         return self._searches[key]
 
     def _key(self, constraints: int) -> tuple[int, float, bool]:
-        """Return harmonics, period and kind of the motions for so many forces."""
+        """Return harmonics, period and kind of the motions for this number of forces."""
         if self.options.at_rest:
             return *self._rest_key(constraints), True
         number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
