@@ -1,7 +1,8 @@
-"""The camera over the plate: images of parts through a lens, with height, light, blur and noise.
+"""Simulated camera above the plate. It renders images of the parts with lens, height, light, blur
+and noise.
 
-`Camera` draws, in `Lighting`. `part_colours` and `part_greys` are grey values of parts; `PLATE` is
-the plate's, `ROOM` that around it, `NOISE` the noise of a pixel.
+`Camera` renders an image in a given `Lighting`. `part_colours` and `part_greys` return the grey
+values of parts. The constants are default grey values, noise and properties of shadows.
 """
 
 from .camera import (

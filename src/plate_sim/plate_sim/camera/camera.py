@@ -1,6 +1,6 @@
-"""Synthetic image of the plate with parts of two greys or of types. It models the parts' height,
-the lens, light, shadows, motion blur and noise. Inputs are poses of parts and plate; output is the
-image."""
+"""Synthetic images of the plate and its parts. They show the parts' heights, lens distortion,
+light, shadows, motion blur and noise. Inputs are the poses of parts and plate and the parts' types
+or grey values. The output is a grey or colour image."""
 
 from __future__ import annotations
 
@@ -41,52 +41,54 @@ BLUR_STEP_PX = 0.1
 """Distance between two positions averaged over the exposure. A finer one is not visible."""
 
 EDGE_STEP_PX = 0.25
-"""The same for the plate's edges, of which there are many pixels: a quarter of an edge's width."""
+"""The same for the plate's edges [px]. It is larger, a quarter of an edge's width, because these
+edges have many pixels."""
 
 BLUR_MOST = 16
 """Maximum number of positions averaged over one exposure."""
 
 MARK_PLACE, MARK_RADIUS = 0.5, 0.3
-"""Where on a disc the mark of its angle is, and how large [radii]."""
+"""Distance of the mark of the angle from a disc's centre, and radius of the mark [disc radii]."""
 
 MARK_OF_DARK, MARK_OF_LIGHT, LIGHT = 130.0, 40.0, 85.0
-"""Grey of the mark on a part that is darker than `LIGHT`, and on one that is not: stands out from
-the part, and is darker than the plate, so that the part remains one dark disc."""
+"""Grey values of the mark on a part darker than `LIGHT`, and on any other part. The mark contrasts
+with the part and is darker than the plate, so that the part remains one dark disc."""
 
 STRIP_STEP = 0.002
-"""The strip along the plate's edge that is painted again is a multiple of this wide [m]: lists of
-its pixels are kept."""
+"""Step of the width of the strip along the plate's edge that is repainted [m]. The list of pixels
+of each width is cached."""
 
 FAR = 1e6
-"""Coordinate for pixels that the lens maps to no point [m], far off the plate."""
+"""Coordinate of pixels that show no point of the plate's plane [m], far off the plate."""
 
 SHADOW_M, SHADOW_DEG, PENUMBRA_M = 2.5e-3, -36.9, 1.5e-3
-"""Defaults of a shadow: how far it reaches out from under a part [m], in which direction from x
-[degrees, plate_home], and the width of its soft edge at the far end [m]."""
+"""Defaults of a shadow: its length beyond the part [m], its direction from x [degrees, plate_home],
+and the width of its soft edge at the far end [m]."""
 
 PENUMBRA_STEPS = 5
-"""Shadows of equal weight that a soft one is made of: at 1 px/mm an edge of 3 mm looks even."""
+"""Number of shadows of equal weight that are superposed to a soft one. With 5 an edge of 3 mm looks
+smooth at 1 px/mm."""
 
 SIDE_SHADE = 0.7
 """Default brightness of a part's side face relative to its top face."""
 
 EDGE_PX = 0.7
-"""Distance between the edges of a top face and of the highest section below it that is drawn [px]:
-an edge is a pixel wide."""
+"""Distance between the edge of a top face and the edge of its side face in the image [px]. Edges
+are one pixel wide, so edges that coincide would be drawn twice."""
 
 GLOSS_PLACE = 0.35
-"""Distance of a glossy part's highlight from the middle of the part, towards the lamp, as a
-fraction of the distance from there to the rim."""
+"""Displacement of the lamp's image on a glossy part, from the point farthest from the outline
+towards the lamp, relative to the distance of this point from the outline."""
 
 HIGHLIGHT_OPACITY, HIGHLIGHT_WIDEST = 0.9, 0.8
-"""How much of a part's own colour the lamp's image hides: a disc of white; and its greatest radius,
-as a fraction of the distance from the rim."""
+"""Opacity of a highlight, which is a white disc, and its maximum radius relative to the distance of
+its centre from the outline."""
 
 WHITE = 255.0
 
 ARM_M, HEAD_M, ARM_END_M = 0.06, 0.04, 1.0
-"""Width of a robot's arm, diameter of the gripper under it, and how far the arm reaches along +y,
-out of the image [m]. Perspective is left out: they are drawn as if they lay on the plate."""
+"""Width of a robot's arm, diameter of its gripper, and length of the arm along +y, beyond the edge
+of the image [m]. They are drawn without perspective, as if they were flat on the plate."""
 
 ROBOT = (
     PartType(
@@ -97,35 +99,36 @@ ROBOT = (
     PartType("gripper", radius_m=HEAD_M / 2),
 )
 ROBOT_GREY = (150.0, 150.0, 100.0)
-"""What is drawn of a robot, from its gripper on, and its grey values at full light: metal."""
+"""Grey values of the shapes in `ROBOT` at full light."""
 
 MARGIN_PX = 2.0
-"""Pixels looked at around a part, beyond where its edge should be."""
+"""Margin of a part's window beyond the expected edge of the part [px]."""
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """The light, and its effects on parts.
+    """Light, and its effects on parts.
 
     Attributes
     ----------
     highlights : float
-        Fraction of each part's area in which the light is mirrored, farthest from the rim.
+        Fraction of each part's area that is covered by a highlight. The highlight is centred on the
+        point farthest from the outline.
     shadows : float
-        Fraction of the light that is missing in a lamp's shadows; 0: no shadows.
+        Fraction of the light that is missing in shadows. 0 disables shadows.
     shadow_m : float
         Length of the shadows on the plate [m].
     shadow_deg : float
-        Direction in which they fall, from x [degrees, plate_home]; the lamp is opposite.
+        Direction of the shadows from x [degrees, plate_home]. The lamp is on the opposite side.
     penumbra_m : float
-        Width of their soft edge at the far end [m]; at the part they are sharp.
+        Width of the shadows' soft edge at the far end [m]. At the part they are sharp.
     gloss : float
-        Radius of the lamp's image on each part, as a fraction of a disc's radius, or of the
-        greatest distance from a part's rim; 0: none.
+        Radius of the lamp's image on each part, relative to a disc's radius or to the maximum
+        distance of a point of the part from its outline. 0 means no image of the lamp.
     side_shade : float
-        Brightness of side faces, over that of the top.
+        Brightness of side faces relative to top faces.
     level : float
-        Factor of all light in this image.
+        Factor by which all light in this image is multiplied.
     """
 
     highlights: float = 0.0
@@ -139,21 +142,21 @@ class Lighting:
 
     @property
     def shadow_way(self) -> np.ndarray:
-        """Direction (2,) of shadows, a unit vector [plate_home]."""
+        """Unit vector (2,) in the direction of shadows, plate_home."""
         angle = np.radians(self.shadow_deg)
         return np.array([np.cos(angle), np.sin(angle)])
 
 
 EVEN = Lighting()
-"""From all sides."""
+"""Light from all sides, without shadows and highlights."""
 
 
 def part_colours(
     types: Sequence[PartType], colour: bool, greys: Mapping[str, float] = GREY_OF_CLASS
 ) -> np.ndarray:
-    """Return the grey values (M,) at full light of parts of these types, or blue, green and red
-    (M, 3); a type whose colour is not known has the grey value of its name in `greys`, or else is
-    dark grey.
+    """Return the grey values (M,), or blue, green and red (M, 3), of parts of these types at full
+    light. If a type has no colour, its grey value is that of its name in `greys`, or by default
+    `UNKNOWN_GREY`.
     """
     known = [greys.get(part.name, UNKNOWN_GREY) for part in types]
     result = np.tile(np.array(known)[:, None], (1, 3))
@@ -165,12 +168,12 @@ def part_colours(
 
 
 def part_greys(classes: list[str]) -> np.ndarray:
-    """Return the grey values (M,) of parts by their classes.
+    """Return the grey values (M,) of parts of these classes.
 
     Raises
     ------
     PlateError
-        If the camera knows no grey for a class.
+        If a class is not in `GREY_OF_CLASS`.
     """
     for name in classes:
         if name not in GREY_OF_CLASS:
@@ -179,9 +182,24 @@ def part_greys(classes: list[str]) -> np.ndarray:
 
 
 class _Solids(NamedTuple):
-    """M parts: their types, where they stand (s, M, 2) [m], outlines of their top faces and where
-    these are seen (s, M, 2) [m, plate's plane]; sizes (M,), if they are not all 1; and if parts are
-    not flat, how much larger their tops are seen (M,) and the point (2,) below the camera [m]."""
+    """M parts as the camera sees them.
+
+    Attributes
+    ----------
+    types : sequence of M
+    path : (s, M, 2)
+        Positions on the plate [m].
+    top : Outlines
+        Outlines of the top faces, projected onto the plate's plane.
+    seen : (s, M, 2)
+        Positions of the projected top faces [m].
+    size : (M,) or None
+        Size relative to the type. None means 1 for all.
+    growth : (M,) or None
+        Magnification of the top faces by the projection. None if all parts are flat.
+    low : (2,) or None
+        Point of the plate's plane below the camera [m]. None if all parts are flat.
+    """
 
     types: Sequence[PartType]
     path: np.ndarray
@@ -193,8 +211,9 @@ class _Solids(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """One thing that is drawn for each of M parts: kind of grey (see `Camera._sprites`), positions
-    (s, M, 2) [m], outlines, opacity, and cosine and sine of the angles (M, 2) or (2,)."""
+    """Layer of the drawing with one shape for each of M parts, such as all side faces. Fields: kind
+    of grey (see `Camera._sprites`), positions (s, M, 2) [m], outlines, opacity, and cosine and sine
+    of the angles (M, 2) or (2,)."""
 
     kind: int
     path: np.ndarray
@@ -204,9 +223,10 @@ class _Layer(NamedTuple):
 
 
 class Camera:
-    """Renders images of one rig. Room and plate at home are drawn once and kept, through the lens.
+    """Renderer of images of one rig. The background with the plate at home is drawn once and
+    cached.
 
-    An instance works on one image at a time: threads need one each.
+    An instance is not thread-safe: use one per thread.
 
     Parameters
     ----------
@@ -216,7 +236,7 @@ class Camera:
     plate, room : float
         Grey values of plate and room at full light.
     defocus_px : float
-        Standard deviation of the Gaussian by which the image is soft [px]; 0: sharp.
+        Standard deviation of the Gaussian blur by defocus [px]. 0 disables it.
     """
 
     def __init__(
@@ -264,45 +284,45 @@ class Camera:
         height: np.ndarray | None = None,
         size: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the image (height, width) or (height, width, 3), uint8, of parts on the plate.
+        """Return the image of parts on the plate: (height, width) or (height, width, 3), uint8.
 
         Parameters
         ----------
         position : (M, 2) or (s, M, 2)
-            Parts when the exposure begins [m], plate_home; or s times, equally spaced from the
-            exposure's beginning to its end.
+            Positions of the parts [m], plate_home: at the start of the exposure, or s samples
+            equally spaced from its start to its end.
         grey : (M,) or (M, 3)
-            Their grey values at full light; or blue, green and red: the image then has colours.
+            Grey values of the parts at full light, or blue, green and red for a colour image.
         rng : numpy.random.Generator
-            Picks the part of the noise bank that is used: one number per image.
+            Generator for the noise: one number per image, the offset in the bank of noise values.
         velocity : (M, 2), optional
-            Of the parts [m/s], if `position` is (M, 2): blurs them over the exposure. Zero if
-            missing.
+            Velocities of the parts [m/s], for motion blur. Allowed only with positions (M, 2).
+            Default: 0.
         pose : (3,), (s, 3) or (b, s, 3), optional
-            Of the plate [m, m, rad], once or s times over the exposure, or so in each of b equal
-            bands of rows; at home if missing, as at every start of a cycle that a rigid plate
-            makes.
+            Pose of the plate [m, m, rad], plate_home: constant, s samples over the exposure, or s
+            samples for each of b equal bands of rows. Default: home, as at each start of a cycle of
+            a rigid plate.
         angle : (M,), optional
-            Of the parts [rad], counter-clockwise. Without types they then carry a mark in that
-            direction: grey on black, black on grey.
+            Angles of the parts [rad], counter-clockwise. Without `types` each part has a mark in
+            this direction: grey on black, black on grey.
         types : sequence of M, optional
-            What the parts look like; if missing, discs of the rig's radius.
+            Types of the parts. Default: discs of the rig's radius.
         lighting : Lighting
-            Highlights, shadows, and how much light there is.
+            Highlights, shadows and brightness.
         gripper : (2,), optional
-            Of a robot over the plate [m, plate_home]: it hides what is below it, and its arm does
-            from there on along +y.
+            Position of a robot's gripper above the plate [m, plate_home]. The gripper and the arm,
+            which extends from it along +y, hide everything below.
         height : (M,), optional
-            Of the parts' top faces above the plate [m]; flat if missing. `position` is where they
-            stand: the camera sees their tops too far out, larger, and their side faces.
+            Heights of the parts' top faces above the plate [m]. Default: flat. The camera sees the
+            top face of a high part displaced outwards and enlarged, and its side face.
         size : (M,), optional
-            Of the parts, over that of their types; 1 if missing.
+            Sizes of the parts relative to their types. Default: 1.
 
         Raises
         ------
         PlateError
-            If a value is not finite, or lengths disagree; if parts are as high as the camera, or
-            have a height and the rig does not give the camera's place (`camera_place`).
+            If a value is not finite, lengths disagree, a part is as high as the camera, or heights
+            are given and the rig does not give the camera's position (`camera_place`).
         """
         path = self._path(position, velocity)
         count = path.shape[1]
@@ -341,7 +361,7 @@ class Camera:
         return np.stack(channels, axis=2) if colour else channels[0]
 
     def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
-        """Return positions (s, M, 2) [m], at least two, over the exposure."""
+        """Return s positions per part over the exposure, (s, M, 2) [m], s at least 2."""
         position = np.asarray(position, dtype=float)
         if position.ndim == 3 and velocity is not None:
             raise PlateError("velocity: allowed only with positions (M, 2), not over the exposure")
@@ -356,7 +376,7 @@ class Camera:
         return np.concatenate([path, path + self._rig.camera.exposure_s * velocity])
 
     def _outlines_of(self, types: Sequence[PartType] | None, count: int) -> Outlines:
-        """Return the outlines of M parts; those of a type are made once."""
+        """Return the outlines of M parts. The outlines of each type are computed once."""
         if types is not None and len(types) != count:
             raise PlateError(f"types: {len(types)} for {count} parts, allowed: as many")
         new = [part for part in dict.fromkeys(types or ()) if part not in self._types]
@@ -373,7 +393,11 @@ class Camera:
         height: np.ndarray | None,
         size: np.ndarray | None,
     ) -> _Solids:
-        """Return parts as the camera sees them, from where they stand (s, M, 2) [m]."""
+        """Project parts at positions (s, M, 2) [m] on the plate, see `_Solids`.
+
+        A point at height h is seen on the plate's plane at low + (p - low) H/(H - h), with the
+        camera at the height H above the point `low`.
+        """
         count = path.shape[1]
         kinds = [self._types[0]] * count if types is None else types
         top = self._outlines_of(types, count)
@@ -402,15 +426,20 @@ class Camera:
     def _sprites(
         self, scene: _Solids, angle: np.ndarray, marked: bool, lighting: Lighting
     ) -> tuple[Sprites, Outlines, np.ndarray]:
-        """Return what is drawn, all white, one after the other: shadows, side faces, parts, marks
-        on discs, and highlights; and for each the row (n,) of its grey in the shades of M parts
-        that are black, the part's, its mark's, white and its side's."""
+        """Return the shapes to draw, in this order: shadows, side faces, top faces, marks on discs,
+        and highlights. They still have the grey value `WHITE`.
+
+        The third result is the index (n,) of each shape's grey value in an array with five rows
+        of M parts: black, the part's grey, its mark's grey, white, and its side face's grey.
+        If parts have heights, the shapes other than shadows are drawn part by part instead. The
+        part farthest from the point below the camera is first.
+        """
         own, path, count = scene.top, scene.seen, scene.seen.shape[1]
         turn, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
         layers = [_Layer(1, path, own, 1.0, turn)]
         size = np.ones(count) if scene.size is None else scene.size
         if lighting.shadows:
-            # Each layer hides as much, and all of them the whole.
+            # All layers have equal opacity, and together they have the opacity of the shadow.
             opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
             shift = np.tile(lighting.shadow_m * lighting.shadow_way, (count, 1))
             reach = size * [part.reach_m for part in scene.types]
@@ -422,8 +451,7 @@ class Camera:
             layers = [*shadows, *layers]
         first = len(layers) - 1
         if scene.growth is not None:
-            # Sections up to just below the top: where two edges coincide, the pixels on them would
-            # be covered twice.
+            # The side face ends just below the top face, see EDGE_PX.
             rise = path.mean(axis=0) - scene.path.mean(axis=0)
             swell = (scene.growth - 1)[:, None]
             reach = size * [part.reach_m for part in scene.types]
@@ -457,7 +485,7 @@ class Camera:
         )  # fmt: skip
         kind = np.concatenate([layer.kind * count + np.arange(count) for layer in layers])
         if scene.growth is not None:
-            # Each part hides those behind it: that are farther from the point below the camera.
+            # A part hides the parts that are farther from the point below the camera.
             away = np.hypot(*(scene.path.mean(axis=0) - scene.low).T)
             rank = np.empty(count, int)
             rank[np.argsort(-away, kind="stable")] = np.arange(count)
@@ -468,7 +496,7 @@ class Camera:
         return sprites, outlines, kind
 
     def _robot(self, gripper: np.ndarray) -> Sprites:
-        """Return what is drawn of a robot whose gripper is at a place (2,) [m, plate_home]."""
+        """Return the shapes of a robot with its gripper at (2,) [m, plate_home]."""
         outlines, count = _robot_outlines(), len(ROBOT)
         path = np.tile(gripper, (2, count, 1))
         window, scale, copies = self._windows(path, outlines.reach)
@@ -485,8 +513,12 @@ class Camera:
     def _windows(
         self, path: np.ndarray, radius: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return where parts are in the image: rows and columns (n, 4), pixels per metre (n,), and
-        how many positions are averaged (n,)."""
+        """Return for each shape its window in the image (rows and columns, (n, 4)), its scale
+        [px/m] (n,), and the number of positions to average (n,).
+
+        A window's half size is that of the shape and its path, times the largest singular value of
+        the image's Jacobian at the middle of the path, plus margins.
+        """
         middle = 0.5 * (path[0] + path[-1])
         seen = project(self._to_image, middle)
         depth = middle @ self._to_image[2, :2] + self._to_image[2, 2]
@@ -510,8 +542,8 @@ class Camera:
         return window, scale, _copies(length * scale)
 
     def _move_plate(self, canvas: np.ndarray, poses: np.ndarray, rows: np.ndarray) -> None:
-        """Paint what changes in rows [rows[0], rows[1]) when the plate is not at home but at poses
-        (s, 3)."""
+        """Repaint the pixels in rows [rows[0], rows[1]) that differ between a plate at home and a
+        plate at poses (s, 3)."""
         corners = np.array([to_home(pose, self._rig.plate.corners) for pose in poses])
         away = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
         travel = np.linalg.norm(np.diff(corners, axis=0), axis=2).sum(axis=0).max()
@@ -537,7 +569,8 @@ def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
 
 
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return finite numbers of a shape, the first axis of which counts parts."""
+    """Return `value` as an array, checked for its shape and for finite numbers. The first axis is
+    that of the parts."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape != shape:
         raise PlateError(f"{name}: shape is {array.shape}, allowed: {shape}")
@@ -548,7 +581,8 @@ def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
 
 
 def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return finite numbers (s, *shape), at least one sample; a single one may lack its axis."""
+    """Return `value` as an array (s, *shape), s at least 1, checked for finite numbers. An array of
+    shape `shape` becomes one sample."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape == shape:
         array = array[None]
@@ -562,7 +596,8 @@ def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
 
 @lru_cache(maxsize=2)
 def _pixel_places(rig: Rig) -> np.ndarray:
-    """Return the places (height, width, 2) [m, plate_home] that the pixels look at."""
+    """Return the point of the plate's plane that each pixel shows, (height, width, 2) [m,
+    plate_home]."""
     camera = rig.camera
     v, u = np.mgrid[: camera.height_px, : camera.width_px].astype(float)
     pixel = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -574,7 +609,8 @@ def _pixel_places(rig: Rig) -> np.ndarray:
 
 
 def _light(width: int, height: int) -> np.ndarray:
-    """Fraction of full light (height, width), float32: less by `SHADING` in the corners."""
+    """Return the fraction of full light in each pixel, (height, width), float32. It decreases
+    quadratically with the distance from the image's centre, by `SHADING` in the corners."""
     x = np.linspace(-1, 1, width, dtype=np.float32)
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     return 1 - np.float32(SHADING) * (x * x + y * y) / 2
@@ -587,7 +623,7 @@ def _robot_outlines() -> Outlines:
 
 @lru_cache(maxsize=4)
 def _noise_bank(pixels: int) -> np.ndarray:
-    """Normal deviates (`NOISE_BANK` + pixels,), float32, the bank over and over again; the same
-    in every run."""
+    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32: the bank, repeated
+    cyclically. They are the same in every run."""
     bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
     return np.resize(bank, NOISE_BANK + pixels)

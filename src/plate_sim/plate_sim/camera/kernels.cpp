@@ -1,4 +1,4 @@
-// What Python sees of the camera's kernels.
+// Python bindings of the camera's kernels.
 #include <plate/bind.hpp>
 
 #include "camera/raster.hpp"
@@ -11,7 +11,7 @@ namespace {
 template <class T, nb::ssize_t N>
 using In = Array<const T, N>;
 
-// Whether numbers (n,) neither fall nor leave [low, high].
+// Whether numbers (n,) never decrease and are all within [low, high].
 bool ordered(const View<const int64_t, 1>& numbers, int64_t low, int64_t high) {
     for (int i = 0; i < numbers.size(0); i++) {
         if (numbers(i) < low || numbers(i) > high) return false;

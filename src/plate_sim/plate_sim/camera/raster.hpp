@@ -1,8 +1,8 @@
-// Draws plate and parts into an image: loops over the pixels that matter. See raster.py.
+// Rasterisation of plate and parts into an image, limited to the affected pixels. See raster.py.
 //
-// What pixels look at is in `places` [m, plate_home]; `canvas` has grey values, `light` the
-// fraction of full light. Greys of parts and plate are at full light. Pixels at an edge are
-// gathered, and covered several at once.
+// `places` gives the point of the plate's plane that each pixel shows [m, plate_home], `canvas` its
+// grey value, and `light` the fraction of full light. Grey values of parts and plate are those at
+// full light. Pixels at edges are collected, and their coverage is computed in batches.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -18,12 +18,12 @@
 
 namespace plate::raster {
 
-// Where, and cosine and sine of the angle.
+// Position [m], and cosine and sine of the angle.
 struct Pose {
     double x, y, cos, sin;
 };
 
-// `Outlines` of raster.py: only what is drawn of them.
+// The fields of `Outlines` in raster.py that drawing needs.
 struct Outlines {
     View<const double, 2> edges;
     View<const int64_t, 1> pieces, first, hole, end;
@@ -40,7 +40,8 @@ struct Sprites {
     View<const double, 1> grey, opacity;
 };
 
-// Add noise to the canvas (n,), with deviates `bank` (n,), and round it to the image (n,).
+// Add `noise` times the deviates `bank` (n,) to the canvas (n,). Write the rounded result to the
+// image (n,).
 PLATE_WIDE inline void expose(View<const float, 1> canvas, View<const float, 1> bank, float noise,
                               View<uint8_t, 1> image) {
     const float *__restrict from = canvas.data, *__restrict deviate = bank.data;
@@ -52,22 +53,22 @@ PLATE_WIDE inline void expose(View<const float, 1> canvas, View<const float, 1> 
     }
 }
 
-// Some pixels at an edge: what they look at, and how much of them is covered.
+// Batch of pixels at an edge: the points that they show [m], their coverage, and their indices.
 struct Pixels {
     static constexpr int ROOM = 64;
     double x[ROOM]{}, y[ROOM]{}, cover[ROOM];
     int64_t index[ROOM];
     int count = 0;
 
-    // Take one more; return whether there is room for another.
+    // Add a pixel. Return whether the batch has room for another one.
     bool add(int64_t pixel, double its_x, double its_y) {
         x[count] = its_x, y[count] = its_y, index[count] = pixel;
         return ++count < ROOM;
     }
 };
 
-// The piece of a path of `last` pieces, and the fraction of it, in the middle of the k-th of so
-// many `copies` of equal length.
+// Middle of the k-th of `copies` equal intervals of a path with `last` equal pieces: the piece that
+// contains it, and its relative position in this piece, 0 to 1.
 struct Along {
     int piece;
     double part;
@@ -80,12 +81,12 @@ struct Along {
     double operator()(double from, double to) const { return from + part * (to - from); }
 };
 
-// The fraction of a pixel that is on the inner side of an edge, from the distance to it [px].
+// Covered fraction of a pixel with its centre at a distance inside an edge [px].
 [[gnu::always_inline]] inline double covered(double inside) {
     return std::min(std::max(inside + 0.5, 0.0), 1.0);
 }
 
-// Distances of a point [m] from the plate's edges across and along it, positive inside.
+// Distances [m] of a point from the nearer edge along each axis of the plate, positive inside.
 [[gnu::always_inline]] inline Vec depths(const Pose& pose, const double half[2], double x,
                                         double y) {
     const double dx = x - pose.x, dy = y - pose.y;
@@ -93,7 +94,7 @@ struct Along {
             half[1] - std::abs(pose.cos * dy - pose.sin * dx)};
 }
 
-// Find how much of pixels the plate covers on the average over its poses.
+// Compute the mean coverage of pixels by the plate over its poses.
 PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> poses,
                                       const double half[2], double scale) {
     double cover[Pixels::ROOM] = {};
@@ -105,7 +106,7 @@ PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> pose
     for (int p = 0; p < Pixels::ROOM; p++) pixels.cover[p] = cover[p] / poses.size();
 }
 
-// Paint background and plate anew in some pixels, as raster.py says.
+// Repaint background and plate in some pixels, see raster.py.
 inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
                        View<const double, 2> places, View<const int64_t, 1> some,
                        View<const double, 2> poses, int copies, double travel, const double half[2],
@@ -148,13 +149,14 @@ inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
     paint_edge();
 }
 
-// Positions averaged along a path, its middle, and the farthest of them from that.
+// Positions on a path over which a shape is averaged, midpoint of the path's ends, and maximum
+// distance of a position from this midpoint [m].
 struct Positions {
     std::vector<Vec> centre;
     Vec middle;
     double spread = 0.0;
 
-    // Of part i of a path (s, n, 2).
+    // Positions of shape i of a path (s, n, 2).
     Positions(View<const double, 3> path, int i, int copies) : centre(copies) {
         const int last = path.size(0) - 1;
         middle = {0.5 * (path(0, i, 0) + path(last, i, 0)),
@@ -170,14 +172,14 @@ struct Positions {
     }
 };
 
-// A part: a disc of a radius [m], or convex polygons side by side; and holes, which are polygons,
-// too: [begin, hole) and [hole, end) of the outlines. scale: pixels per metre.
+// A shape: a disc of a radius [m], or the adjacent convex polygons [begin, hole) of the outlines,
+// minus the holes [hole, end). scale [px/m].
 struct Shape {
     const Outlines& outlines;
     int begin, hole, end;
     double radius, cos, sin, scale;
 
-    // Radius [m] about its centre within which all is part.
+    // Radius [m] of a circle around the centre that is inside the shape without its holes.
     double inner_radius() const {
         if (begin == hole) return radius;
         double inner = 0.0;
@@ -191,7 +193,7 @@ struct Shape {
     }
 };
 
-// Find how much of pixels at places x, y [m, part's frame] polygons [begin, end) cover.
+// Compute the coverage of pixels at x, y [m, part's frame] by the polygons [begin, end).
 [[gnu::always_inline]] inline void polygons_cover(const double* x, const double* y,
                                                   const Shape& shape, int begin, int end,
                                                   double* cover) {
@@ -211,7 +213,7 @@ struct Shape {
     for (int p = 0; p < ROOM; p++) cover[p] = std::min(cover[p], 1.0);
 }
 
-// Find how much of pixels a part covers, summed over where its centre is.
+// Compute the coverage of pixels by a shape, summed over the positions of its centre.
 PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centres,
                                      const Shape& shape) {
     constexpr int ROOM = Pixels::ROOM;
@@ -234,7 +236,7 @@ PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centre
     for (int p = 0; p < ROOM; p++) pixels.cover[p] = sum[p];
 }
 
-// Blend parts into the canvas (height, width), one after the other, as raster.py says.
+// Blend shapes into the canvas (height, width), one after the other, see raster.py.
 inline void draw_parts(View<float, 2> canvas, View<const float, 2> light,
                        View<const double, 3> places, const Sprites& sprites,
                        const Outlines& outlines) {

@@ -22,18 +22,19 @@ SPOT_GRID = 25
 
 
 class Outlines(NamedTuple):
-    """Outlines of M parts: adjacent convex polygons, then those of holes.
+    """Outlines of M parts. Each consists of adjacent convex polygons, followed by the polygons of
+    its holes.
 
     Attributes
     ----------
     edges : (e, 3)
-        Outward normal, and distance from the part's centre [m], of all polygons' edges.
+        Outward normal of each polygon's edges, and distance of the edge from the part's centre [m].
     pieces : (p + 1,)
-        Index of the first edge of every polygon, and the total number.
+        Index of the first edge of every polygon, and the total number of edges.
     first, hole : (M,)
-        Index of the first polygon of every part, and of its holes. Equal for a disc.
+        Index of the first polygon of every part and of its first hole. Equal for a disc.
     end : (M,)
-        Index after its last polygon.
+        Index after the part's last polygon.
     reach : (M,)
         Maximum distance of the outline from the part's centre [m].
     spot : (M, 4)
@@ -50,36 +51,36 @@ class Outlines(NamedTuple):
     spot: np.ndarray
 
     def discs(self, radius: np.ndarray) -> Outlines:
-        """Return discs of radii (n,) [m] in place of the parts."""
+        """Return the outlines of discs of radii (n,) [m]."""
         none = np.zeros(len(radius), np.int64)
         return self._replace(first=none, hole=none, end=none, reach=radius)
 
     def take(self, rows: np.ndarray) -> Outlines:
-        """Return those of some parts (k,)."""
+        """Return the outlines of the parts with the indices `rows` (k,)."""
         return Outlines(self.edges, self.pieces, *(each[rows] for each in self[2:]))
 
 
 class Sprites(NamedTuple):
-    """What is drawn of n parts and marks, in this order.
+    """Placement and look of n shapes, in the order in which they are drawn.
 
     Attributes
     ----------
     window : (n, 4)
-        Rows and columns in the image, half open.
+        First and end row, first and end column in the image; the ends are exclusive.
     scale : (n,)
-        Pixels per metre there.
+        Scale of the image at the shape [px/m].
     copies : (n,)
-        Positions averaged over the exposure.
+        Number of positions averaged over the exposure.
     path : (s, n, 2)
-        Positions [m], equally spaced over the exposure.
+        Positions [m, plate_home], equally spaced over the exposure.
     radius : (n,)
-        Of the disc [m], or of a circle about the polygons.
+        Radius of the disc, or of a circle around the polygons [m].
     turn : (n, 2)
         Cosine and sine of the angle.
     grey : (n,)
         Grey values at full light.
     opacity : (n,)
-        Fraction of what is beneath that they hide.
+        Opacity, 0 to 1.
     """
 
     window: np.ndarray
@@ -92,13 +93,13 @@ class Sprites(NamedTuple):
     opacity: np.ndarray
 
     def take(self, rows: np.ndarray) -> Sprites:
-        """Return some of them (k,), in this order."""
+        """Return the shapes with the indices `rows` (k,), in this order."""
         path = np.ascontiguousarray(self.path[:, rows])
         return Sprites(*(path if each is self.path else each[rows] for each in self))
 
 
 def joined(groups: Sequence[Outlines]) -> Outlines:
-    """Return the parts of several groups, one group after the other."""
+    """Concatenate several groups of outlines. Groups with the same edges share them."""
     first = groups[0]
     if all(other.edges is first.edges for other in groups):
         rows = zip(*(other[2:] for other in groups), strict=True)
@@ -123,7 +124,7 @@ def joined(groups: Sequence[Outlines]) -> Outlines:
 
 
 def outlines_of(types: Sequence[PartType]) -> Outlines:
-    """Return what drawing needs of parts of these types."""
+    """Return the outlines of parts of these types."""
     edges: list[np.ndarray] = [np.empty((0, 3))]
     pieces, rows = [0], []
     for part in types:
@@ -141,7 +142,7 @@ def outlines_of(types: Sequence[PartType]) -> Outlines:
 
 
 def _spot(part: PartType) -> tuple[float, float, float, float]:
-    """Return `Outlines.spot` of a part, to a part of its reach."""
+    """Return `Outlines.spot` of a part, to the nearest point of a grid (`SPOT_GRID`)."""
     axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
     place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     depth = np.where(contains(part.polygon, place), rim_distance(part.polygon, place), 0.0)
@@ -154,53 +155,62 @@ def _spot(part: PartType) -> tuple[float, float, float, float]:
 
 
 def edges_of(corner: np.ndarray) -> np.ndarray:
-    """Return the edges (k, 3) of a convex polygon (k, 2), counter-clockwise."""
+    """Return the edges (k, 3) of a convex polygon (k, 2), counter-clockwise, see `Outlines`."""
     side = np.roll(corner, -1, axis=0) - corner
     normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.hypot(*side.T)[:, None]
     return np.column_stack([normal, np.sum(normal * corner, axis=1)])
 
 
 def expose(canvas, bank, noise, image):
-    """Add noise to the canvas (n,), with deviates `bank` (n,), and round it to the image (n,)."""
+    """Add `noise` times the normal deviates `bank` (n,) to the canvas (n,). Write the rounded
+    result to the image (n,), uint8."""
     _kernels.expose(canvas, bank, noise, image)
 
 
 def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, grey):
-    """Paint background and plate anew where the plate's edge may be.
+    """Repaint background and plate in some pixels. The plate's coverage of each pixel is averaged
+    over the exposure.
 
     Parameters
     ----------
-    canvas, light : (n,)
-        Grey values to change, fraction of full light.
+    canvas : (n,)
+        Grey values. Modified.
+    light : (n,)
+        Fraction of full light.
     places : (n, 2)
-        What pixels look at [m, plate_home].
+        Point of the plate's plane that each pixel shows [m, plate_home].
     pixels : (p,)
-        Those to paint.
+        Indices of the pixels to repaint.
     poses : (s, 3)
-        Of the plate, equally spaced over the exposure; averaged over `copies` of them.
+        Poses of the plate [m, m, rad], equally spaced over the exposure.
+    copies : int
+        Number of interpolated poses that are averaged.
     travel : float
-        How far at most a point of the plate moves during the exposure [m].
+        Maximum path length of a point of the plate during the exposure [m].
     half : (2,)
-        Half sides [m].
+        Half sides of the plate [m].
     scale : float
-        Pixels per metre.
+        Scale of the image [px/m].
     grey : (2,)
-        Of background and plate, at full light.
+        Grey values of background and plate at full light.
     """
     _kernels.draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, *grey)
 
 
 def draw_parts(canvas, light, places, sprites, outlines):
-    """Blend parts into the canvas (height, width), one after the other.
+    """Blend shapes into the canvas, one after the other.
 
     Parameters
     ----------
-    canvas, light : (height, width)
-        Grey values to change, fraction of full light.
+    canvas : (height, width)
+        Grey values. Modified.
+    light : (height, width)
+        Fraction of full light.
     places : (height, width, 2)
-        What pixels look at [m, plate_home].
+        Point of the plate's plane that each pixel shows [m, plate_home].
     sprites : Sprites
+        Placement and look of n shapes.
     outlines : Outlines
-        Of as many.
+        Outlines of the n shapes.
     """
     _kernels.draw_parts(canvas, light, places, *sprites, *outlines[:5])

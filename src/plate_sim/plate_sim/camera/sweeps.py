@@ -1,10 +1,10 @@
-"""Outlines of parts of another size, and the areas that they sweep: side faces and shadows.
+"""Outlines of enlarged parts, and outlines of side faces and shadows as swept areas.
 
-The camera sees a part of height h on the plate's plane, as if it were flat there. Its top face is
-displaced and enlarged by H/(H - h) about the point below the camera, which is H above the plate.
-The sections between bottom and top are scaled and displaced linearly. For each convex piece they
-fill the convex hull of both ends. Through a hole the plate is visible if no section hides it. A
-shadow is the same without scaling: the outline, displaced along the light.
+An image point is interpreted in the plate's plane. A camera at height H sees the top face of a part
+of height h enlarged by H/(H - h) about the point below the camera. From bottom to top the sections
+are displaced and scaled linearly. The sections of a convex piece sweep the convex hull of the
+bottom and the top section. Inside a hole the plate is visible where no section hides it. A shadow
+is the area that the outline sweeps along the light, and its end may be larger or smaller.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from ..friction.outline import convex_pieces
 from .raster import Outlines, edges_of
 
 ROUND = 96
-"""Edges of the polygon that stands for a disc where it sweeps an area: circumscribed, so that it
-reaches 0.05 % too far at its corners."""
+"""Number of edges of the polygon that replaces a disc in swept areas. It is circumscribed: its
+corners are 0.05 % outside the disc."""
 
 STRAIGHT = 1e-9
 """Minimum length of a displacement that sweeps an area [m]."""
 
 
 class _Contour(NamedTuple):
-    """A convex piece of a part, or of a hole: corners (m, 2) [m] and edges (m, 3), normals and
-    distances, in the part's frame; radius [m] of a disc, else 0."""
+    """A convex piece of a part or of a hole, in the part's frame: corners (m, 2) [m], edges (m, 3)
+    as in `Outlines`, and the radius of a disc [m], 0 for a polygon."""
 
     corners: np.ndarray
     edges: np.ndarray
@@ -70,16 +70,17 @@ def swept(
     turn : (M, 2)
         Cosine and sine of their angles.
     size : (M,)
-        Factor by which they are larger than their types, at the beginning.
+        Initial size relative to the type.
     growth : (M,)
-        Factor by which they are larger at the end than at the beginning.
+        Ratio of the final to the initial size.
     shift : (M, 2)
-        From their centres at the beginning to those at the end [m, plate_home].
+        Displacement of the centre from the initial to the final section [m, plate_home].
 
     Returns
     -------
     Outlines
-        In frames of plate_home's directions, with their origins half way along `shift`.
+        The frame of each outline has the axes of plate_home and its origin in the middle of
+        `shift`.
     """
     count = len(types)
     edges: list[np.ndarray] = [np.empty((0, 3))]
@@ -115,11 +116,11 @@ def _swept_piece(
     shift: np.ndarray,
     solid: bool,
 ) -> np.ndarray:
-    """Return the edges (P, e, 3) of what one convex piece sweeps in P parts; of a hole: of what
-    remains of it in all sections.
+    """Return the edges (P, e, 3) of the area that a convex piece of P parts sweeps. If the piece is
+    a hole (not `solid`), return the edges of the intersection of all sections.
 
-    Either way they are the piece's own edges, at the greater (solid) or lesser distance of both
-    ends. The hull has two more, the common tangents of both ends.
+    Each edge of the piece is placed at the larger (solid) or smaller (hole) of its distances at
+    both ends. The swept hull also has two common tangents of both ends as edges.
     """
     normal = piece.edges[:, :2] @ np.swapaxes(rotation, 1, 2)
     near = size[:, None] * piece.edges[:, 2]
@@ -131,7 +132,7 @@ def _swept_piece(
             if piece.radius
             else _tangents(piece.corners, rotation, size, growth, shift)
         )
-        # Where one end is inside the other there is no tangent: an edge is there twice.
+        # If one end is inside the other, there is no common tangent. Repeat an edge instead.
         lacking = np.isnan(touch)
         tangent[lacking] = np.broadcast_to(normal[:, :1], tangent.shape)[lacking]
         touch = np.where(lacking, distance[:, :1], touch)
@@ -144,8 +145,9 @@ def _swept_piece(
 def _disc_tangents(
     radius: np.ndarray, growth: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals (P, 2, 2) and distances (P, 2) of the outer tangents of discs of `radius` and
-    of `growth` times that, `shift` away; NaN if there are none."""
+    """Return normals (P, 2, 2) and distances (P, 2) of the two outer common tangents of two discs.
+    The first has its centre at the origin and `radius`; the second is at `shift` and has `growth`
+    times this radius. NaN if there are no such tangents."""
     way = np.hypot(*shift.T)
     with np.errstate(all="ignore"):
         cosine = (1 - growth) * radius / way
@@ -163,9 +165,10 @@ def _tangents(
     growth: np.ndarray,
     shift: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same of convex polygons (m, 2).
+    """Return the same for convex polygons with corners (m, 2).
 
-    Each corner moves along a line; a tangent is such a line with the polygon on one side of it.
+    Each corner moves along a straight line. This line is a common tangent if the whole polygon is
+    on one side of it.
     """
     point = size[:, None, None] * (corners @ np.swapaxes(rotation, 1, 2))
     way = (growth[:, None, None] - 1) * point + shift[:, None]
