@@ -1,13 +1,13 @@
-// Friction of a disc that presses evenly on the plate, without quadrature: see disc.py.
+// Friction of a disc with uniform pressure on the plate, in closed form. See disc.py.
 //
-// Its centre slips at s, its rim, by the spin, at w = R |c|. The mean slip over the disc is the
-// mean distance from a point at s/w radii to the points of a disc, which complete elliptic
-// integrals give; force and torque are its derivatives by s and w (Farkas, Bartels, Unger and Wolf,
-// PRL 90, 248302, 2003). Where the rim slips less than half as fast as the centre their power
-// series is short; else the integrals come from arithmetic and geometric means (Abramowitz and
-// Stegun 1964, 17.6), arranged so that no digits cancel.
+// The centre slips at s, and the spin c adds the slip w = R |c| at the edge. The mean slip over the
+// disc is the mean distance from a point at s/w radii to the points of a disc, which is given by
+// complete elliptic integrals. Force and torque are its derivatives with respect to s and w
+// (Farkas, Bartels, Unger and Wolf, PRL 90, 248302, 2003).
 //
-// With k = w/s the mean distance is s sum_n b_n k^2n, b_n = binomial(1/2, n)^2/(n + 1).
+// For w <= s/2 a power series is used: with k = w/s the mean slip is s sum_n b_n k^2n,
+// b_n = binomial(1/2, n)^2/(n + 1). Otherwise the elliptic integrals are computed by the
+// arithmetic-geometric mean (Abramowitz and Stegun 1964, 17.6), in a form without cancellation.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -15,7 +15,7 @@
 
 namespace plate {
 
-// Twist of the plate less that of a part, at its centre [m/s, m/s, rad/s].
+// Twist of the plate minus that of a part, at the part's centre [m/s, m/s, rad/s].
 struct Slip {
     double x, y, turn;
 };
@@ -24,13 +24,13 @@ struct Slip {
 
 namespace plate::disc {
 
-// Slips below this share of the velocity step are none: then the part sticks.
+// If the slip after a step is below this fraction of the velocity step, the part sticks.
 constexpr double SNAP = 1e-3;
-// Error of the direction times the slip after a step, as a share of the velocity step.
+// Tolerance of the slip's component across the normal, relative to the velocity step.
 constexpr double CLOSE = 1e-9;
-// Means of numbers that differ by this share are equal to rounding.
+// If two numbers differ by less than this fraction, their means are equal up to rounding.
 constexpr double MEANS = 2e-8;
-// Greatest k^2 at which the series is summed: what is left out is below 2e-10 mu m g there.
+// Maximum k^2 for the series. Its omitted terms are below 2e-10 mu m g.
 constexpr double SERIES = 0.25;
 
 // Force [mu m g] and torque [mu m g R] on a disc.
@@ -38,7 +38,7 @@ struct Push {
     double force, torque;
 };
 
-// Force, and torque over k, for k^2 up to `SERIES`.
+// Force, and torque divided by k, for k^2 up to `SERIES`.
 [[gnu::always_inline]] inline Push series(double k2) {
     double force = -0.00020234903786331415, torque = 0.0001563606201671064;
     force = -0.0002856692299246788 + k2 * force, torque = 0.0002142519224435091 + k2 * torque;
@@ -52,7 +52,8 @@ struct Push {
     return {1.0 + k2 * force, 0.25 + k2 * torque};
 }
 
-// On a disc whose centre slips at s and rim at w [m/s]: both at least 0, and not both 0.
+// Force and torque on a disc with slip s of the centre and rotational slip w of the edge [m/s].
+// Both are at least 0, and not both are 0.
 inline Push disc_force(double s, double w) {
     if (w * w <= SERIES * s * s) {
         const Push push = series((w / s) * (w / s));
@@ -66,7 +67,7 @@ inline Push disc_force(double s, double w) {
         weight *= 2;
         const double product = a * b;
         a = 0.5 * (a + b), b = std::sqrt(product);
-        if (!(c > MEANS * a)) break;  // a NaN ends it too
+        if (!(c > MEANS * a)) break;  // a NaN also ends the loop
         c = 0.5 * (a - b);
     }
     // K = pi/(2 a), and E = K (1 - k2/2 - total)
@@ -76,11 +77,13 @@ inline Push disc_force(double s, double w) {
     return {force, 2 / (9 * a) * k * (1 + (2 - 4 * k2) * (k2 > 0 ? rest / k2 : 0.0625))};
 }
 
-// As `patch::slip_after`, for a disc.
+// Return the slip after a step, as `patch::slip_after`, for a disc.
 //
-// By symmetry two unknowns are left, the slip s of the centre and g |c|, g the radius of gyration:
-// the slip after the step is the free one, less dv times the nearest point of the set of forces
-// that friction can give. That point is sought by its normal's direction.
+// By symmetry there are two unknowns: the slip s of the centre and g |c|, where g is the radius of
+// gyration. Let z be the slip without friction divided by dv, and y(n) the friction with which the
+// disc resists a slip along the unit vector n. The slip after the step is dv (z - y), where y is
+// the point nearest to z in the convex set of all friction forces. There z - y is parallel to n.
+// The angle p of n is found by regula falsi.
 inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, double radius) {
     const double arm = std::sqrt(gyration2), rim = radius / arm;
     const double zx = std::sqrt(free.x * free.x + free.y * free.y) / dv;
@@ -93,7 +96,7 @@ inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, doubl
     double low = 0, high = 0.5 * std::numbers::pi, s_low = -zy, s_high = zx, p = std::atan2(zy, zx);
     double nx = 1, ny = 0, yx = 0, yy = 0;
     int side = 0;
-    // Illinois: regula falsi that halves the value at an end that stays
+    // Illinois method: regula falsi that halves the value at an end that is kept twice
     for (int i = 0; i < 60; i++) {
         nx = std::cos(p), ny = std::sin(p);
         const Push push = disc_force(nx, rim * ny);

@@ -1,5 +1,6 @@
-// Steps of discs that slide steadily, most of all parts in most steps: as `advance` makes them, but
-// of several at once, without branches.
+// Steps of discs that slide steadily, which is the most frequent case. The method is the explicit
+// midpoint rule of `stepping::midpoint` with `disc::series`, for several discs at once and without
+// branches. A step that does not meet the conditions is left to `advance`.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -8,12 +9,13 @@
 
 namespace plate::gliding {
 
-// Groups that go through each stage of a step before the next stage: one of them then does not wait
-// for the roots and sums of another.
+// Number of groups that complete a stage of a step before the next stage begins. Then a group does
+// not wait for the latency of another one's square roots and sums.
 constexpr int BLOCK = 16;
 
-// Slips at the start and in the middle; squares of the speed of the centre, and of (speed of the
-// rim / of the centre); and friction of the last one of them.
+// Slips at the start (a) and in the middle (b) of a step: slip of the centre and spin; its squared
+// speed; and the squared ratio of the rotational slip at the edge to this speed. Friction at the
+// last of them.
 struct Stages {
     double ax[LANES], ay[LANES], ac[LANES], a2[LANES], ak2[LANES];
     double bx[LANES], by[LANES], bc[LANES], b2[LANES], bk2[LANES];
@@ -24,7 +26,8 @@ struct Stages {
 
 namespace plate {
 
-// Fill in the group of part i, but for its state and mark; return whether it may glide. step [s].
+// Set the entries of part i in its group, except its state and mark. Return whether it may glide.
+// step [s].
 inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
     constexpr double none = std::numeric_limits<double>::infinity();
     const double dv = body.mu_g * step, least = stepping::DISC_STIFF / stepping::GENTLE * dv;
@@ -38,10 +41,10 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
     return glides;
 }
 
-// Move the discs that slide steadily through a step; return how many.
+// Advance the discs that slide steadily by a step. Return their number.
 //
-// plate: samples of the plate's motion at the step's start, middle and end. step [s]. Lanes that do
-// not glide may have NaN and infinity on the way.
+// plate: samples of the plate's motion at the step's start, middle and end. step [s]. Intermediate
+// values of lanes that do not glide may be NaN or infinite.
 [[gnu::always_inline]] inline int glide(const PlateSample* plate, double step,
                                         const GroundEffect& ground, std::span<Group> groups) {
     using namespace gliding;
@@ -111,8 +114,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double uc = spin + share * s.torque[i] * g.ratio[i] * b.turn;
                 const double px = x + half * (vx + ux), py = y + half * (vy + uy);
                 const Slip z = slip(plate[2], px, py, ux, uy, uc);
-                // Does it slide fast enough, and nearly in one direction? (`alike`)
-                const double size2 = s.a2[i] + g2 * a.turn * a.turn;  // as `dot(a, a, g2)`
+                // Check that it slides fast enough, and nearly in one direction (see `alike`).
+                const double size2 = s.a2[i] + g2 * a.turn * a.turn;  // equals `dot(a, a, g2)`
                 const double middle2 = s.b2[i] + g2 * b.turn * b.turn, end2 = dot(z, z, g2);
                 const double ab = dot(a, b, g2), az = dot(a, z, g2);
                 const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,

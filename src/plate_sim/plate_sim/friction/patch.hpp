@@ -1,21 +1,22 @@
-// The implicit Coulomb step of a rigid footprint: one small convex problem with three unknowns.
+// Implicit Coulomb friction step of a rigid footprint, as a convex problem with three unknowns.
 //
-// A part's slip d = (u, v, c) [m/s, m/s, rad/s] is the plate's twist at the part less the part's.
-// With no friction it would be `free` after a step; friction over the footprint makes it the least
-// of
+// A part's slip d = (u, v, c) [m/s, m/s, rad/s] is the plate's twist at the part minus the part's
+// twist. Without friction it would be `free` after a step. With friction over the footprint it
+// minimises
 //
 //     1/2 |d - free|^2 + dv sum_i p_i |d_i|,    |d|^2 = u^2 + v^2 + gyration2 c^2,
 //
-// d_i the slip at point i, p_i its share of the weight, dv = mu g dt the velocity step. (Its
-// optimality condition is the step: each point's force is mu p_i m g along the slip AFTER the step,
-// or, without slip, any up to that.) So a part slips, turns and sticks without overshooting,
-// whatever the step.
+// where d_i is the slip at point i, p_i the point's fraction of the weight, and dv = mu g dt the
+// velocity step. By the optimality condition each point's force is mu p_i m g along the slip AFTER
+// the step or, at a point without slip, any force up to this. So a part slips, rotates and sticks
+// without overshooting, for any step.
 //
-// Solved with forces beside slips as unknowns (Andersen, Christiansen, Conn and Overton 2000),
-// whose Newton steps do not mind that norms have kinks. What the duality gap promises ends it.
+// The problem is solved by a primal-dual Newton method with slips and forces as unknowns (Andersen,
+// Christiansen, Conn and Overton 2000). It converges although the norms are not smooth at 0. The
+// iteration ends when the duality gap guarantees the accuracy.
 //
-// Terms of sums are found for several points at once, then added point by point: so a sum is the
-// same whatever the processor's vectors are.
+// The terms of sums are computed for several points at once and then added point by point, so that
+// sums do not depend on the processor's vector width.
 #pragma once
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
@@ -27,33 +28,36 @@
 
 namespace plate {
 
-// The points of footprints (7, n). Rows: their places x, y in the part's axes [m]; shares of the
-// weight; sizes of their cells (see `Footprint.blur`) [m]; and the forces x, y on them and on their
-// blur in the last step [p_i mu m g], a first guess of the next: these change.
+// Points of footprints (7, n). Rows: positions x, y in the part's axes [m]; fractions of the
+// weight; sizes of the cells (see `Footprint.blur`) [m]; and the forces along x, y and the blur in
+// the last step [p_i mu m g]. The forces are the initial guess of the next step and are updated.
 using Mesh = View<double, 2>;
 
 }  // namespace plate
 
 namespace plate::patch {
 
-// Error of the slip after a step, as a share of dv: as an error of mu of that share.
+// Tolerance of the slip after a step, relative to dv. An equal relative error of mu has this
+// effect.
 constexpr double SLACK = 1e-6;
-// Share of the slip times dv that rounding leaves of the duality gap.
+// Rounding error of the duality gap, relative to the slip times dv.
 constexpr double ROUNDING = 1e-14;
-// Slips below this share of dv are none: then the part sticks.
+// If the slip after a step is below this fraction of dv, the part sticks.
 constexpr double SNAP = 1e-3;
-// 1 to 12 are needed; on feet, once in 5000 cases where a foot is a pivot, this many do not do.
+// Maximum number of Newton iterations; 1 to 12 are usual. If a part on feet rotates about one of
+// them, one case in 5000 does not converge.
 constexpr int ITERATIONS = 30;
-// Added to a squared slip [m2/s2], so that none is divided by 0.
+// Added to a squared slip [m2/s2], to avoid a division by 0.
 constexpr double TINY = 1e-200;
-// Share of dv below which a point's friction is rounded off, so that Newton's steps converge.
+// Slip of a point relative to dv below which its friction is smoothed, so that Newton's method
+// converges.
 constexpr double ROUND = 1e-4;
-// Points whose terms are found before they are added.
+// Number of points whose terms are computed before they are added.
 constexpr int BLOCK = 64;
-// Fewer points than this, such as feet, are added one by one.
+// If there are fewer points than this, such as feet, they are added one by one.
 constexpr int FEW = 6;
 
-// Some points of a part.
+// Points of a part: the columns of `Mesh` from the first one on.
 struct Points {
     const double *__restrict x, *__restrict y, *__restrict weight, *__restrict blur;
     double *__restrict fx, *__restrict fy, *__restrict fb;
@@ -65,14 +69,14 @@ struct Points {
             mesh[4] + first, mesh[5] + first, mesh[6] + first, end - first};
 }
 
-// Friction that a slip in the part's axes gives it: force [mu m g], and torque by m gyration2
-// [mu g / m]; and a bound of how it changes with the slip [mu g / (m/s)].
+// Friction by a slip in the part's axes: force [mu m g] and torque/(m gyration2) [mu g / m]; and an
+// upper bound of its derivative with respect to the slip [mu g / (m/s)].
 struct Friction {
     Slip push;
     double stiff;
 };
 
-// What point i adds to it.
+// Contribution of point i. The torque and the bound are not yet divided by gyration2.
 [[gnu::always_inline]] inline Friction friction_at(const Slip& d, double gyration2,
                                                    const Points& at, int i) {
     const double x = at.x[i], y = at.y[i], b = at.blur[i];
@@ -106,7 +110,7 @@ PLATE_WIDE inline Friction friction(const Slip& d, double gyration2, const Mesh&
     return {{fx, fy, fc / gyration2}, stiff / gyration2};
 }
 
-// Point the forces along the slips.
+// Set the points' forces to unit vectors along their slips.
 [[gnu::always_inline]] inline void point_along(const Slip& d, double dv, const Points& at) {
     const double round2 = (ROUND * dv) * (ROUND * dv);
 #pragma omp simd
@@ -118,8 +122,8 @@ PLATE_WIDE inline Friction friction(const Slip& d, double gyration2, const Mesh&
     }
 }
 
-// Sums over points of what a Newton step needs: mean directions g of the slips, mean forces w
-// (times dv), duality gap, and the symmetric part of (1 - z n')/|slip|, seen by (u, v, c).
+// Weighted sums over points for a Newton step, times dv: directions g of the slips, forces w,
+// duality gap, and the symmetric part of (1 - z n')/|slip| in terms of (u, v, c).
 struct Sums {
     Slip g, w;
     double gap, hxx, hyy, hxy, hxc, hyc, hcc;
@@ -136,7 +140,7 @@ struct Sums {
         double even[BLOCK], mixed[BLOCK];
 #pragma omp simd
         for (int i = 0; i < at.count; i++) {
-            // Slips n at the points, their forces z
+            // n: direction of the slip at the point, z: force
             const double x = at.x[i], y = at.y[i], b = at.blur[i];
             const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
             const double norm = std::sqrt(u * u + v * v + w * w + round2), inverse = 1 / norm;
@@ -176,7 +180,7 @@ struct Sums {
     return sum;
 }
 
-// Change the forces by a Newton step in which the slip d changes by s.
+// Update the forces in a Newton step that changes the slip d by s.
 [[gnu::always_inline]] inline void change_forces(const Slip& d, const Slip& s, double dv,
                                                  const Points& at) {
     const double round2 = (ROUND * dv) * (ROUND * dv);
@@ -195,7 +199,7 @@ struct Sums {
     }
 }
 
-// Solve [[a, b, c], [b, d, e], [c, e, f]] s = right, symmetric and positive.
+// Solve [[a, b, c], [b, d, e], [c, e, f]] s = right. The matrix is symmetric and positive definite.
 inline Slip solve(double a, double b, double c, double d, double e, double f, Slip right) {
     const double l1 = b / a, l2 = c / a;
     d -= l1 * b;
@@ -209,10 +213,10 @@ inline Slip solve(double a, double b, double c, double d, double e, double f, Sl
     return {(right.x - b * s2 - c * s3) / a, s2, s3};
 }
 
-// The slip after a step, in the part's axes; zeros if the part sticks.
+// Return the slip after a step, in the part's axes. It is 0 if the part sticks.
 //
-// free: the slip after the step if there were no friction. dv: mu g dt [m/s], above 0. The part's
-// points in the mesh are `first` to `end` - 1; their forces are changed.
+// free: slip after the step without friction. dv: mu g dt [m/s], above 0. The part's points in the
+// mesh are `first` to `end` - 1; their forces are updated.
 PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2, const Mesh& mesh,
                                   int first, int end) {
     const Points all = points_of(mesh, first, end);
@@ -222,13 +226,14 @@ PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2,
         far2 = std::max(far2, r2);
         spread += all.weight[i] * r2;
     }
-    // It sticks if a force that is linear over the footprint is enough: nearly always when it does.
+    // The part sticks if forces that vary linearly over the footprint can stop it. This sufficient
+    // condition detects nearly all cases.
     const double push = free.turn * gyration2 / spread;
     if (std::sqrt(free.x * free.x + free.y * free.y) + std::abs(push) * std::sqrt(far2) <= dv)
         return {0, 0, 0};
     Slip d = free;
     const double size2 = free.x * free.x + free.y * free.y + gyration2 * free.turn * free.turn;
-    if (size2 > 16 * dv * dv) {  // it slides on, so the forces point along the slip
+    if (size2 > 16 * dv * dv) {  // it keeps sliding: start with forces along the slip
         const double share = 1 - dv / std::sqrt(size2);
         d = {share * free.x, share * free.y, share * free.turn};
         point_along(d, dv, all);

@@ -1,11 +1,5 @@
-// Point parts on the plate's exact motion, event by event, to a stated accuracy: the judge.
-//
-// A part slides, by Runge-Kutta 5(4) with steps that keep the estimated error small; or it is stuck
-// to its place in the plate, exactly, until the surface's acceleration there exceeds what static
-// friction gives. Where the slip vanishes the time is found; then the part sticks if the surface
-// can hold it, else it slides off along the surface's acceleration: on a line that is a reversal.
-// Where the slip in the plane only dips, steps shrink with it, but never below what the tolerance
-// can feel.
+// Event-driven simulation of point parts on the plate's exact motion, with a given accuracy. It is
+// the reference for all other integrators. See point_events.py for the method.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -16,52 +10,57 @@
 
 namespace plate::sliding {
 
-// Share of the tolerance that one step may err: errors of a cycle's steps add up and decay.
+// Allowed error of one step, relative to the tolerance. The errors of a cycle's steps add up and
+// decay.
 constexpr double STEP_SHARE = 0.05;
-// Share of a step's error [m] that may be left to slide when a part is taken to be stuck.
+// Maximum distance [m] that a part would still slide when it is set to stick, relative to a step's
+// allowed error.
 constexpr double SNAP_SHARE = 0.1;
-// Share of a step's error, per period, below which a slip [m/s] counts as none.
+// Maximum velocity change by friction [m/s] while a slip vanishes that counts as zero, relative to
+// a step's allowed error per period.
 constexpr double ZERO_SHARE = 0.2;
-// A part can stick if the surface can hold it also this share of a period later.
+// A part sticks only if friction can hold it this fraction of a period later.
 constexpr double AHEAD = 1e-8;
-// Shortest step, as a share of the period: time itself is rounded to 1e-16 of it.
+// Minimum step, relative to the period. The rounding error of the time is 1e-16 of the period.
 constexpr double FLOOR = 1e-13;
-// Trial steps per cycle, after which equal steps, so many in a cycle, finish it unchecked.
+// Maximum mean number of steps per cycle. The rest of the motion is then computed with `COARSE`
+// equal steps per cycle, without error control.
 constexpr std::int64_t BUDGET = 50'000;
 constexpr int COARSE = 2000;
-// Share of a slip that counts as none, to which roots are found and lines kept.
+// Tolerance of roots in time and of motion on a line, relative to a slip that counts as zero.
 constexpr double FINE = 1e-3;
-// Friction [m/s2] below this moves nothing; its directions would drown in rounding.
+// Friction [m/s2] below this is neglected, because its direction would be a rounding error.
 constexpr double LEAST = 1e-60;
-// Least numbers of looks, per piece and per period, for the release of a stuck part.
+// Minimum number of intervals per piece, and per period, in the search for a stuck part's release.
 constexpr int SCAN = 3, LOOKS = 100;
 
-// What one part's steps are measured by: mu g [m/s2]; the period [s]; the greatest acceleration
-// [m/s2] under the part and how fast it changes [1/s], about.
+// Scales of one part's motion: mu g [m/s2]; period [s]; approximate maximum acceleration [m/s2] of
+// the surface under the part, and its maximum relative rate of change [1/s].
 struct Bounds {
     double limit, period, accel, rate;
 };
 
-// A sliding part at the start of a step: its slip [m/s]; acceleration of the surface under it
-// [m/s2]; the same along friction, times friction [m2/s4]; error that the step may make [m];
-// whether the slip keeps to a line; whether the budget is spent.
+// A sliding part at the start of a step: magnitudes of its slip [m/s] and of the surface's
+// acceleration [m/s2]; scalar product of this acceleration and friction [m2/s4]; allowed error [m];
+// whether the slip stays on a line; whether the step budget is exhausted.
 struct Slide {
     double slip, surface, power, allowed;
     bool line, crude;
 };
 
-// Output samples: their distance [s], how many there are in a cycle, the cycles already behind, and
-// the gravity along the plate with which the frame falls [m/s2].
+// Output samples: interval [s], number per cycle, number of completed cycles, and gravity along the
+// plate with which the frame falls [m/s2].
 struct Grid {
     double step;
     int per_cycle, done;
     Vec gravity;
 
-    // The time of sample j, from the start of the present cycle [s].
+    // Time of sample j since the start of the current cycle [s].
     double time(int j) const { return (j - done * per_cycle) * step; }
 };
 
-// One part's places [m] and velocities [m/s]: rows of 2, `row` numbers apart, the first one given.
+// Positions [m] and velocities [m/s] of one part, two numbers per sample, `row` numbers apart.
+// The first sample is given.
 struct Track {
     double *path, *speed;
     int count, row;
@@ -76,35 +75,38 @@ struct Track {
     }
 };
 
-// A state in a freely falling frame, seen from the room after t [s].
+// Convert a state in the falling frame to plate_home, t [s] after the start of the fall.
 inline Point fallen(const Point& part, double t, Vec gravity) {
     return {part.place + 0.5 * t * t * gravity, part.velocity + t * gravity};
 }
 
-// Slip [m/s] that is over before friction can change v by what a step may err; no more than
-// friction can give in a period, where that is next to nothing.
+// Slip [m/s] that counts as zero. It lasts about r/max(a, limit), so friction changes the velocity
+// by at most `ZERO_SHARE` of the allowed error per period. It is at most friction's velocity change
+// in a period.
 inline double zero_slip(double limit, double a, double allowed, double period) {
     return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
 }
 
-// Whether a slip r [m/s] is as good as none where the surface accelerates by a [m/s2].
+// Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface: the part would
+// stop within r^2/(2 (limit - a)), or the slip is below `zero_slip`.
 inline bool calm(double r, double limit, double a, double allowed, double period) {
     return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
            r <= zero_slip(limit, a, allowed, period);
 }
 
-// Square of the acceleration [m2/s4] of a place in the plate.
+// Squared acceleration [m2/s4] of the plate's point q [m, plate frame].
 inline double felt(Table table, double t, int k, Vec q) {
     const Vec accel = riding(table, t, k, q).accel;
     return dot(accel, accel);
 }
 
-// Whether the surface can carry a part at q [m, in the plate] along.
+// Whether friction of at most `limit` [m/s2] can hold a part at q [m, plate frame].
 inline bool holds(Table table, double t, int k, Vec q, double limit) {
     return felt(table, t, k, q) <= limit * limit;
 }
 
-// Shorten a step to end on a knot, unless it would span several pieces.
+// Limit a step h [s] to `room` [s] and to the next knot. A step longer than two pieces may pass the
+// knot.
 inline double to_knot(Table table, double t, int k, double h, double room) {
     h = std::min(h, room);
     const double least = FLOOR * table.back().end;
@@ -113,7 +115,8 @@ inline double to_knot(Table table, double t, int k, double h, double room) {
     return gap > least && gap < h && h < 2 * (table[k].end - table[k].start) ? gap : h;
 }
 
-// Whether the slip may vanish unseen within a step: from values and rates at its ends.
+// Whether the slip may nearly vanish within a step without being noticed at its stages. The slip's
+// magnitude is approximated by the cubic through its values and rates at both ends.
 inline bool dips(Table table, double t, int k, double h, const Step& made, const Slide& now,
                  const Bounds& bounds) {
     const double r = now.slip, limit = bounds.limit;
@@ -122,7 +125,7 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
     const Vec w = slip(table, t + h, k, made.end), a = surface_rate(table, t + h, k, made.end);
     const double r_end = std::sqrt(dot(w, w)), up = h * (dot(made.force, a) / limit - limit);
     if (up <= 0) return false;
-    // The cubic r + down s + b s^2 + c s^3, s from 0 to 1
+    // Cubic r + down s + b s^2 + c s^3, s from 0 to 1
     const double b = 3 * (r_end - r) - 2 * down - up, c = 2 * (r - r_end) + down + up;
     const double root = std::sqrt(std::max(0.0, b * b - 3 * c * down));
     const double s = b + root > 0 ? -down / (b + root) : 0.5;
@@ -130,7 +133,7 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
     return least < 0.01 * bounds.accel * h * (turn * (turn * turn));
 }
 
-// A step that was made [s], state and friction at its end, and the next step to try [s].
+// A completed step: length [s], state and friction at its end, and the next length to try [s].
 struct Slid {
     double h;
     Point end;
@@ -138,7 +141,7 @@ struct Slid {
     double hint;
 };
 
-// Make one step of a sliding part, of at most h [s].
+// Compute one step of a sliding part, of at most h [s]. It ends where the slip vanishes.
 inline Slid slide(Table table, double t, int k, double h, double hint, const Point& part, Vec force,
                   const Slide& now, const Bounds& bounds) {
     const double limit = bounds.limit, period = bounds.period, first = h;
@@ -175,9 +178,10 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
     }
 }
 
-// A time [s] at which the surface cannot hold the part, looked for up to `high`; else -1.
+// Return a time [s] in (low, high] at which friction cannot hold the part, or -1.
 //
-// Looked at are the middle, the end, and the peak of the parabola through both and the start.
+// The checked times are the middle, the end, and the peak of the parabola through the squared
+// accelerations at the start, the middle and the end.
 inline double first_free(Table table, double low, double high, int k, Vec q, double limit) {
     const double middle = 0.5 * (low + high), most = limit * limit;
     const double a = felt(table, low, k, q), b = felt(table, middle, k, q);
@@ -191,7 +195,7 @@ inline double first_free(Table table, double low, double high, int k, Vec q, dou
     return c > most ? high : -1;
 }
 
-// Time [s], at most the period, up to which the surface holds a part at q [m, in the plate].
+// Time [s], at most the period, until which friction holds a part at q [m, plate frame].
 inline double release(Table table, double t, int k, Vec q, double limit) {
     const double period = table.back().end, radius = std::sqrt(dot(q, q));
     for (int piece = k; piece < static_cast<int>(table.size()); piece++) {
@@ -220,8 +224,7 @@ inline double release(Table table, double t, int k, Vec q, double limit) {
     return period;
 }
 
-// Write the samples, from the j-th on, of a part stuck at q up to a time [s]; return the next
-// sample.
+// Write the samples of a part stuck at q, from sample j until a time [s]. Return the next sample.
 inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, int j,
                      const Track& track) {
     for (; j < track.count - 1; j++) {
@@ -232,7 +235,8 @@ inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, 
     return j;
 }
 
-// Write the samples of a sliding step: the quintic through both ends' p, v and v'.
+// Write the samples of a sliding step from the quintic through p, v and v' at both ends. Return the
+// next sample.
 inline int emit(double t, double h, const Point& start, Vec before, const Point& end, Vec after,
                 const Grid& grid, int j, const Track& track) {
     if (j >= track.count - 1 || grid.time(j) > t + h) return j;
@@ -252,17 +256,17 @@ inline int emit(double t, double h, const Point& start, Vec before, const Point&
     return j;
 }
 
-// Fill a part's track from its first row; return the steps.
+// Compute a part's track from its first row. Return the number of steps.
 //
-// limit, static_limit [m/s2]: what dynamic and static friction can give. tolerance: of the
-// displacement in one cycle [m].
+// limit, static_limit: maximum acceleration by dynamic and by static friction [m/s2]. tolerance:
+// allowed error of the displacement in one cycle [m].
 inline std::int64_t run_part(Table table, const Scales& scales, double limit, double static_limit,
                              double tolerance, int cycles, const Track& track) {
     const double period = table.back().end;
     const bool wraps = table[0].wraps != 0;
     const int count = (track.count - 1) / cycles;
     Point part = track.at(0);
-    // Greatest acceleration [m/s2] under the part and how fast it changes [1/s], about
+    // Approximate maximum acceleration [m/s2] of the surface, and its relative rate of change [1/s]
     const double arm = std::sqrt(dot(part.place, part.place));
     const double accel = scales.accel + arm * scales.push;
     const double jerk = scales.jerk + arm * scales.push_rate, rate = accel > 0 ? jerk / accel : 0;
@@ -282,7 +286,7 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
         const double a = std::sqrt(dot(rate_under, rate_under));
         const bool ends = done == cycles - 1 || !wraps;
         const double room = ends ? left : period;
-        // Rounding of the state limits what a step can promise.
+        // Rounding of the state limits the accuracy of a step.
         const double size = std::abs(part.place.x) + std::abs(part.place.y) +
                             period * (std::abs(part.velocity.x) + std::abs(part.velocity.y));
         const double allowed = std::max(STEP_SHARE * tolerance, 1e-15 * size);
@@ -331,7 +335,7 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
             t = std::max(0.0, t - period);
             done++;
             k = 0;
-            if (!wraps) {  // back into the room, from the frame that fell
+            if (!wraps) {  // convert from the falling frame to plate_home
                 const Point fell = even({part.place, {0, 0}}, scales.gravity, period);
                 part = {fell.place, end.velocity + fell.velocity};
             }
@@ -343,10 +347,11 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
     return steps;
 }
 
-// Fill the tracks of M parts, path and speed (rows, M, 2), from their first rows; return the steps.
+// Compute the tracks of M parts, path and speed (rows, M, 2), from their first rows. Return the
+// number of steps.
 //
 // limit (M,): mu g of each part [m/s2]. static_ratio: static over dynamic friction. checked (M,):
-// whether a part's motion was found within the budgets.
+// set to whether a part's motion was computed within the step budget.
 inline std::int64_t run_points(Table table, const Scales& scales, const double* limit,
                                double static_ratio, double tolerance, int cycles, double* path,
                                double* speed, int rows, int count, bool* checked) {

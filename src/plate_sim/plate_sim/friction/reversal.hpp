@@ -1,9 +1,14 @@
-// A step in which nothing turns and the plate accelerates much more than friction can: in one go.
+// Step of a disc without spin whose slip reverses, on a plate that does not rotate.
 //
-// The slip of a disc that does not turn, on a plate that does not, is one vector; friction is mu g
-// along it. Up to where it is least and from there on it is taken to change evenly: the mean of its
-// direction along a straight line is known, also close by its zero. So a slip that reverses on a
-// line is followed exactly, one that turns quickly to second order, and none needs a shorter step.
+// The slip is one vector w(t), and friction accelerates the disc by mu g along w/|w|. With t from 0
+// to 1 over the step
+//
+//     w(t) = s + a t + b t^2 - dv int_0^t w/|w|,    dv = mu g dt.
+//
+// If the plate accelerates much more than friction does, w is nearly straight. The step is split at
+// the minimum of |w|. In both parts w is approximated by a straight segment, and the mean of w/|w|
+// along a segment is known in closed form, also near 0. So a slip that reverses on a line is exact,
+// a slip that rotates quickly is of second order, and the step need not be shortened.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,18 +18,18 @@
 
 namespace plate::reversing {
 
-// Least change of the slip in a step, over what friction takes off, at both ends of the step.
+// Minimum rate of change of the slip at both ends of the step, relative to that by static friction.
 constexpr double FAST = 2.0;
-// Least cosine of the angle between both.
+// Minimum cosine of the angle between the rates at both ends.
 constexpr double BENT = 0.9;
-// Corrections of a mean direction, at most, until it changes by less: each makes its error smaller
-// by friction's share of the slip's change.
+// Maximum number of iterations for a mean direction, and change that ends them. Each iteration
+// multiplies the error by the ratio of friction to the change of the slip.
 constexpr int ROUNDS = 8;
 constexpr double CLOSE = 1e-4;
-// A line whose distance from zero is a smaller share of its length goes through zero.
+// A segment passes through 0 if its line is closer to 0 than this fraction of its length.
 constexpr double THIN = 1e-5;
 
-// Mean of the direction of all points on the line from a to b; n where they are one.
+// Mean of x/|x| over the segment from `from` to `to`. It is n if both points are equal.
 inline Vec heading(Vec from, Vec to, Vec n) {
     Vec d = to - from;
     const double length2 = dot(d, d);
@@ -34,7 +39,7 @@ inline Vec heading(Vec from, Vec to, Vec n) {
     const double a = std::sqrt(dot(from, from)), b = std::sqrt(dot(to, to));
     const double across = from.x * d.y - from.y * d.x, mean = scale * (b - a);
     if (across * across <= THIN * THIN * length2) return mean * d;
-    // asinh of both ends' places along the line over their distance from it
+    // log(far) = asinh(end / |across|) - asinh(start / |across|), without cancellation
     const double start = dot(from, d), end = dot(to, d);
     double far = start < 0 && 0 < end ? (end + b) * (a - start) / (across * across) : 0;
     if (start >= 0)
@@ -45,18 +50,18 @@ inline Vec heading(Vec from, Vec to, Vec n) {
     return {mean * d.x + side * d.y, mean * d.y - side * d.x};
 }
 
-// Whether the slip changes fast enough; mean velocity in the step, and velocity at its end [m/s].
+// Whether the method applies; mean velocity of the disc in the step, and velocity at its end [m/s].
 struct Reversal {
     bool fits;
     Vec mean, end;
 };
 
-// Step a disc at a velocity v [m/s].
+// Compute a step of a disc with the velocity v [m/s].
 //
-// plate: samples of the plate's motion at the step's start, middle and end. fall [m/s]: what
-// gravity gives along the plate. static_dv, dv [m/s]: what static and dynamic friction can give.
+// plate: samples of the plate's motion at the step's start, middle and end. fall, static_dv, dv
+// [m/s]: velocity changes in the step by gravity along the plate, static and dynamic friction.
 inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, double dv, Vec v) {
-    // The slip without friction: s + a t + b t^2, t from 0 to 1
+    // Slip without friction: s + a t + b t^2, t from 0 to 1; its rate at the end is z
     const Vec s = Vec{plate[0].vx, plate[0].vy} - v;
     const Vec m = Vec{plate[1].vx, plate[1].vy} - v - 0.5 * fall;
     const Vec e = Vec{plate[2].vx, plate[2].vy} - v - fall;
@@ -79,7 +84,7 @@ inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, d
             if (std::abs(t - before) <= CLOSE) break;
         }
     }
-    // Velocity where the slip is least, and from there on
+    // Velocity u at the minimum of the slip, then the rest of the step
     const Vec u = v + t * (fall + dv * n);
     const double left = 1 - t, kick = left * dv;
     const Vec g = left * (a + (1 + t) * b);

@@ -1,7 +1,8 @@
-// Steps of a sliding part: Runge-Kutta 5(4), the landing where the slip vanishes, the restart.
+// Steps of a sliding point part: Runge-Kutta 5(4), the event at which the slip vanishes, and the
+// restart from zero slip.
 //
-// While a part slides, v' = mu g w/|w| with the slip w = v_s(p, t) - v: smooth, as long as w is not
-// zero. Every step returns how far it went, the part's new state, and friction at its end.
+// A sliding part obeys p' = v, v' = mu g w/|w| with the slip w = v_s(p, t) - v, where v_s is the
+// velocity of the surface (pieces.hpp). The right side is smooth while w is not 0.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,7 +12,7 @@
 namespace plate::sliding {
 
 // Dormand and Prince, A family of embedded Runge-Kutta formulae, J. Comp. Appl. Math. 6 (1980),
-// table 2: order 5 with an error estimate of order 4; the last stage is the next step's first.
+// table 2: order 5 with an error estimate of order 4. The last stage is the first of the next step.
 constexpr int STAGES = 7;
 constexpr double C[STAGES] = {0., 1. / 5, 3. / 10, 4. / 5, 8. / 9, 1., 1.};
 constexpr double B[] = {35. / 384, 0., 500. / 1113, 125. / 192, -2187. / 6784, 11. / 84};
@@ -30,12 +31,13 @@ constexpr double E[STAGES] = {
     B[4] + 92097. / 339200, B[5] - 187. / 2100,
     -1. / 40};
 
-// Shortened restarts before a part is held a moment longer: 0.3**40 of a step is rounding.
+// Maximum number of restarts with shortened steps, after which the part remains stuck. 0.3**40 of a
+// step is below rounding.
 constexpr int TRIES = 40;
-// A root in time is found to this share of its bracket.
+// Tolerance of a root in time, relative to its initial bracket.
 constexpr double ROOT = 1e-15;
 
-// The sum of weights times vectors, in order.
+// Sum of weights times vectors, added in order.
 template <int COUNT>
 [[gnu::always_inline]] inline Vec weighted(const double* weights, const Vec* vectors) {
     Vec sum = weights[0] * vectors[0];
@@ -45,8 +47,9 @@ template <int COUNT>
     return sum;
 }
 
-// What a step leads to: the share of it by which the slip has reversed, 0 if it has not, and then
-// state and friction [m/s2] at its end, and estimated errors of position [m] and velocity [m/s].
+// Result of a trial step. If the slip reversed, `turned` is the fraction of the step of the stage
+// that detected it. Otherwise it is 0, and the rest is state and friction [m/s2] at the end, and
+// estimated errors of position [m] and velocity [m/s].
 struct Step {
     double turned;
     Point end;
@@ -54,7 +57,8 @@ struct Step {
     double place_error, velocity_error;
 };
 
-// A stage of a step: velocity and friction there, and whether the slip is still along n.
+// A stage of a step: velocity, friction, and whether the slip still has a positive component along
+// n.
 struct Stage {
     Vec velocity, force;
     bool on;
@@ -67,7 +71,8 @@ struct Stage {
     return {part.velocity, share * w, dot(w, n) > 0};
 }
 
-// Stage S of a step and those after it; velocities v and friction f are known at those before.
+// Compute stage S of a step and the following ones. v and f are the velocities and frictions of the
+// previous stages.
 template <int S>
 [[gnu::always_inline]] inline Step stages(Table table, double t, int k, double h, const Point& part,
                                           double limit, Vec n, Vec* v, Vec* f) {
@@ -88,7 +93,7 @@ template <int S>
     }
 }
 
-// Try a step h [s] from friction f [m/s2].
+// Try a Runge-Kutta step h [s]. force: friction at the start [m/s2].
 inline Step runge_kutta(Table table, double t, int k, double h, const Point& part, Vec force,
                         double limit) {
     Vec v[STAGES] = {part.velocity}, f[STAGES] = {force};
@@ -96,32 +101,34 @@ inline Step runge_kutta(Table table, double t, int k, double h, const Point& par
     return stages<1>(table, t, k, h, part, limit, n, v, f);
 }
 
-// State after tau [s] of constant friction [m/s2].
+// State after tau [s] with constant friction [m/s2].
 inline Point even(const Point& part, Vec force, double tau) {
     return {part.place + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
 }
 
-// Slip along and across n [m/s] after tau [s] of constant friction f.
+// Slip along and across n [m/s] after tau [s] with constant friction.
 inline Vec straight(Table table, double t, int k, double tau, const Point& part, Vec force, Vec n) {
     const Vec w = slip(table, t + tau, k, even(part, force, tau));
     return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};
 }
 
-// As `runge_kutta`, for a slip that keeps to a line: friction is constant, the step exact.
+// Try a step with a slip that stays on a line. Friction is constant, so the step is exact.
 inline Step line_step(Table table, double t, int k, double h, const Point& part, Vec force) {
     const Vec w = straight(table, t, k, h, part, force, force);
     return {w.x > 0 ? 0. : 1., even(part, force, h), force, 0, 0};
 }
 
-// When the slip vanishes [s], or 0 if it does not; the slip [m/s] that then remains across: 0 on a
-// line; and a bound of the velocity's error [m/s] from the direction's change on the way.
+// Event at which the slip vanishes: time [s] since the start of the step, 0 if it does not vanish;
+// remaining slip [m/s] across its initial direction, 0 on a line; and an upper bound of the
+// velocity's error [m/s] because the direction of friction was kept constant.
 struct Landing {
     double tau, rest, error;
 };
 
-// Find when the slip, r [m/s] now, vanishes within h [s] if friction keeps its direction.
+// Find the time within h [s] at which the slip vanishes along its present direction, if friction is
+// constant.
 //
-// A slip along of `none` [m/s] is as good as none.
+// r: present slip [m/s]. none: slip along the direction [m/s] that counts as 0.
 inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
                        double r, double limit, double none) {
     const Vec n{force.x / limit, force.y / limit};
@@ -129,7 +136,7 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     if (last.x > 0) return {0, 0, 0};
     double low = 0, high = h, s_low = r, s_high = last.x, rest = last.y, tau = h;
     int side = 0;
-    // Illinois: regula falsi that halves the value at an end that stays
+    // Illinois method: regula falsi that halves the value at an end that is kept twice
     for (int i = 0; i < 60; i++) {
         if (high - low <= ROOT * h || s_high == 0) break;
         tau = (low * s_high - high * s_low) / (s_high - s_low);
@@ -152,42 +159,45 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     }
     const Vec half = straight(table, t, k, 0.5 * tau, part, force, n);
     rest = std::abs(rest);
-    // Across a slip that shrinks evenly the angle grows as rest tau/(tau - t): a logarithm.
+    // If the slip decreases linearly, its angle grows with 1/(tau - t). The integral is a
+    // logarithm.
     double share = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
     share += half.x > 0 ? std::abs(half.y) / half.x : 1;
     return {tau, rest, limit * tau * share};
 }
 
-// Direction of the acceleration of a place in the plate.
+// Unit vector of the acceleration of the plate's point q [m, plate frame]; 0 if it does not
+// accelerate.
 inline Vec heading(Table table, double t, int k, Vec q) {
     const Vec accel = riding(table, t, k, q).accel;
     const double a = std::sqrt(dot(accel, accel));
     return a > 0 ? Vec{accel.x / a, accel.y / a} : Vec{0, 0};
 }
 
-// Length of a first step [s], 0 if the part slid nowhere; its end; friction at both ends [m/s2].
+// First step of a part that comes loose: length [s], 0 if it does not slide; state at its end;
+// friction at both ends [m/s2].
 struct Restart {
     double tau;
     Point end;
     Vec before, after;
 };
 
-// Slide off from a slip of nearly 0, at most h [s] far, where the surface accelerates too much.
+// Compute a step of at most h [s] from a slip of nearly 0, if friction cannot hold the part.
 //
-// The slip turns at once along the surface's acceleration a, and then follows it: friction is
-// mu g a/|a|. Velocity may err by `allowed` [m/s].
+// The slip takes the direction of the surface's acceleration a at once and then follows it. So
+// friction is mu g a/|a|. allowed: maximum error of the velocity [m/s].
 inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,
                        double allowed) {
     const Vec q = in_plate(table, t, k, part.place), n0 = heading(table, t, k, q);
     for (int i = 0; i < TRIES; i++) {
         const Vec n1 = heading(table, t + 0.5 * h, k, q), n2 = heading(table, t + h, k, q);
-        // Simpson's rule for v, its integral for p
+        // Simpson's rule for v, and the corresponding rule for p
         const Vec u = part.velocity + limit * h / 6 * (n0 + 4 * n1 + n2);
         const Vec p = part.place + h * (part.velocity + limit * h / 6 * (n0 + 2 * n1));
         int piece = k;
         const Vec w = slip(table, t + h, piece, {p, u});
         const double r = std::sqrt(dot(w, w));
-        // The slip r lags behind a that turns at a rate w by the angle r w/|a|.
+        // If a rotates at the rate w, the slip r lags behind it by the angle r w/|a|.
         const double error = r * (std::abs(n2.x - n0.x) + std::abs(n2.y - n0.y));
         if (error > allowed) {
             h *= std::max(0.1, std::min(0.7, 0.9 * std::pow(allowed / error, 1. / 3)));

@@ -1,13 +1,13 @@
-// One step of one finite part: it slides and turns, rides with the plate, or comes to stick.
+// Time step of a finite part that slides and rotates, moves with the plate, or begins to stick.
 //
-// Friction at the middle of the step moves a part that slides steadily (midpoint rule: second
-// order; explicit, or implicit where friction changes much with the slip). Where the slip turns
-// quickly the step is halved, at most `HALVINGS` times; where it reverses the step is cut just
-// before. The shortest are implicit Euler steps. A part that sticks at both ends of a step rides
-// with the plate exactly, so it cannot creep.
+// A part that slides steadily is advanced by the midpoint rule, which is of second order. The rule
+// is explicit, or implicit if friction changes much with the slip. If the slip rotates quickly, the
+// step is bisected, at most `HALVINGS` times. If the slip reverses, the step is split just before
+// the reversal. The shortest substeps use the implicit Euler method (patch.hpp). A part that sticks
+// at both ends of a step moves exactly with the plate, so it cannot creep.
 //
-// Discs that slide steadily are most of all parts in most steps: `glide` of glide.hpp moves them,
-// several per instruction; `advance` does what is left, part by part.
+// In most steps most parts are discs that slide steadily. They are advanced together by `glide`
+// (glide.hpp), and the other parts one by one by `advance`.
 #pragma once
 #include <plate/view.hpp>
 
@@ -25,13 +25,13 @@
 
 namespace plate {
 
-// Rows of a state: place [m], angle [rad] and their rates, in plate_home.
+// Rows of a state: position [m], angle [rad] and their rates, in plate_home.
 constexpr int X = 0, Y = 1, ANGLE = 2, VX = 3, VY = 4, SPIN = 5;
 
-// Number of parts in one vector.
+// Number of parts per SIMD vector.
 constexpr int LANES = 4;
 
-// What does not change of a part: a record of BODY in step.py, or the same bytes as ten numbers.
+// Constants of a part: a record of BODY in step.py, stored in the same bytes as ten numbers.
 struct Body {
     double mu_g, gyration2, radius, reach, slim, mass_inverse;
     std::int64_t first_point, end_point, first_piece, end_piece;
@@ -41,15 +41,15 @@ struct Body {
 };
 static_assert(sizeof(Body) == 10 * sizeof(double));
 
-// Parts side by side: their state, and what moves them together (glide.hpp).
+// Group of parts that are advanced together: their states, and constants for `glide` (glide.hpp).
 struct Group {
     double state[6][LANES];
-    // mu g times the step [m/s]; the squared slip [m2/s2] from which on they may glide, infinite
-    // for all but discs; squared radius and radius of gyration [m2], and the former over the latter
+    // mu g times the step [m/s]; minimum squared slip [m2/s2] for `glide`, infinite for parts that
+    // are not discs; squares of radius and radius of gyration [m2], and their ratio
     double dv[LANES], least[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
-    double moved[LANES];    // 1 for those that glided in this step
-    double away[LANES];     // 0 for those on the plate, else infinite
-    double mark[2][LANES];  // where they were at some time [m]
+    double moved[LANES];    // 1 if `glide` has advanced the part in this step, else 0
+    double away[LANES];     // 0 if the part is on the plate, else infinite
+    double mark[2][LANES];  // positions at an earlier time [m]
 };
 
 // State of the parts. The last one is the walls.
@@ -66,18 +66,20 @@ struct State {
 
 namespace plate::stepping {
 
-// Maximum number of bisections of a step with a rotating slip. Reversals are exact to 1/512 of it.
+// Maximum number of bisections of a step. Times of reversals are exact to 1/512 of the step.
 constexpr int HALVINGS = 9;
-// Least cosine of the slip's turn to the middle and the end of a step that is not halved.
+// Minimum cosine of the angle between the slip at the start and the slips in the middle and at the
+// end. If it is smaller, the step is bisected.
 constexpr double STEADY = 0.9;
 // A slip below this fraction of mu g dt counts as 0: it is a rounding error.
 constexpr double STUCK = 1e-3;
 // If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
 constexpr double GENTLE = 0.5;
-// A disc's friction changes at most about so much [mu g] when its slip changes by its own size.
+// Approximate upper bound of the derivative of a disc's friction with respect to the slip, times
+// the slip [mu g].
 constexpr double DISC_STIFF = 3.0;
 
-// State of one part: place [m], angle [rad], and their rates, plate_home.
+// State of one part: position [m], angle [rad], and their rates, plate_home.
 struct Motion {
     double x, y, angle, vx, vy, spin;
 };
@@ -96,7 +98,7 @@ inline Slip operator*(double scale, const Slip& a) {
     return a.x * b.x + a.y * b.y + gyration2 * a.turn * b.turn;
 }
 
-// A vector in the axes of a part at an angle with cosine c and sine s, and back.
+// Transform a slip to the axes of a part (cosine c and sine s of its angle), and back.
 inline Slip to_part(const Slip& a, double c, double s) {
     return {c * a.x + s * a.y, c * a.y - s * a.x, a.turn};
 }
@@ -104,7 +106,7 @@ inline Slip from_part(const Slip& a, double c, double s) {
     return {c * a.x - s * a.y, s * a.x + c * a.y, a.turn};
 }
 
-// Whether two slips have nearly the same direction.
+// Whether the cosine of the angle between two slips exceeds `STEADY`.
 inline bool alike(const Slip& a, const Slip& b, double gyration2) {
     const double product = dot(a, b, gyration2);
     return product > 0 &&
@@ -118,13 +120,13 @@ inline bool alike(const Slip& a, const Slip& b, double gyration2) {
             plate.spin - spin};
 }
 
-// The motion h [s] later if the velocity changes evenly to (vx, vy, spin).
+// State h [s] later, if the velocity changes linearly to (vx, vy, spin).
 inline Motion moved(const Motion& m, double h, double vx, double vy, double spin) {
     return {m.x + 0.5 * h * (m.vx + vx), m.y + 0.5 * h * (m.vy + vy),
             m.angle + 0.5 * h * (m.spin + spin), vx, vy, spin};
 }
 
-// As `patch::friction`, in plate_home, for a part at `angle` [rad]; also for discs.
+// Return the friction of `patch::friction` in plate_home, for any part at `angle` [rad].
 inline patch::Friction friction(const Slip& slip, double angle, const Body& body,
                                 const Mesh& mesh) {
     if (body.even()) {
@@ -144,7 +146,7 @@ inline patch::Friction friction(const Slip& slip, double angle, const Body& body
     return {from_part(found.push, c, s), found.stiff};
 }
 
-// As `patch::slip_after`, in plate_home, for a part at `angle` [rad]; also for discs.
+// Return the slip of `patch::slip_after` in plate_home, for any part at `angle` [rad].
 inline Slip slip_after(const Slip& free, double angle, double dv, const Body& body,
                        const Mesh& mesh) {
     if (body.even()) return disc::disc_slip_after(free, dv, body.gyration2, body.radius);
@@ -154,7 +156,7 @@ inline Slip slip_after(const Slip& free, double angle, double dv, const Body& bo
     return from_part(left, c, s);
 }
 
-// Whether friction with the velocity change dv [m/s] can stop a slip.
+// Whether friction that changes the velocity by dv [m/s] can stop a slip.
 inline bool holds(const Slip& slip, double angle, double dv, const Body& body, const Mesh& mesh) {
     constexpr double MOST = (1 + disc::SNAP) * (1 + disc::SNAP);
     if (slip.x * slip.x + slip.y * slip.y > MOST * dv * dv) return false;
@@ -162,13 +164,13 @@ inline bool holds(const Slip& slip, double angle, double dv, const Body& body, c
     return left.x == 0 && left.y == 0 && left.turn == 0;
 }
 
-// The slip in the middle of a step, and what friction there adds to the twist.
+// Slip in the middle of a step, and change of the twist by friction during the step.
 struct Middle {
     Slip half, push;
 };
 
-// `slip` is that at the start, at `angle` [rad]; `free` that in the middle, `turn` [rad] on, if
-// there were no friction.
+// Apply the midpoint rule. slip: slip at the start, at `angle` [rad]. free: slip in the middle
+// without friction, at `angle + turn` [rad].
 inline Middle midpoint(const Slip& slip, const Slip& free, double angle, double turn, double dv,
                        const Body& body, const Mesh& mesh) {
     patch::Friction now = friction(slip, angle, body, mesh);
@@ -181,17 +183,18 @@ inline Middle midpoint(const Slip& slip, const Slip& free, double angle, double 
     return {half, 2 * (free - half)};
 }
 
-// Whether a step serves, the motion after it, and, if it does not, at what share of it the slip is
-// about to reverse; else 0.
+// Result of a trial step: whether it is accurate enough, and the state at its end. If the slip
+// reverses, `ahead` is the estimated fraction of the step before the reversal, otherwise 0.
 struct Attempt {
     bool fine;
     Motion after;
     double ahead = 0;
 };
 
-// Whether friction can hold a stuck part through a step, and its motion then.
+// Move a stuck part with the plate. The result is `fine` if static friction can hold it.
 //
-// fall [m/s]: what gravity gives along the plate. static_dv [m/s]: what static friction can give.
+// fall, static_dv [m/s]: velocity changes in the step by gravity along the plate and by static
+// friction.
 inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const Motion& m,
                     const Body& body, const Mesh& mesh) {
     const PlateSample &start = plate[0], &middle = plate[1], &end = plate[2];
@@ -202,16 +205,17 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
                        end.vx - end.spin * qy, end.vy + end.spin * qx, end.spin};
     const Slip gain{after.vx - m.vx, after.vy - m.vy, after.spin - m.spin}, pull{fall.x, fall.y, 0};
     if (!holds(gain - pull, m.angle, static_dv, body, mesh)) return {false, after};
-    // Also at the end of the step, where it may come loose: the velocity is about a parabola.
+    // Check also the rate at the end, where it may come loose: 3 gain - 4 half by a parabola.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);
     return {holds(3 * gain - 4 * half - pull, m.angle, static_dv, body, mesh), after};
 }
 
-// Make one step of h [s].
+// Try one step of h [s].
 //
-// last: it has to be fine enough. none: slip [m/s] that counts as none.
+// last: if true, the step is always accepted, by the implicit Euler method if necessary. none: slip
+// [m/s] that counts as 0.
 inline Attempt attempt(const PlateSample* plate, double h, bool last, double none,
                        const GroundEffect& ground, const Motion& m, const Body& body,
                        const Mesh& mesh) {
@@ -229,7 +233,7 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     const Slip middle = slip(plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy,
                              m.vx + 0.5 * fall.x, m.vy + 0.5 * fall.y, m.spin);
     double dv = slow;
-    if (ground.slope != 0) [[unlikely]] {  // by the slip in the middle: over a disc, the rms
+    if (ground.slope != 0) [[unlikely]] {  // friction at the rms slip in the middle
         const double speed = std::sqrt(dot(middle, middle, g2));
         dv = slow * ground.share(std::max(0.0, speed - 0.5 * slow * ground.share(speed)));
     }
@@ -237,7 +241,7 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     Motion after = moved(m, h, m.vx + fall.x + push.x, m.vy + fall.y + push.y, m.spin + push.turn);
     const Slip end = slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin);
     bool loose = true;
-    if (stuck) {  // it comes loose: from 0 the slip grows about as a parabola, at first along this
+    if (stuck) {  // the slip grows from 0 as a parabola: its initial rate
         start = 4 * half - end;
         loose = static_dv <= dv || !holds(4 * middle - end - push, m.angle, static_dv, body, mesh);
     }
@@ -257,14 +261,15 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     return {last, after, ahead};
 }
 
-// A shorter part of a step than `size`: up to where the slip vanishes, or half of it.
+// Return a size smaller than `size`: the part before the reversal, or half of it. The unit is the
+// finest substep.
 inline int shorter(int size, double ahead) {
     return ahead > 0 ? std::max(1, std::min(size - 1, static_cast<int>(size * ahead))) : size >> 1;
 }
 
-// The motion after a step that is cut until each part of it is fine enough.
+// Return the state after a step that is split into substeps until each is accurate enough.
 //
-// first: the plate at its start. ahead: as `attempt` returns it for the whole step.
+// first: the plate at the start of the step. ahead: result of `attempt` for the whole step.
 inline Motion advance_in_parts(const Course& course, double start, double step, double none,
                                const PlateSample& first, double ahead, const GroundEffect& ground,
                                Motion motion, const Body& body, const Mesh& mesh) {
@@ -284,7 +289,8 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
         motion = made.after;
         done += size;
         if (done == FINEST) return motion;
-        // Where the slip was to vanish just ahead the finest part passes that, then all the rest.
+        // After a substep that ends before a reversal, a finest one passes it, and one does the
+        // rest.
         size = !to_end ? 2 * size : size > 1 ? 1 : FINEST - done;
         to_end = to_end && size == 1;
         size = std::min(size, FINEST - done);
@@ -292,8 +298,8 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
     }
 }
 
-// Whether a disc at no spin is at rest or turns its slip round so quickly that `reversal` serves,
-// and its motion after a step of h [s].
+// Compute a step of h [s] of a disc without spin by `reversal`. The result is not `fine` if the
+// plate rotates or the method does not apply.
 inline Attempt reverse(const PlateSample* plate, double h, const GroundEffect& ground,
                        const Motion& m, const Body& body) {
     if (plate[0].spin != 0 || plate[1].spin != 0 || plate[2].spin != 0) return {false, m};
@@ -311,8 +317,8 @@ namespace plate {
 
 // Advance part i by a step, in place.
 //
-// start, step [s]: when the step begins in the course, and its length. plate: samples at
-// its start, middle and end.
+// start, step [s]: time in the course at which the step begins, and its length. plate: samples of
+// the plate's motion at its start, middle and end.
 inline void advance(const Course& course, double start, double step, const PlateSample* plate,
                     const GroundEffect& ground, const State& state, int i, const Body& body,
                     const Mesh& mesh) {
