@@ -1,4 +1,5 @@
-"""The simulator node: plays motor tables, moves the parts, and takes the camera's images."""
+"""ROS node of the simulator. It simulates plate and parts for received motor tables or motions of
+the device, and publishes camera images and ground truth. The model is `world.Simulation`."""
 
 from __future__ import annotations
 
@@ -46,7 +47,7 @@ from .plate import PlateMotion, check_table
 from .world import RANGES, WORLD_RANGES, Disturbances, Simulation, run_cycle
 
 START_NS = 1_000_000_000
-"""Simulated time of the first image [ns]: a zero stamp would mean "no time"."""
+"""Simulated time of the first image [ns]. It is not 0 because a zero stamp means "no time"."""
 
 CLOCK_PERIOD_S = 0.01
 """Time between two messages on /clock [s, wall]."""
@@ -70,13 +71,13 @@ NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
 def _disturbance(name: str, description: str, live: bool = True, group: str = "") -> Any:
-    """Return the parameter of one kind of disturbance."""
+    """Return the parameter of a field of `Disturbances`."""
     value = getattr(Disturbances, name)
     return parameter(value, description, *RANGES[name], live=live, group=group)
 
 
 def _drawn(name: str, description: str) -> Any:
-    """Return the parameter of a disturbance of images."""
+    """Return the parameter of a disturbance that affects only images."""
     return _disturbance(name, description, group=DRAWN)
 
 
@@ -172,7 +173,7 @@ class Options(NodeOptions):
 
     @property
     def disturbances(self) -> Disturbances:
-        """Return what is asked for of the real world's disturbances."""
+        """Return the disturbances that the parameters set."""
         kinds = {f.name for f in fields(Disturbances)}
         ours = {f.name: getattr(self, f.name) for f in fields(self) if f.name in kinds}
         return Disturbances(**ours)
@@ -190,32 +191,37 @@ class Tally:
 
 
 class SimulatorNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `simulator`: plays motor tables, moves the parts, takes the camera's images.
+    """Lifecycle node `simulator`. It plays motor tables, simulates the parts and publishes images.
 
-    Subscribes motor_setpoints (or, driven by the device, motor_motion and, where the rig has the
-    motor controller trigger the camera, camera_trigger).
-    Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth; /clock if simulated.
-    Services: ~/reset places the parts again, with the seed if it was set, otherwise with the next
-    seed; ~/place_part and ~/remove_part act by hand; hopper/open drops parts; ~/move_robot takes a
-    part. After one of these, or a change of a live parameter, a seed does not reproduce the run.
+    Subscribes motor_setpoints. If the device drives the plate, it subscribes motor_motion instead,
+    and also camera_trigger if the rig's motor controller triggers the camera.
+    Publishes image_raw, camera_info, cycle_started (unless driven by the device), diagnostics and
+    ground_truth, and /clock if time is simulated.
+    Services: ~/reset restarts the scenario with the seed that was set since the last reset, or else
+    with the next seed; ~/place_part and ~/remove_part act by hand; hopper/open drops parts;
+    ~/move_robot moves the robot. After a service call, or a change of a live parameter, a seed does
+    not reproduce the run.
 
     `ground_truth` (parts on the plate with true names, angles, velocities and spins) is only for
     the evaluation of a run. No stage may subscribe to it.
 
-    Cycle k begins at t_k with the newest table: `cycle_started` has it, as the plate plays it, with
-    the stamp t_k. Then image k is taken, stamp t_k, and the parts are moved to t_k+1; with
-    `image_rate` above 0 images are taken at any time instead. Driven by the device it is the
-    device's clock that counts, and the driver tells what has started: the parts follow each stretch
-    of `motor_motion` when it has been played, and an image is taken at its end or, where the motor
-    controller triggers the camera, at each pulse.
-    In real time the next cycle begins on schedule; in lockstep as soon as a table with the stamp of
-    image k has come, or at once if image k is missed: there will be none. Where no table follows
-    the tail is played, if there is one. While the node is not active all stands still.
+    Cycle k begins at t_k with the newest table. `cycle_started` publishes it, as the plate plays
+    it, with the stamp t_k. Then image k is taken with the stamp t_k, and the parts are simulated
+    until t_k+1. If `image_rate` is above 0, images are taken independently of cycles.
+    In real time the next cycle begins on schedule. In lockstep it begins when a table with the
+    stamp of image k arrives, or at once if image k is missed, because then no table follows.
+    Without a new table the plate repeats the last one, or plays its tail.
+
+    If the device drives the plate, the device's clock is used, and the driver publishes the
+    started cycles. The parts follow each segment of `motor_motion` after it was played. An image is
+    taken at the end of each segment, or at each trigger pulse if the motor controller triggers the
+    camera.
+    Simulated time stops while the node is not active.
     """
 
     def __init__(self) -> None:
         super().__init__("simulator", Options)
-        self._next_seed: int | None = None  # of the next reset, if it was set
+        self._next_seed: int | None = None  # seed of the next reset, if set
         self.add_post_set_parameters_callback(self._note_seed)
         self.report(
             self._find, self._values, "simulation", self._begin_report,
@@ -223,7 +229,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def configure(self) -> None:
-        """Put the parts on the plate."""
+        """Load rig and scenario, place the parts, and create publishers and subscriptions."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._scenario, self._seed = load_scenario(options.scenario), options.seed
@@ -249,13 +255,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             raise PlateError(
                 f"latency is {options.latency:g} with a trigger_phase, allowed: 0, images at once"
             )
-        self._next_ns = START_NS  # when the next cycle begins
+        self._next_ns = START_NS  # start of the next cycle
         self._simulation = self._scattered()
         self._warm_up()
         self._connect()
 
     def begin(self) -> None:
-        """Go on with the plate at rest, in real time from now."""
+        """Continue with the plate at rest. In real time the next cycle begins now."""
         options = self.options
         self._timeline = Timeline.at_rest(options.idle_period)
         self._tally = Tally()
@@ -267,26 +273,26 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if not self._simulated_time:
             self._next_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         self._time_ns = self._moved_ns = self._next_ns
-        self._pulse_ns = 0  # of the camera's line, that has no image yet
-        self._due_ns = time.monotonic_ns()  # the same on the wall
+        self._pulse_ns = 0  # last trigger pulse
+        self._due_ns = time.monotonic_ns()  # wall time of `_next_ns`
         self._aim(self._next_ns)
         if not self._driven:
             self._begin_cycle()
 
     def rest(self) -> None:
-        """Let the plate come to rest: the end of its cycle, and the tail of that."""
+        """Let the plate come to rest: simulate the rest of the cycle, and its tail."""
         if not self._driven:
             self._move(self._timeline.cycle, self._next_ns)
             if self._timeline.cycle.tail is not None:
                 self._simulation.run(self._timeline.cycle.tail)
 
     def retune(self) -> None:
-        """Take over what disturbs the world, and how fast time goes.
+        """Apply changed disturbances, noise, friction and rate.
 
         Raises
         ------
         PlateError
-            If it cannot be taken over now.
+            If the rate cannot change in this mode, or a value is out of range.
         """
         options, before = self.options, self._rate
         if options.rate != before and (options.lockstep or not self._simulated_time):
@@ -303,13 +309,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 self._wait(self._moved_ns)
 
     def _note_seed(self, parameters: list[Parameter]) -> None:
-        """Note that the seed was set, also to the value that it had."""
+        """Store a seed for the next reset, even if it equals the present one."""
         for item in parameters:
             if item.name == "seed":
                 self._next_seed = int(item.value)
 
     def _scattered(self) -> Simulation:
-        """Return the scenario's parts, put on the plate as the seed will have it."""
+        """Return a new simulation of the scenario with the current seed."""
         options = self.options
         return Simulation(
             self._rig, self._scenario, self._seed, options.disturbances,
@@ -317,7 +323,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def _warm_up(self) -> None:
-        """Simulate and draw once: libraries are loaded and tables made before time starts."""
+        """Simulate and render once, so that libraries are loaded and tables computed before the
+        first cycle."""
         state = self._simulation.state
         angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
         run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
@@ -357,9 +364,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             pass
 
     def _run_cycle(self) -> bool:
-        """Choose a cycle's table, take its image, move the parts to what comes next.
-
-        Returns whether there was an image.
+        """Choose the next cycle's table, take its image, and simulate the parts until the next
+        event. Return whether there was an image.
         """
         self._time_ns = self._moved_ns = self._next_ns
         options, before = self.options, self._timeline
@@ -372,7 +378,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        # The same again, or a tail, as no table has come.
+        # No new table: the last one is repeated, or its tail is played.
         tail_alone = before.waiting is None and cycle is before.cycle.tail
         alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone
@@ -381,7 +387,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         return seen
 
     def _advance(self) -> None:
-        """Move the parts to when an image is delivered, or to the cycle's end, and wait for it."""
+        """Simulate the parts until the next image's delivery or the end of the cycle, and set the
+        alarm to this time."""
         cycle, end_ns = self._timeline.cycle, self._next_ns
         if self._shot is not None and self._delivered_ns < end_ns:
             end_ns = self._delivered_ns
@@ -390,13 +397,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._wait(end_ns)
 
     def _wait(self, until_ns: int) -> None:
-        """Wait until a simulated time in this cycle [ns]."""
+        """Set the alarm to a simulated time in this cycle [ns]."""
         ahead_ns = round((self._next_ns - until_ns) / self.options.rate)
         self._alarm.timer_period_ns = max(1, self._due_ns - ahead_ns - time.monotonic_ns())
         self._alarm.reset()
 
     def _move(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
-        """Move the parts on, through a part of what began at `_time_ns`."""
+        """Simulate the parts from `_moved_ns` to `end_ns` on a motion that began at `_time_ns`."""
         begin, end = (1e-9 * (t - self._time_ns) for t in (self._moved_ns, end_ns))
         if begin == 0 and end_ns == self._next_ns:
             self._simulation.run(motion)
@@ -412,10 +419,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         behind_ns = time.monotonic_ns() - self._due_ns
         now_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         late = behind_ns > (self._next_ns - self._time_ns) / self.options.rate
-        # The clock was set, or the machine slept: stamps must be of the clock that the others have.
+        # If the system clock was set, or the computer was suspended, correct the stamps.
         wrong = abs(now_ns - behind_ns - self._next_ns) > MOST_WRONG_NS and not self._simulated_time
         if late or wrong:
-            # The plate has waited where it was, with its parts, so go on from now.
+            # Plate and parts did not move during the delay, so continue from now.
             self._due_ns += behind_ns
             if not self._simulated_time:
                 self._next_ns = now_ns
@@ -425,7 +432,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._begin_cycle()
 
     def _aim(self, begin_ns: int) -> None:
-        """Have a camera that runs free take its images from `begin_ns` on."""
+        """Start the image sequence of a free-running camera at `begin_ns`."""
         self._shot = None
         if self.options.image_rate > 0:
             self._shots = self._simulation.shots(0.0)
@@ -469,7 +476,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         lockstep = self.options.lockstep
         self._hear()
         if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
-            return  # a second answer to an earlier image
+            return  # repeated reply to an earlier image
         try:
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (rivals := self.rivals("motor_setpoints")):
@@ -486,7 +493,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._begin_cycle()
 
     def _on_motion(self, msg: JointTrajectory) -> None:
-        """Move the parts as the device has moved the motors, and take an image at the end."""
+        """Simulate the parts during a segment of the device's motion, and take the images in it."""
         self._hear()
         try:
             times, *motors = msg_to_knots(msg, [motor.name for motor in self._rig.motors])
@@ -517,24 +524,25 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._move(motion, end_ns)
 
     def _on_pulse(self, msg: Header) -> None:
-        """Take an image now, or when the motion up to the pulse has come."""
+        """Take an image if the parts are already simulated up to the pulse. Otherwise `_on_motion`
+        takes it later."""
         self._pulse_ns = nanoseconds(msg.stamp)
         if abs(self._moved_ns - self._pulse_ns) <= GAP_NS:
             self._expose(self._pulse_ns)
 
     def _expose(self, now_ns: int) -> None:
-        """Take an image of a plate that the device drives, unless the last one was just before."""
+        """Take an image, unless the last one was less than `SHORTEST_NS` ago."""
         if now_ns - self._time_ns >= SHORTEST_NS:
             self._time_ns = now_ns
             self._count["missed images"] += not self._take_image(now_ns)
             self._publish_truth()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Put the parts on the plate anew, as the seed that was set, or the next one, has it."""
+        """Restart the scenario with the seed that was set, or else with the next one."""
         self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
         plate, self._next_seed = self._simulation.plate, None
         self._simulation = self._scattered()
-        self._simulation.plate = plate  # which goes on as it moves
+        self._simulation.plate = plate  # the plate continues its motion
         response.success, response.message = True, f"parts put down anew, seed {self._seed}"
         return response
 
@@ -568,7 +576,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_open(
         self, request: OpenHopper.Request, response: OpenHopper.Response
     ) -> OpenHopper.Response:
-        """Let parts drop for a time."""
+        """Open the hopper for a given time."""
         try:
             count = self._simulation.open_hopper(request.duration_s)
         except PlateError as error:
@@ -581,7 +589,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_move(
         self, request: MoveRobot.Request, response: MoveRobot.Response
     ) -> MoveRobot.Response:
-        """Move the robot, and grip if that is asked for."""
+        """Move the robot, and grip if requested."""
         try:
             done = self._simulation.move_robot(request.to, request.x, request.y, request.angle)
         except PlateError as error:
@@ -594,8 +602,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Messages
 
     def _take_image(self, stamp_ns: int, age: float | None = None) -> bool:
-        """Publish the image that is delivered now, see `Simulation.capture`; returns whether there
-        is one."""
+        """Publish the image of `Simulation.capture`, if any. Return whether there was one."""
         stamp, pixels = to_time(stamp_ns), self._simulation.capture(age)
         if pixels is not None:
             self._image = array_to_image(pixels, stamp, "mono8" if pixels.ndim == 2 else "bgr8")
@@ -619,7 +626,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._starts.publish(cycle_to_msg(self._timeline.cycle, to_time(self._time_ns)))
 
     def _repeat_image(self) -> None:
-        """In lockstep: publish the image and its cycle again, until it is answered."""
+        """Publish the unanswered image and its cycle's start again, in lockstep."""
         self._publish_start()
         self._publish_image()
 
@@ -633,7 +640,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._repeat.reset()
 
     def _find(self, now: float) -> Finding:
-        """Judge what came, and how the plate does; see `plate_core.status`."""
+        """Evaluate received tables and the state of plate and parts, see `plate_core.status`."""
         tally, dropped = self._tally, self._simulation.dropped
         findings = [used("tables", tally.tables, tally.refused, tally.why), self._input.gone(now)]
         troubles = [f"parts dropped: {dropped}"] if dropped else []

@@ -1,7 +1,8 @@
-"""Simulated motor controller with the protocol of docs/protocol.md. It runs the real firmware, and
-includes the serial line and the plate.
+"""Simulated motor controller with the protocol of docs/protocol.md. It runs the real firmware and
+simulates the serial line and the plate.
 
-Use `Emulator` with a `FaultSchedule`, or `Device`, which is only the controller.
+`Emulator` simulates controller, line and plate with the faults of a `FaultSchedule`. `Device` is
+only the controller.
 """
 
 from .._kernels import Device

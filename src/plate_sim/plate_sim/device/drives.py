@@ -23,16 +23,16 @@ SYNC, TPDO, RPDO, ANSWER, REQUEST, HEARTBEAT = 0x80, 0x180, 0x200, 0x580, 0x600,
 
 MODE = 0x6060
 OFF, READY, SWITCHED_ON, ENABLED = 0x250, 0x231, 0x233, 0x237
-"""Statuswords of the power states."""
+"""CiA 402 statuswords of the power states."""
 
 NEXT = {
     (OFF, 6): READY, (READY, 7): SWITCHED_ON, (SWITCHED_ON, 15): ENABLED, (SWITCHED_ON, 6): READY,
     (ENABLED, 7): SWITCHED_ON, (ENABLED, 6): READY,
 }  # fmt: skip
-"""Power state after a state and a controlword."""
+"""Next power state, by current state and controlword."""
 
 REMOTE = 0x800
-"""Flag of an identifier: the frame requests data."""
+"""Flag in an identifier of a remote frame, which requests data."""
 
 GET_VERSION, ODRIVE_HEARTBEAT, ESTOP, GET_ERROR = 0x00, 0x01, 0x02, 0x03
 SET_STATE, GET_ESTIMATES, SET_POSITION, CLEAR_ERRORS = 0x07, 0x09, 0x0C, 0x18
@@ -58,7 +58,7 @@ class _Node:
     """State of the protocol in a CiA 402 drive."""
 
     drive: Drive
-    zero: int  # its position at home [counts]
+    zero: int  # position at home [counts]
     operational: bool = False
     status: int = OFF
     order: int = 0  # controlword and target of the last RPDO, applied at SYNC
@@ -73,7 +73,7 @@ class _Node:
         return [(HEARTBEAT + self.drive.node, b"\0")]
 
     def answered(self, request: bytes) -> list[Frame]:
-        """Return the answer to an expedited SDO."""
+        """Return the reply to an expedited SDO request."""
         command, index, sub, value = struct.unpack("<BHBI", request)
         if command != 0x40:
             self.objects[index, sub] = value
@@ -87,7 +87,7 @@ class _Node:
         return [(ANSWER + self.drive.node, struct.pack("<BHBI", command, index, sub, value))]
 
     def synchronised(self, counts: int) -> list[Frame]:
-        """Return status and position, and apply the last RPDO."""
+        """Return a TPDO with status and position, and apply the last RPDO. Called at SYNC."""
         if not self.operational:
             return []
         told = struct.pack("<Hi", self.status, counts)
@@ -133,7 +133,7 @@ class SimulatedDrives:
         return np.array([node.status == ENABLED for node in self._nodes])
 
     def heard(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Take what the master has sent; returns what the drives answer."""
+        """Process the master's frames, and return the drives' replies."""
         answers: list[Frame] = []
         for identifier, data in frames:
             if identifier == SYNC:
@@ -189,8 +189,11 @@ class SimulatedDrives:
         return beats
 
     def _followed(self, wanted: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
-        """Return the state one tick later: critically damped tracking of a setpoint that moves to
-        `wanted`."""
+        """Return the state one tick later, for critically damped tracking of a linear setpoint.
+
+        With e = x - setpoint, e'' + 2 rate e' + rate^2 e = 0. The setpoint moves with the speed
+        `slope` and is `wanted` at the end of the tick.
+        """
         behind = self._state[0] - (wanted - slope * TICK_S)
         push = self._state[1] - slope + rate * behind
         fade = np.exp(-rate * TICK_S)
@@ -201,7 +204,7 @@ class SimulatedDrives:
 
 @dataclass
 class _ODrive:
-    """The protocol's side of an ODrive."""
+    """State of the protocol in an ODrive."""
 
     drive: Drive
     state: int = IDLE
@@ -211,7 +214,7 @@ class _ODrive:
     speed: float = 0.0  # [turns/s]
 
     def told(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
-        """Execute a message, and return the answer."""
+        """Execute a message, and return the reply."""
         self.fed_ms = now_ms
         if message == SET_POSITION:
             self.goal, speed, _ = struct.unpack("<fhh", data)
@@ -245,7 +248,7 @@ class SimulatedODrives(SimulatedDrives):
         return np.array([node.state == CLOSED_LOOP for node in self._odrives.values()])
 
     def heard(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Take what the master has sent; returns what the drives answer."""
+        """Process the master's frames, and return the drives' replies."""
         answers: list[Frame] = []
         turns = dict(zip(self._odrives, np.array(self._counts()) / ODRIVE_COUNTS, strict=True))
         for identifier, data in frames:
@@ -275,15 +278,16 @@ class SimulatedODrives(SimulatedDrives):
 
 
 class BusJudge:
-    """Compares the setpoints that the firmware sends to the drives with the rig's limits.
+    """Check of the setpoints that the firmware sends to the drives against the rig's limits. Speed
+    and acceleration are differences of consecutive setpoints.
 
     Parameters
     ----------
     drives : sequence of Drive
     zeros : (4,)
-        Their positions at home [counts].
+        Positions of the drives at home [counts].
     limits : Limits
-        Of the rig.
+        Limits of the rig.
     """
 
     def __init__(self, drives: Sequence[Drive], zeros: np.ndarray, limits: Limits) -> None:

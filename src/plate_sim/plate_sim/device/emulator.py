@@ -24,7 +24,7 @@ BOOT_S = 0.2
 """Time from a reset until the device answers [s]."""
 
 BROWN_OUT_S = 0.3
-"""Duration of a brown-out [s]: the motors lose their current, the logic continues."""
+"""Duration of a brown-out [s]. The motors lose their current; the logic continues to run."""
 
 
 class Emulator:
@@ -92,7 +92,7 @@ class Emulator:
         return State(self.device.state)
 
     def values(self) -> Mapping[str, object]:
-        """Return what is to be reported, name to value."""
+        """Return the values for diagnostics, by name."""
         return {
             "state": self.state.name.lower(),
             "damaged frames": self.device.refused,
@@ -101,16 +101,17 @@ class Emulator:
 
     @property
     def plate(self) -> np.ndarray:
-        """Position, speed and acceleration (3, 4) that the motors are led to, also by flexures."""
+        """Commanded position, speed and acceleration of the motors (3, 4). Without current it is
+        the return home by the flexures."""
         return self._recorder.plate
 
     def configure(self, schedule: FaultSchedule) -> None:
-        """Change what goes wrong from now on."""
+        """Replace the schedule of faults."""
         self.schedule = schedule
         self.to_device.faults = self.to_host.faults = schedule.line
 
     def disconnect(self) -> None:
-        """Pull the plug for a while."""
+        """Disconnect the host for the schedule's `disconnect_s`."""
         self._disconnected_until = self.now + self.schedule.disconnect_s
         self.connected = False
         self._cut()

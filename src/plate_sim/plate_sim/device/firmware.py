@@ -1,4 +1,4 @@
-"""The real firmware as a process on this computer, with serial line, CAN bus and simulated
+"""The real firmware as a process on this computer, with a simulated serial line, CAN bus and
 drives."""
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class FirmwareOnDesk:
         self._process.communicate()
 
     def values(self) -> Mapping[str, object]:
-        """Return what is to be reported, name to value."""
+        """Return the values for diagnostics, by name."""
         stroke, speed, accel = self.judge.shares
         return {
             "state": self.state.name.lower(),

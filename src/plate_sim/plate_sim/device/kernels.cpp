@@ -1,7 +1,8 @@
-// The firmware, the files that a board is built with, on a board in memory.
+// Python binding of the firmware. The same C files as for a board are compiled, with a hardware
+// layer (hal_*) whose inputs and outputs are in memory.
 #include <plate/bind.hpp>
 
-// Here, as the firmware's own includes of them stand in a namespace.
+// Included here first, because the firmware's files include these headers inside a namespace.
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -28,7 +29,7 @@ namespace firmware {
 namespace {
 
 class Device;
-Device* running;  // whose tick it is; the GIL is held
+Device* running;  // device that the hal functions access; the GIL is held
 
 class Device {
 public:
@@ -72,7 +73,8 @@ public:
 
     int room() const { return HAL_INPUT_BYTES - static_cast<int>(came.size()); }
 
-    float hottest() const { return *std::max_element(c.heat, c.heat + MOTORS) / continuous_square(&c); }
+    float hottest() const { return *std::max_element(c.heat, c.heat + MOTORS) /
+    continuous_square(&c); }
 
     int playing() const { return c.state == STATE_PLAYING ? c.tables[c.playing].id : 0; }
 
@@ -94,10 +96,11 @@ public:
                 states.insert(states.end(), row, row + MOTORS);
         }
         return nb::make_tuple(to_numpy<1, uint32_t>(std::move(ticks), {table.count}),
-                              to_numpy<3, float>(std::move(states), {table.count, 3, MOTORS}), table.splice);
+                              to_numpy<3, float>(std::move(states), {table.count, 3, MOTORS}),
+                              table.splice);
     }
 
-    // What its board holds
+    // State of the simulated board
     uint64_t now_us;
     const float* measured = nullptr;
     uint8_t faults = 0;

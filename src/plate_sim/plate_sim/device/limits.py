@@ -23,7 +23,7 @@ class DeviceLimits:
     stroke_m, speed, accel : float
         [m], [m/s], [m/s2].
     force, continuous_force : float
-        Peak, and continuous root mean square [N].
+        Peak force, and continuous root-mean-square force [N].
     heat_s : float
         Thermal time constant of the winding [s].
     load : (4, 4)
@@ -45,9 +45,9 @@ class DeviceLimits:
     def of_rig(cls, rig: Rig) -> DeviceLimits:
         """Return the limits for a rig's plate, without the forces of its flexures.
 
-        Forces f = B^+ M c'' of least norm push the plate with B; c'' = (B^T)^+ q'' follows from the
-        motors' accelerations at home, so the load is B^+ M (B^T)^+. M is the suspension's, with the
-        given inertia and centre of mass or, without a suspension, that of a uniform plate.
+        The forces f of minimum norm with B f = M c'' are f = B^+ M c''. At home the motors'
+        accelerations q'' give c'' = (B^T)^+ q'', so the load matrix is B^+ M (B^T)^+. M uses the
+        suspension's inertia and centre of mass. Without a suspension the plate is uniform.
         """
         inverse = np.linalg.pinv(motor_levers(rig).T)
         # Rounded, so that rounding errors of the inverse do not affect a limit check.
@@ -82,7 +82,7 @@ def rig_header(path: str) -> str:
 
 
 def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:
-    """Return the C header that firmware is built with: `LIMITS`, in single precision, and, where
+    """Return the C header for the firmware. It defines `LIMITS` in single precision and, if the
     motors have drives, `DRIVES`.
 
     Parameters

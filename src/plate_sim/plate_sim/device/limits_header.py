@@ -1,4 +1,4 @@
-"""A rig's limits as the C header that firmware is built with.
+"""Command that prints the C header with a rig's limits for the firmware.
 
 python -m plate_sim.device.limits_header RIG.yaml > limits_rig.h
 """

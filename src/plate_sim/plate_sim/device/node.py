@@ -1,4 +1,5 @@
-"""The device node: a motor controller on a pseudo-terminal, in real time."""
+"""ROS node that emulates the motor controller on a pseudo-terminal in real time. The driver can use
+this serial port like that of a real board."""
 
 from __future__ import annotations
 
@@ -34,8 +35,8 @@ SERVE_PERIOD_S = 0.002
 """Time between two reads of the port [s]: two ticks of the device."""
 
 MOST_BEHIND_US = 100_000
-"""On a computer that is too busy the device catches up with this much [us]; from there on its clock
-has stood still. A board does not lose time: it would not take a host for silent that was not."""
+"""Maximum delay that the device catches up [us] on a busy computer. For the rest of a longer delay
+its clock stops. Otherwise the device would report a timeout of a host that was not silent."""
 
 
 def _fraction(description: str) -> Any:
@@ -75,16 +76,15 @@ class Options(NodeOptions):
 
 
 class DeviceNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `device`: a simulated motor controller on a serial port (pseudo-terminal), in
-    real time.
+    """Lifecycle node `device`. It emulates a motor controller on a pseudo-terminal in real time.
 
-    Publishes motor_motion, camera_trigger, diagnostics; speaks the serial protocol on the port
+    Publishes motor_motion, camera_trigger and diagnostics. It uses the serial protocol on the port
     `link`.
 
-    motor_motion is what the motors have done, segment by segment, stamped with its start: what the
-    simulated plate follows. camera_trigger is stamped with the instant of each pulse for the
-    camera: a segment ends there, and is published before. The port is there once the node is
-    configured; while it is not active the device has no power, and afterwards it begins anew.
+    motor_motion contains the executed motion of the motors, in segments stamped with their starts.
+    The simulated plate follows it. camera_trigger is stamped with the time of each trigger pulse. A
+    segment ends at the pulse and is published before it. The port exists when the node is
+    configured. While the node is not active, the device has no power. It restarts on activation.
     """
 
     def __init__(self) -> None:
@@ -143,7 +143,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         if emulator.connected != self._terminal.plugged:
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
         ticks = due // TICK_US
-        # It came by now: the device, which is late, must not have heard it before it was said.
+        # Stamp the bytes with the present time. At the late device's time they were not yet sent.
         emulator.to_device.sent(came, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             for segment in emulator.tick():

@@ -89,8 +89,8 @@ class Recorder:
     ) -> list[Segment]:
         """Return the segments that have ended by `now` [s].
 
-        `at` is the setpoint at `now`, and `triggered` tells whether the camera was triggered.
-        Without a device the tables are unknown.
+        `at` is the setpoint at `now`, or None without current. `triggered` tells whether the camera
+        was triggered. If `device` is None, `Segment.table` is 0.
         """
         done = []
         play = None if device is None else device.play

@@ -40,7 +40,7 @@ def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
     if array.ndim != 2 or array.shape[1] != 2 or (count is not None and len(array) != count):
         rows = "M" if count is None else count
         raise PlateError(f"{name} has shape {array.shape}, allowed: ({rows}, 2)")
-    usable = np.abs(array) <= LARGEST  # a NaN is not
+    usable = np.abs(array) <= LARGEST  # False for NaN
     if not usable.all():
         part = int(np.argmin(usable.all(axis=1)))
         finite = "not finite" if not np.isfinite(array[part]).all() else "too large"
@@ -58,7 +58,7 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
     if not 0 <= gravity <= LARGEST:
         raise PlateError(f"gravity is {gravity!r} m/s2, allowed: finite and at least 0")
-    usable = (mu >= 0) & (mu <= LARGEST)  # a NaN is not
+    usable = (mu >= 0) & (mu <= LARGEST)  # False for NaN
     if not usable.all():
         part = int(np.argmin(usable))
         which = f" for part {part}" if mu.ndim else ""
@@ -70,7 +70,7 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
 
 
 def for_each(name: str, value: float | np.ndarray, count: int) -> np.ndarray:
-    """Return a value for all parts or for each as an array (count,), checked to be finite."""
+    """Return a value, given for all parts or for each, as an array (count,) of finite numbers."""
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (count,)):
         raise PlateError(f"{name} has shape {array.shape}, allowed: () or ({count},)")

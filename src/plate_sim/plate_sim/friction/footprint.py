@@ -15,8 +15,8 @@ Maximum error of the friction force and torque, in mu m g (times the radius of g
     L-shape    0.121   0.048   0.022   0.012   0.005
     triangle   0.106   0.057   0.031   0.014   0.008
 
-(`friction_gap` of the tests, to 2,500 points, greatest of 2,000 slips, half of them turns about a
-point of the footprint, where the slip's direction jumps.)
+The reference has 2,500 points (`friction_gap` of the tests). The maximum is over 2,000 slips, half
+of them rotations about a point of the footprint, where the direction of the slip is discontinuous.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class Footprint:
     weights : (n,)
         Fraction of the part's weight on each point. The sum is 1.
     blur : (n,)
-        Each point stands for a cell about so large [m]: in a part that turns by the slip c, the
-        cell's mean slip is `sqrt(|slip at the point|^2 + (c blur)^2)`.
+        Approximate size of the cell that each point represents [m]. If the slip at the point is s
+        and the rotational slip is c, the mean slip of the cell is `sqrt(s^2 + (c blur)^2)`.
     outline : tuple of (k, 2)
         Corners of its convex polygons [m], counter-clockwise. For a disc they are used only to draw
         it.
@@ -116,7 +116,7 @@ class Footprint:
 
     @property
     def gyration2(self) -> float:
-        """Inertia by mass [m2]: the square of the radius of gyration."""
+        """Square of the radius of gyration: inertia divided by mass [m2]."""
         return self.inertia / self.mass
 
     def friction(self, slip: np.ndarray) -> np.ndarray:

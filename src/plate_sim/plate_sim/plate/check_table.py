@@ -11,7 +11,7 @@ SLACK = 1.02
 % too high."""
 
 PERIOD = (0.01, 10.0)
-"""Allowed length of a table [s]: one image is taken in each."""
+"""Allowed length of a table [s]. One image is taken per table."""
 
 
 def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:

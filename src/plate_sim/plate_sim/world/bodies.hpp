@@ -127,7 +127,7 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
     const Course course(job.times, job.factors, job.legs);
     const double step = course.period() / job.steps;
     const std::vector<PlateSample> plate = samples(course, 2 * job.steps);
-    std::vector<int> order(count);  // by place: results do not depend on the order of names
+    std::vector<int> order(count);  // sorted by position: results do not depend on names
     std::iota(order.begin(), order.end(), 0);
     std::stable_sort(order.begin(), order.end(), [&](int i, int j) {
         return std::pair(job.states(i, X), job.states(i, Y)) <

@@ -128,7 +128,7 @@ class History:
         position, velocity = _between(run.time, run.position, run.velocity, inside)
         angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
-        # A part that fell off keeps its last position. It left when it first was there.
+        # A part that left the plate keeps its last position. It left at the first such sample.
         left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
         return View(
             position + beyond * velocity, angle + beyond * spin, ~left, pose + beyond * twist

@@ -266,17 +266,17 @@ class Simulation:
 
     @property
     def dropped(self) -> int:
-        """See above."""
+        """See `Simulation`."""
         return self._departures.dropped + self._departures.count(self.state, self._left)[0]
 
     @property
     def chuted(self) -> int:
-        """See above."""
+        """See `Simulation`."""
         return self.chuted_classes.total()
 
     @property
     def chuted_classes(self) -> Counter[str]:
-        """See above."""
+        """See `Simulation`."""
         return self._departures.chuted + self._departures.count(self.state, self._left)[1]
 
     @property
