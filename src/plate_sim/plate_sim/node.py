@@ -193,30 +193,21 @@ class Tally:
 class SimulatorNode(SafeLifecycleNode[Options]):
     """Lifecycle node `simulator`. It plays motor tables, simulates the parts and publishes images.
 
-    Subscribes motor_setpoints. If the device drives the plate, it subscribes motor_motion instead,
-    and also camera_trigger if the rig's motor controller triggers the camera.
-    Publishes image_raw, camera_info, cycle_started (unless driven by the device), diagnostics and
-    ground_truth, and /clock if time is simulated.
-    Services: ~/reset restarts the scenario with the seed that was set since the last reset, or else
-    with the next seed; ~/place_part and ~/remove_part act by hand; hopper/open drops parts;
-    ~/move_robot moves the robot. After a service call, or a change of a live parameter, a seed does
-    not reproduce the run.
+    Subscribes motor_setpoints or, driven by the device, motor_motion (and camera_trigger, if the
+    rig's motor controller triggers the camera).
+    Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth; /clock if simulated.
+    Services: ~/reset restarts the scenario with the seed that was set, or else with the next one;
+    ~/place_part and ~/remove_part act by hand; hopper/open drops parts; ~/move_robot takes a part.
+    After one of these, or a change of a live parameter, a seed does not reproduce the run.
+    `ground_truth` (true names, angles, velocities and spins) is only for the evaluation of a run.
 
-    `ground_truth` (parts on the plate with true names, angles, velocities and spins) is only for
-    the evaluation of a run. No stage may subscribe to it.
-
-    Cycle k begins at t_k with the newest table. `cycle_started` publishes it, as the plate plays
-    it, with the stamp t_k. Then image k is taken with the stamp t_k, and the parts are simulated
-    until t_k+1. If `image_rate` is above 0, images are taken independently of cycles.
-    In real time the next cycle begins on schedule. In lockstep it begins when a table with the
-    stamp of image k arrives, or at once if image k is missed, because then no table follows.
-    Without a new table the plate repeats the last one, or plays its tail.
-
-    If the device drives the plate, the device's clock is used, and the driver publishes the
-    started cycles. The parts follow each segment of `motor_motion` after it was played. An image is
-    taken at the end of each segment, or at each trigger pulse if the motor controller triggers the
-    camera.
-    Simulated time stops while the node is not active.
+    Cycle k begins at t_k with the newest table. `cycle_started` publishes it with the stamp t_k.
+    Then image k is taken, and the parts are simulated until t_k+1. In real time the next cycle
+    begins on schedule; in lockstep when a table with the stamp of image k arrives, or at once if
+    image k is missed. Without a new table the last one is repeated, or its tail is played.
+    If `image_rate` is above 0, images are independent of cycles. If the device drives the plate,
+    the parts follow each segment of `motor_motion` after it was played, and an image is taken at
+    its end or at each trigger pulse. Simulated time stops while the node is not active.
     """
 
     def __init__(self) -> None:
