@@ -1,15 +1,14 @@
 """Measure and draw docs/results.md, out/report/index.html and tables of other pages.
 
-The tables are in README, docs/graph.md, docs/hardware.md, docs/guide/feeder.md and
+The tables are in README, docs/graph.md, docs/hardware.md, docs/guide/rig.md and
 docs/guide/trust.md.
 
 python bench/charts.py [--quick] [--draw]
 
-Measurements go to out/bench/*.json. One that is there is not made again, unless the code that it
-rests on has changed, or it was a quick one and --quick is not given. What docs/results.md is to
-show is measured on a committed tree, and while other programs rest: it waits for that. --draw
-draws what is there: a chart that has not been measured here is drawn from its CSV file in
-docs/results (of OUT, with --out OUT).
+Measurements are written to out/bench/*.json. An existing one is not repeated unless its code has
+changed, or it was a quick one and --quick is not given. The measurements of docs/results.md need a
+committed tree, and wait until the machine is idle. --draw draws the existing measurements: a chart
+that was not measured here is drawn from its CSV file in docs/results (of OUT, with --out OUT).
 """
 
 from __future__ import annotations

@@ -18,27 +18,27 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE, RESULTS = ROOT / "docs/guide/leaderboard.md", ROOT / "benchmarks"
 
 MARK = "<!-- made of benchmarks/ -->\n"
-"""What stands above it in the page is written by hand."""
+"""Separates the text, written by hand, from the generated tables."""
 
 ERRORS = {"error_mm": "error [mm]", "turn_error_deg": "error [degrees]"}
-"""Columns of a task in which there are any."""
+"""Columns of errors. A task has them only if an episode has such an error."""
 
 LEAST = 20
-"""Seeds that a result has of a task: those from 0 on."""
+"""Minimum number of seeds per task. They start at 0."""
 
 
 def page() -> str:
-    """Return the page: what is written by hand, and the tables."""
+    """Return the page: its text and the new tables."""
     return PAGE.read_text("utf-8").split(MARK)[0] + MARK + tables(RESULTS)
 
 
 def tables(folder: Path) -> str:
-    """Return a table for each task and world, of the results in a folder.
+    """Return one table per task, from the results in a folder.
 
     Raises
     ------
     PlateError
-        If a file is no result, or not of seeds from 0 on: names it.
+        If a file is not a result, or its seeds do not start at 0. The message names the file.
     """
     from plate_gym import TASKS  # needs gymnasium: --help does not
     from plate_gym.bench import ranges, read, validate
@@ -59,42 +59,39 @@ def tables(folder: Path) -> str:
     text = ""
     for task in TASKS:
         there = {name: result for name, result in results.items() if task in result["tasks"]}
-        worlds = {result["world"] for result in there.values()}
         every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
         errors = [key for key in ERRORS if any(own[key] for own in every)]
         told = [ERRORS[key] for key in errors]
         columns = ["agent", "seeds", "done [%]", "plate time [s]", *told, "lost", "decision [ms]"]
-        for world in sorted(worlds, key=lambda world: (world != "nominal", world)):
-            rows = sorted(
-                row(name, result["agent"], result["tasks"][task], errors)
-                for name, result in there.items()
-                if result["world"] == world
-            )
-            lines = [" | ".join(columns), " | ".join(["---"] * len(columns))]
-            lines += [line for _, _, line in rows]
-            text += f"\n## {task}, {world}\n\n" + "".join(f"| {line} |\n" for line in lines)
+        rows = sorted(row(name, result, task, errors) for name, result in there.items())
+        text += f"\n## {task}\n\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n"
+        text += "".join(f"| {line} |\n" for _, line in rows)
     return text
 
 
-def row(
-    file: str, agent: str, found: dict[str, Any], errors: list[str]
-) -> tuple[float, float, str]:
-    """Return the row of an agent's result, behind what rows are ordered by."""
+Order = tuple[bool, str, float, float]
+"""Order of rows: the nominal world first, then the better, then the faster agents."""
+
+
+def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, str]:
+    """Return the row of a result in the table of a task, after its place in the order."""
     from plate_gym.bench import ranges, summary
 
-    found = summary(found["rows"])  # not what it claims to be
+    world = result["world"]
+    found = summary(result["tasks"][task]["rows"])  # the file's own summary may be wrong
     low, high = (100 * share for share in found["success_interval"])
     share, took = 100 * found["success"], found.get("time_s", np.inf)
+    link = f"[{result['agent']}](../../benchmarks/{file})"
     cells = [
-        f"[{agent}](../../benchmarks/{file})",
+        link if world == "nominal" else f"{link}, {world}",
         ranges(sorted(own["seed"] for own in found["rows"])),
-        f"{share:.0f} ({low:.0f} to {high:.0f})",
+        f"{share:.0f} ({low:.0f}-{high:.0f})",
         f"{took:.1f}" if np.isfinite(took) else "-",
         *(f"{np.median([own[key] for own in found['rows']]):.3g}" for key in errors),
         str(found["dropped"]),
         f"{found['decision_ms']:.3g}",
     ]
-    return -share, took, " | ".join(cells)
+    return (world != "nominal", world, -share, took), " | ".join(cells)
 
 
 if __name__ == "__main__":

@@ -15,8 +15,7 @@ from report.chart import Data
 from report.page import cells, common_commit, measured
 
 DOCUMENTS = (
-    "README.md", "docs/graph.md", "docs/hardware.md", "docs/guide/feeder.md", "docs/guide/rig.md",
-    "docs/guide/trust.md",
+    "README.md", "docs/graph.md", "docs/hardware.md", "docs/guide/rig.md", "docs/guide/trust.md",
 )  # fmt: skip
 
 BLOCK = re.compile(r"(<!-- measured: (\w+) (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -83,13 +83,6 @@ CASES = {
 """What is changed -> cases, the base among them."""
 
 
-CASE = {
-    "kind": "parts", "fill": "on the plate", "clearance_mm": "clearance [mm]",
-    "cycle_s": "robot's cycle [s]", "window_mm": "window's side [mm]",
-}  # fmt: skip
-"""Columns that say what is fed to whom."""
-
-
 def measure(quick: bool) -> Result:
     """Run all cases with all feeders."""
     seeds, time_s = (SEEDS[:1], QUICK_S) if quick else (SEEDS, TIME_S)
@@ -103,8 +96,7 @@ def measure(quick: bool) -> Result:
     found = by_case(run_case, work, Cache.of(__name__))
     rows = [row(changed, case, method, runs) for (changed, case, method, _), runs in found.items()]
     facts = {"time": time_s, "first": seeds[0], "last": seeds[-1]}
-    beside = Table.of("by_case", side_by_side(rows), **facts)
-    return Result([Table.of("feeding", rows, **facts), beside])
+    return Result([Table.of("feeding", rows, **facts)])
 
 
 def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any]:
@@ -143,13 +135,3 @@ def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> di
         "turn_most_deg": max(finite([r["error_deg"][2] for r in runs])),
         "cpu": 100 * mean([r["cpu"] for r in runs]) if method == "ours" else None,
     }  # fmt: skip
-
-
-def side_by_side(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each case, with what each feeder does in it."""
-    found: dict[tuple[Any, ...], dict[str, Any]] = {}
-    for r in rows:
-        case = {key: r[key] for key in CASE}
-        text = f"{r['parts_per_min']:.1f}, {r['waiting']:.0f} %"
-        found.setdefault(tuple(case.values()), case)[r["method"]] = text
-    return list(found.values())

@@ -30,7 +30,7 @@ class Code(IntEnum):
 
 
 MEANINGS = {
-    Code.DONE: "done; what follows is the answer",
+    Code.DONE: "done; the rest of the line is the result",
     Code.BAD_LINE: "the line is too long, not complete in time, or not plain text",
     Code.UNKNOWN_COMMAND: "there is no such command",
     Code.BUSY: "another command waits, a part is reserved by another client, or the plate is "
@@ -40,7 +40,7 @@ MEANINGS = {
     Code.TOO_MANY: "too many clients, or too many commands wait",
     Code.CANCELED: "the command was withdrawn",
     Code.FAULT: "an error of the feeder itself: see its log",
-    Code.SILENT: "the planner is silent, or has not begun in time",
+    Code.SILENT: "the planner sends no status, or did not start in time",
     Code.STOPPED: "the plate was stopped, the task has failed, or the feeder is not active",
     Code.NO_PART: "no part was ready in time",
     Code.HOPPER_EMPTY: "no part is left, and nothing came from the hopper",
