@@ -1,4 +1,5 @@
-"""The solver node: requests in, the next plate cycle out."""
+"""ROS node of the solver. It answers each request (part_forces) with the next plate cycle
+(plate_cycle), computed by `controller.Controller` before the cycle must begin."""
 
 from __future__ import annotations
 
@@ -38,14 +39,15 @@ from .controller import IDLE_PERIOD, METHODS, Answer, Controller
 from .library import Library, condition_number
 
 RESTART_NS = 1_000_000_000
-"""A stamp this much older than the last means that the camera or simulator began anew [ns]."""
+"""If a stamp is older than the last one by at least this, the camera or simulator was restarted
+[ns]."""
 
 LONGEST_S = 1.0
-"""Most that a search in real time may take, however far ahead its cycle is to begin [s]."""
+"""Maximum duration of a search in real time, even if its cycle begins later [s]."""
 
 LATER_S, SOONER_S, LATEST_S = 0.01, 5e-4, 0.06
-"""By how much an answer is given sooner after one that was not played, and later after others; and
-most before its cycle [s], as long as `handover_s` is not more."""
+"""Steps by which the publishing margin grows after a cycle that was not played and shrinks after
+any other, and its maximum [s]. A larger `handover_s` overrides this maximum."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,8 @@ class Options(NodeOptions):
 
 @dataclass(frozen=True)
 class Sent:
-    """An answer given: the image it answers, when it was published (both [ns]), and its cycle."""
+    """A published cycle: stamp of the image in its request [ns], time of publication [ns],
+    cycle."""
 
     stamp_ns: int
     sent_ns: int
@@ -93,8 +96,9 @@ class Sent:
 
 @dataclass
 class Tally:
-    """Of the messages since the last report: how many, how many were refused, how many had no
-    solution, why the last of these was, times of solving [ms], and errors and wishes [m]."""
+    """Statistics since the last report: number of messages, number of refused ones, reason of the
+    last refusal, reason of the last request without a solution, solving times [ms], and pairs of
+    displacement error and requested displacement [m]."""
 
     messages: int = 0
     refused: int = 0
@@ -105,10 +109,9 @@ class Tally:
 
 
 class SolverNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `solver`: finds the next plate cycle, which puts the wanted mean force on each
-    part.
+    """Lifecycle node `solver`. It computes the next plate cycle for each request.
 
-    Subscribes part_forces. Publishes plate_cycle, one for each, and markers, diagnostics.
+    Subscribes part_forces. Publishes plate_cycle (one per message), markers and diagnostics.
     """
 
     def __init__(self) -> None:
@@ -116,7 +119,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self.report(self._find, self._values, reported=self._begin_report)
 
     def configure(self) -> None:
-        """Read the rig."""
+        """Load the rig, create the controller, and solve test requests."""
         options = self.options
         self._rig = rig = load_rig(options.rig_file)
         limit = rig.reach.limit
@@ -133,7 +136,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self.managed_subscription(PartForces, "part_forces", self._on_forces, NEWEST)
 
     def begin(self) -> None:
-        """Know nothing of what was before."""
+        """Forget all earlier requests and cycles."""
         simulated = bool(self.get_parameter("use_sim_time").value)
         self._handover_s = 0.0 if simulated else self.options.handover_s
         self._controller.reset()
@@ -151,7 +154,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         )
 
     def retune(self) -> None:
-        """Take the other method."""
+        """Switch to the method in the parameters."""
         self._controller.method = METHODS[self.options.method]
         self.get_logger().info(f"method is now {self._controller.method}")
 
@@ -182,7 +185,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
 
     def _send(self, cycle: PlateCycle, stamp: Time) -> None:
-        """Publish an answer."""
+        """Publish a cycle, and its markers if there is a subscriber."""
         self._cycles.publish(cycle_to_msg(cycle, stamp))
         if self._markers.get_subscription_count():
             self._markers.publish(centres_to_msg(self._rig, cycle, stamp))
@@ -213,8 +216,8 @@ class SolverNode(SafeLifecycleNode[Options]):
         return answer.cycle
 
     def _adapt(self, plate: np.ndarray | None) -> None:
-        """Give answers sooner if the last one was not played: then the plate (3, 3) will be
-        elsewhere than at its end."""
+        """Increase the publishing margin if the last cycle was not played. In this case the
+        requested plate state (3, 3) differs from the cycle's end."""
         if self._handover_s and plate is not None and self._sent:
             missed = not is_rest(self._sent[-1].cycle.state(-1) - plate)
             self._count["not_played"] += missed
@@ -223,14 +226,15 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._handover_s = max(min(wished, LATEST_S), least)
 
     def _rest(self, why: str) -> PlateCycle:
-        """Note that there is no solution, and return a plate at rest."""
+        """Count a request without a solution, and return a cycle at rest."""
         self._tally.failed = why
         self._count["no_solution"] += 1
         self.get_logger().error(f"no solution, plate rests: {why}", throttle_duration_sec=WARN_S)
         return PlateCycle.rest(IDLE_PERIOD)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:
-        """The cycle that began when the image was taken: the last one that was sent in time."""
+        """Return the cycle that began when the image was taken: the last one that was sent in
+        time."""
         for number, sent in enumerate(reversed(self._sent)):
             if in_time(1e-9 * sent.sent_ns, 1e-9 * stamp_ns):
                 self._count["late_answers"] += number > 0
@@ -238,16 +242,16 @@ class SolverNode(SafeLifecycleNode[Options]):
         return None
 
     def _now_ns(self, stamp_ns: int) -> int:
-        """This node's time; the stamp itself where stamps come from a clock that is not ours."""
+        """Return this node's time [ns]. If the stamp is from another clock, return the stamp."""
         now_ns = self.get_clock().now().nanoseconds
         return now_ns if abs(now_ns - stamp_ns) < RESTART_NS else stamp_ns
 
     def _plate_condition(self) -> float:
-        """How much harder the hardest forces on the last parts are than the easiest."""
+        """Return the condition number of the last part positions; 0 without parts."""
         return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
 
     def _find(self, now: float) -> Finding:
-        """Judge what came and what was answered; see `plate_core.status`."""
+        """Evaluate received requests and solutions, see `plate_core.status`."""
         tally = self._tally
         findings = [
             used("part_forces", tally.messages, tally.refused, tally.why), self._input.gone(now)

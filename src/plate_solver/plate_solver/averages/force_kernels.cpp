@@ -1,4 +1,4 @@
-// What Python sees of requests and of the averaged force maps.
+// Python bindings of requests and of the averaged force maps.
 #include "averages/mean_force.hpp"
 #include "averages/request.hpp"
 #include "averages/rules_record.hpp"
@@ -18,7 +18,7 @@ static void check_parts(const Table& position, const Table& velocity) {
     check("velocity", velocity, {position.shape(0), 2});
 }
 
-// The number of rows of a slip (2 N + 1, 2), less one.
+// Returns 2 N for a slip (2 N + 1, 2), after a check of its shape.
 static size_t waves_of(const Table& slip) {
     check("slip", slip, {slip.shape(0) / 2 * 2 + 1, 2});
     return slip.shape(0) - 1;

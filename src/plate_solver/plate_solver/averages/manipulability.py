@@ -1,18 +1,18 @@
-"""What a plate can do with parts where they are (section 3.3 of the paper).
+"""Manipulability of parts at given positions (section 3.3 of the paper).
 
-The average forces on parts at rest are a mean of unit forces, one column of a library for each
-twist that the plate goes through. Instead of piping random motions through the force map, we look
-at all columns at once:
+The average forces on parts at rest are a mean of unit forces. Each twist in the plate's motion
+contributes one column of unit forces. This module evaluates all columns of a library of twists:
 
-- their second moment is how far random motions reach: the root of its greatest over its least
-  eigenvalue is the condition number, the least eigenvector the direction that is hardest to push;
-- their convex hull is what any mix of them does. The force of the library in a direction is how far
-  the hull reaches that way: 1 over the least time in which a linear programme does a unit of it.
+- Their second moment describes the forces of random motions. The condition number is the square
+  root of the ratio of its maximum and minimum eigenvalues. The eigenvector of the minimum
+  eigenvalue is the direction that is the most difficult to push.
+- Their convex hull contains the forces of all mixtures. The maximum force in a direction is the
+  extent of the hull in this direction. It is the reciprocal of the minimum time for a unit of
+  force, from a linear programme.
 
-That force is no promise, and no bound from below on what a real cycle gives: time for ramps,
-closure of the motion, and the limits of stroke, speed and acceleration are left out, and so is how
-far parts move within a cycle. Nor is it quite a bound from above: rotations between those of the
-library add some per cent.
+A real cycle may produce less: the model neglects the time for ramps, the closure of the motion, the
+limits of stroke, speed and acceleration, and the displacement of parts within a cycle. It may also
+produce a few per cent more, by rotations between those of the library.
 """
 
 from __future__ import annotations
@@ -27,18 +27,20 @@ from ..library import Library, least_time
 from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
-"""Price of a unit of force that is missed [cycles / (mu m g)]: what costs that is out of reach."""
+"""Price of a unit of unmet force [cycles / (mu m g)]. It is higher than that of any feasible
+force."""
 
 DESCENTS = 12
-"""Steps from one face of the hull to a nearer one, at most."""
+"""Maximum number of steps from one face of the hull to a nearer one."""
 
 STARTS = 8
-"""Random directions from which the nearest face is looked for, besides the hardest one."""
+"""Number of random start directions in the search for the nearest face, besides the most difficult
+direction."""
 
 
 @dataclass(frozen=True)
 class Manipulability:
-    """How well parts can be pushed one by one, M parts.
+    """Measures of how independently M parts can be pushed.
 
     Forces on all parts are one vector (2 M,): part 1 x, part 1 y, part 2 x, ... A unit of force has
     a mean square over the parts of one (mu m g)^2.
@@ -46,15 +48,15 @@ class Manipulability:
     Attributes
     ----------
     condition : float
-        How much easier the easiest direction is than the hardest: 1 at best; infinite where some
-        direction is out of reach.
+        Ratio of the forces in the easiest and in the most difficult direction, at least 1.
+        Infinite if a direction is infeasible.
     worst_direction : (2 M,)
-        Direction of the hardest force, by the second moment; a unit of force.
+        Most difficult direction by the second moment; a unit of force.
     weakest_force : float
-        Force [mu m g] of the library in the direction where it is least, of those looked at: the
-        search for it may miss a weaker one. Ramps, closure and limits are left out.
+        Minimum over directions of the library's maximum force [mu m g]. It is a local minimum: the
+        search may miss a smaller one. Ramps, closure and limits are neglected.
     weakest_direction : (2 M,)
-        That direction; a unit of force.
+        Direction of `weakest_force`; a unit of force.
     """
 
     condition: float
@@ -66,7 +68,7 @@ class Manipulability:
 def manipulability(
     rig: Rig, position: np.ndarray, library: Library | None = None, seed: int = 0
 ) -> Manipulability:
-    """Tell how well parts at given places can be pushed one by one.
+    """Compute how independently parts at given positions can be pushed.
 
     Parameters
     ----------
@@ -74,10 +76,10 @@ def manipulability(
     position : (M, 2)
         Parts at rest [m], plate_home.
     library : Library, optional
-        Rotations that the plate may do; a grid of centres over the plate if left out. Two parts
-        that are nearer to each other than its centres are hard to tell apart.
+        Rotations that the plate may use. Default: a grid of centres over the plate. Two parts
+        closer than the grid's spacing count as hard to push independently.
     seed : int
-        Of the directions from which the weakest is looked for.
+        Random seed of the start directions in the search for `weakest_direction`.
     """
     columns = columns_of(rig, position, library)
     condition, worst = second_moment(columns)
@@ -92,11 +94,11 @@ def manipulability(
 def library_force(
     rig: Rig, position: np.ndarray, direction: np.ndarray, library: Library | None = None
 ) -> np.ndarray:
-    """Return the greatest force [mu m g] in each direction (D, 2 M) that the library can give.
+    """Return the library's maximum force [mu m g] in each direction (D, 2 M).
 
-    Ramps between rotations, closure, and the limits of stroke, speed and acceleration are left out.
-
-    Directions of any length, not zero, are meant as a unit of force; see `Manipulability`.
+    Ramps between rotations, closure, and the limits of stroke, speed and acceleration are
+    neglected. Directions must not be zero. They are scaled to a unit of force, see
+    `Manipulability`.
     """
     columns = columns_of(rig, position, library)
     direction = np.atleast_2d(np.asarray(direction, dtype=float))
@@ -108,7 +110,8 @@ def library_force(
 
 
 def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return how many times a direction (2 M,) lies in the hull, and the face's normal there."""
+    """Return the maximum multiple of a direction (2 M,) in the hull, and the normal of the face
+    there."""
     rows, count = columns.shape
     dear = np.full(rows, DEAR)
     plan = least_time(columns, direction, np.ones(count), dear, dear)
@@ -118,7 +121,10 @@ def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.
 
 
 def _nearest_face(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """Go from face to face of the hull, each time along the last one's normal: ever nearer."""
+    """Find a face of the hull at a minimum distance from 0, and its direction.
+
+    Each step goes along the normal of the last face. It ends when the next face is not nearer.
+    """
     force, normal = _force_along(columns, direction)
     for _ in range(DESCENTS):
         if force == 0 or not np.any(normal):

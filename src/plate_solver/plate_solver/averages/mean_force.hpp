@@ -9,7 +9,7 @@
 
 namespace plate {
 
-// Squared slip [m2/s2] below which the direction of friction is taken as none.
+// Squared slip [m2/s2] below which friction counts as 0.
 constexpr double TINY_SQUARE = 1e-24;
 
 // Gauss-Legendre rule of a panel, on [-1, 1].
@@ -22,19 +22,19 @@ constexpr double NODE_WEIGHTS[NODE_COUNT] = {0.10122853629037706, 0.222381034453
                                              0.36268378337836166, 0.3137066458778869,
                                              0.22238103445337443, 0.10122853629037706};
 
-// A panel is fine if the integrand's singularities, where the slip would be zero for a complex
-// time, are this many times its half length away: the rule then errs by (1.2 + 1.56)^-16 = 9e-8 of
-// the little that it holds.
+// Minimum distance of the integrand's singularities from a panel, in half lengths of the panel.
+// They are the complex times at which the slip is zero. The relative error of the rule is then (1.2
+// + 1.56)^-16 = 9e-8.
 constexpr double FAR = 1.2;
 
-// Halvings of a piece at most: what is left of a jump is 1e-9 of the piece.
+// Maximum number of bisections of a piece. They locate a jump to within 1e-9 of the piece.
 constexpr int DEEPEST = 32;
 
 struct Force {
     double x, y;
 };
 
-constexpr int EIGHT = 8;  // long sums are made of eight, whose terms are eight places apart
+constexpr int EIGHT = 8;  // long sums are split into eight partial sums, for vector instructions
 
 [[gnu::always_inline]] inline double sum_of_eight(const double* part) {
     return ((part[0] + part[4]) + (part[2] + part[6])) +
@@ -46,7 +46,8 @@ constexpr int EIGHT = 8;  // long sums are made of eight, whose terms are eight 
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-// Adds the derivatives (3, DEGREE + 1) of a panel's mean direction by the powers of the slip.
+// Adds the derivatives (3, DEGREE + 1) of a panel's contribution to the mean direction, with
+// respect to the coefficients of the slip.
 template <int DEGREE>
 [[gnu::always_inline]] inline void panel_slopes(const double (&slip)[DEGREE + 1][2], double middle,
                                                 double half, double (*gradient)[DEGREE + 1]) {
@@ -68,17 +69,17 @@ template <int DEGREE>
     }
 }
 
-// The mean direction of a slip that is a polynomial in time, by its powers of s, which runs from
-// `first` to `first` + 1. Gauss-Legendre panels converge at once unless the slip is almost zero
-// within: such panels are halved. Unless `gradient` is null, the derivatives by the powers are
-// added to it: d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y.
+// Returns the mean direction of a slip that is a polynomial of s, for s from `first` to `first` +
+// 1. Gauss-Legendre panels are bisected while the slip nearly vanishes in or near them. Unless
+// `gradient` is null, the derivatives with respect to the coefficients are added to it: d f_x / d
+// slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y.
 template <int DEGREE>
 [[gnu::always_inline]] inline Force mean_direction(const double (&slip)[DEGREE + 1][2],
                                                    double first, double (*gradient)[DEGREE + 1]) {
     Force force{0, 0};
-    int level = 0;         // halvings
-    long long number = 0;  // panels to the left
-    double half = 0.5;     // half the length
+    int level = 0;         // number of bisections
+    long long number = 0;  // number of panels of this length to the left
+    double half = 0.5;     // half the length of the panel
     while (true) {
         const double middle = first + static_cast<double>(2 * number + 1) * half;
         double s[NODE_COUNT], wx[NODE_COUNT] = {}, wy[NODE_COUNT] = {}, ax[NODE_COUNT] = {},
@@ -117,8 +118,8 @@ template <int DEGREE>
     }
 }
 
-// Average force (M, 2) [mu m g] of a spline motion: times (K + 1,), coefficients (K, 6, 3), as
-// `PlateCycle` holds them.
+// Average forces (M, 2) [mu m g] of a spline motion with times (K + 1,) and coefficients (K, 6, 3),
+// as in `PlateCycle`.
 PLATE_WIDE inline void spline_force(const double* times, View<const double, 3> coefficients,
                                     View<const double, 2> position, View<const double, 2> velocity,
                                     View<double, 2> force) {
@@ -131,7 +132,7 @@ PLATE_WIDE inline void spline_force(const double* times, View<const double, 3> c
         for (int k = 0; k < pieces; k++) {
             const double step = times[k + 1] - times[k];
             double grow = 1;
-            for (int m = 0; m <= DEGREE; m++) {  // powers of the fraction of the interval
+            for (int m = 0; m <= DEGREE; m++) {  // coefficients of s, from 0 to 1 in the piece
                 const double u3 = (m + 1) * coefficients(k, m + 1, 2);
                 slip[m][0] = grow * ((m + 1) * coefficients(k, m + 1, 0) - y * u3);
                 slip[m][1] = grow * ((m + 1) * coefficients(k, m + 1, 1) + x * u3);
@@ -154,7 +155,7 @@ inline double total_time(const double* dt, int count) {
     return total;
 }
 
-// Force x, y and curl of some parts, from the `first` on, side by side.
+// Force x, y and curl of PARTS parts from `first` on, computed together.
 template <int PARTS>
 [[gnu::always_inline]] inline void step_forces_from(int first, View<const double, 2> position,
                                                     View<const double, 2> velocity,
@@ -184,7 +185,8 @@ template <int PARTS>
     }
 }
 
-// Force x, y [mu m g] and curl [mu m g / m] at parts, (M, 3), over steps dt (n,) of twists (n, 3).
+// Average force x, y [mu m g] and curl [mu m g / m] at parts, (M, 3), for twists (n, 3) over steps
+// dt (n,).
 PLATE_WIDE inline void step_forces(View<const double, 2> position, View<const double, 2> velocity,
                                    View<const double, 2> twist, const double* dt,
                                    View<double, 2> mean) {
@@ -200,7 +202,7 @@ PLATE_WIDE inline void step_forces(View<const double, 2> position, View<const do
     if (i < count) step_forces_from<1>(i, position, velocity, twist, dt, total, mean);
 }
 
-// Derivatives (3, n, 3 M) of `step_forces` by the twists; `gradient` begins as zeros.
+// Derivatives (3, n, 3 M) of `step_forces` with respect to the twists. `gradient` must be zero.
 inline void step_force_gradient(View<const double, 2> position, View<const double, 2> velocity,
                                 View<const double, 2> twist, const double* dt,
                                 View<double, 3> gradient) {

@@ -1,10 +1,10 @@
-"""The averaged force map: equations (3) to (5) of the paper, with the parts' velocities inside.
+"""Averaged force map: equations (3) to (5) of the paper, for parts with a velocity.
 
     f(P) = 1/T integral of (v_s(P, t) - v_p) / |v_s(P, t) - v_p| dt,   v_s = (u1 - y u3, u2 + x u3)
 
-in units of mu m g. The paper sets v_p = 0; friction also damps the part, so we keep it. The curl of
-the field is the average of u3 / |v_s - v_p|, which is equation (11) where the plate turns about a
-fixed centre.
+in units of mu m g. u is the plate's twist, and v_p is the part's velocity. The paper sets v_p = 0.
+Here v_p is kept, because friction also damps the part's motion. The curl of the field is the
+average of u3 / |v_s - v_p|. This is equation (11) if the plate rotates about a fixed centre.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from .. import _kernels
 def average_force(
     cycle: PlateCycle, position: np.ndarray, velocity: np.ndarray | None = None
 ) -> np.ndarray:
-    """Average friction over a cycle at parts held at a place or moving steadily.
+    """Return the average friction over a cycle on parts with constant position and velocity.
 
     Parameters
     ----------
     cycle : PlateCycle
         The plate's motion.
     position : (M, 2)
-        Parts [m], plate_home. The plate's own displacement is neglected, as in equation (3).
+        Positions of the parts [m], plate_home. The plate's displacement is neglected, as in
+        equation (3).
     velocity : (M, 2), optional
-        Parts' velocities [m/s], zero if left out.
+        Velocities of the parts [m/s]. Default: 0.
 
     Returns
     -------
@@ -58,14 +59,14 @@ def average_force(
 def step_forces(
     position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:
-    """Return force x, y [mu m g] and curl [mu m g / m] at each part, (M, 3), over steps.
+    """Return average force x, y [mu m g] and curl [mu m g / m] at each part, (M, 3).
 
     Parameters
     ----------
     position, velocity : (M, 2)
         Parts [m], [m/s], plate_home.
     twist : (n, 3)
-        Plate at the middles of the steps.
+        Twist of the plate at the middles of the steps [m/s, m/s, rad/s].
     dt : (n,)
         Lengths of the steps, in any unit.
     """
@@ -75,8 +76,9 @@ def step_forces(
 def step_force_gradient(
     position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:
-    """Return the derivatives (3, n, 3 M) of `step_forces` by the twists.
+    """Return the derivatives (3, n, 3 M) of `step_forces` with respect to the twists.
 
-    First the component of the twist; last part 1's force x, y and curl, part 2 ...
+    The first axis is the component of the twist. The last axis is force x, force y and curl of part
+    1, then those of part 2, and so on.
     """
     return _kernels.step_force_gradient(position, velocity, twist, dt)

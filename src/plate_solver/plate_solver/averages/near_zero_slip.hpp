@@ -1,5 +1,5 @@
-// What equal steps miss where the surface almost stands still under a part: kernels of
-// near_zero_slip.py.
+// Quadrature error of equal steps near a time at which the slip of a part nearly vanishes: kernels
+// of near_zero_slip.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -14,29 +14,31 @@ namespace plate::near_zero_slip {
 
 constexpr double PI = std::numbers::pi;
 
-// Step of u: errs by exp(-pi^2 / STEP) = 2e-8 of the integrand.
+// Step of u. The relative error of the integral is exp(-pi^2 / STEP) = 2e-8.
 constexpr double STEP = 0.55;
 
-// Of a node: the integrand is even, half of it is summed.
+// Weight of a node. The integrand is even, so only nodes with u > 0 are summed.
 constexpr double WEIGHT = 2 / PI * STEP;
 
-// Nodes: enough for the narrowest dip.
+// Number of nodes. It is sufficient for the narrowest dip.
 constexpr int PLACES = 44;
 
-// Least b [rad]: a narrower dip is a jump to all that matters.
+// Minimum b [rad]. A narrower dip has the same effect as a jump.
 constexpr double NARROWEST = 1e-10;
 
-// n b cosh u beyond which nothing is left: 4e-8.
+// n b cosh u above which the integrand is neglected: it is below 4e-8.
 constexpr double FADED = 17.0;
 
-// n b from which a dip needs no correction: equal steps err by exp(-n b). And the same for the
-// parabola's lowest point, in units of its bend, with time in steps.
+// n b above which a dip needs no correction, because the error of equal steps is exp(-n b).
+// STEPS_NEAR is the corresponding value of b^2/2 with b in steps: the minimum of the parabola
+// through three squared samples, divided by its second difference.
 constexpr double NEAR = 14.0, STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
-// Steps within which a second dip may hide from the samples, beside the first.
+// Distance [steps] from a dip within which a second one may not show up as a minimum of the
+// samples.
 constexpr double CLOSE = 4.0;
 
-// Steps to a zero at most; from a minimum of the samples three are usual.
+// Maximum number of Newton steps to a zero; three are usual from a minimum of the samples.
 constexpr int NEWTON_STEPS = 10;
 
 struct Nodes {
@@ -50,7 +52,7 @@ inline const Nodes NODES_OF_U = [] {
     return nodes;
 }();
 
-// A complex number; unlike std::complex it looks for no infinities.
+// A complex number. Unlike std::complex, its product does not check for infinities.
 struct Complex {
     double real = 0, imag = 0;
 };
@@ -64,14 +66,15 @@ inline Complex operator*(double a, Complex b) { return {a * b.real, a * b.imag};
 inline Complex conjugate(Complex a) { return {a.real, -a.imag}; }
 inline double square(Complex a) { return a.real * a.real + a.imag * a.imag; }
 
-// A positive number if three samples have a minimum whose parabola has n b < NEAR.
+// Returns a positive number if the middle one of three samples of the squared slip is a minimum,
+// and the parabola through them has n b < NEAR.
 [[gnu::always_inline]] inline double dip_of(double before, double here, double after) {
     const double bend = before - 2 * here + after, slope = after - before;
     const double depth = STEPS_NEAR * bend * bend - (here * bend - slope * slope / 8);
     return (here <= before) & (here < after) ? depth : -1.0;
 }
 
-// Writes the indices of the dips of a squared slip (n,) to `found` (n,); returns how many.
+// Writes the indices of the dips of a squared slip (n,) to `found` (n,). Returns their number.
 [[gnu::always_inline]] inline int find_dips(const double* __restrict square, int n,
                                             double* __restrict found) {
     found[0] = dip_of(square[n - 1], square[0], square[1]);
@@ -102,8 +105,9 @@ struct BranchPoint {
     bool alone;
 };
 
-// The zero of wx + i wy near a time, exp(i t) = `start`: exp(i a), b, and whether it is alone
-// within `close` [rad]. The slip (2 N + 1, 2) has rows sin 1..N, cos 1..N, constant [m/s].
+// Finds the zero a + i b of wx + i wy near a time t with exp(i t) = `start`, by Newton's method.
+// Returns exp(i a), the absolute value of b, and whether there is no other zero within `close`
+// [rad]. The slip (2 N + 1, 2) has rows sin 1..N, cos 1..N, constant [m/s].
 inline BranchPoint branch_point(View<const double, 2> slip, Complex start, double close) {
     const int number = slip.size(0) / 2;
     Complex z = start;  // z^N (wx + i wy) is a polynomial of z = exp(i t)
@@ -134,13 +138,13 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
     }
     const double radius = std::sqrt(square(z)) + 1e-300;
     const bool done = last < 1e-8 * off * off || last < 1e-22;
-    // bend / slope is the sum of 1 / (z - other zero): large if one is close.
+    // bend / slope is the sum of 1 / (z - other zero). It is large if another zero is close.
     const bool lonely = square(bend) * close * close < square(slope);
     return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
 }
 
-// A slip about time a, for each harmonic from 0 on: even and odd x, y; cos j a, sin j a; and the
-// slopes by the even ones (xx, xy, yy) and by the odd.
+// A harmonic of the slip about time a: its even and odd parts (x, y), cos j a and sin j a, and the
+// sums of the derivatives (xx, xy, yy) with respect to the even and to the odd part.
 struct Turned {
     double even[2], odd[2], cosine, sine, by_even[3], by_odd[3];
 };
@@ -169,7 +173,7 @@ struct ComplexSlip {
     double fade;  // exp(-n depth)
 };
 
-// The slip at a + i depth.
+// Slip at the complex time a + i depth.
 inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth, int n) {
     const double step = std::exp(-depth);
     double power = 1;
@@ -187,7 +191,7 @@ inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth,
     return {x, y, power};
 }
 
-// -q / (1 + q), the sum of (-q)^m from m = 1: all aliases of n equal steps.
+// Returns -q / (1 + q), the sum of (-q)^m from m = 1. It contains all aliases of n equal steps.
 inline Complex aliases(Complex q) {
     const double scale = -1 / square(Complex{1 + q.real, q.imag});
     return {(q.real + square(q)) * scale, q.imag * scale};
@@ -200,7 +204,8 @@ inline Complex inverse_root(Complex value) {
     return {real * share, -0.5 * value.imag / real * share};
 }
 
-// Adds share [y y, -x y, x x] times cosh (real part) and sinh (imaginary) to the slopes.
+// Adds `share` times [y y, -x y, x x] to the derivatives: the real part times cosh for the even
+// harmonics, the imaginary part times sinh for the odd ones.
 inline void add_slopes(Complex share, Complex x, Complex y, double depth,
                        std::vector<Turned>& turned) {
     const Complex by[3] = {share * y * y, -1 * share * x * y, share * x * x};
@@ -213,11 +218,11 @@ inline void add_slopes(Complex share, Complex x, Complex y, double depth,
     }
 }
 
-// Adds what is beside the double pole at u = 0 that derivatives have: steps to its sides miss
-// pi^2 / STEP of it.
+// Adds the contribution of the double pole at u = 0 to the derivatives. Equal steps with nodes on
+// both sides of the pole miss pi^2 / STEP times its coefficient.
 inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned) {
     const ComplexSlip at = complex_slip(turned, b, n);
-    Complex dx, dy;  // derivative of the slip by depth
+    Complex dx, dy;  // derivative of the slip with respect to depth
     for (int j = 1; j < static_cast<int>(turned.size()); j++) {
         const double ch = j * std::cosh(j * b), sh = j * std::sinh(j * b);
         dx = dx + Complex{turned[j].even[0] * sh, turned[j].odd[0] * ch};
@@ -229,7 +234,8 @@ inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned
     add_slopes(share, at.x, at.y, b, turned);
 }
 
-// Takes the slopes about time a off the gradient (3, 2 N) by sines and cosines.
+// Subtracts the derivatives about time a from the gradient (3, 2 N) with respect to sines and
+// cosines.
 inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient) {
     const int number = static_cast<int>(turned.size()) - 1;
     for (int j = 1; j <= number; j++) {
@@ -244,12 +250,12 @@ inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient
 
 struct Excess {
     double x, y;
-    bool good;  // not if another dip lies close by
+    bool good;  // false: use panels, for example because another dip is close
 };
 
-// By how much the mean of n steps is too high, [mu m g], due to the dip near a time, exp(i t) =
-// `start`. n is N times a power of 2. The derivatives' excess is taken off `gradient`, unless that
-// is empty.
+// Computes the error of the mean over n steps [mu m g] due to the dip near a time t with exp(i t) =
+// `start`: the integral in near_zero_slip.py. n is N times a power of 2. Unless `gradient` is
+// empty, the error of the derivatives is subtracted from it.
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
     const double b = point.b, farthest = 1.5 * 2 * PI / n;

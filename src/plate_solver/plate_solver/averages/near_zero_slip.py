@@ -1,15 +1,16 @@
-"""What equal steps miss where the surface almost stands still under a part: a closed correction.
+"""Quadrature error of equal steps near a time at which the slip of a part nearly vanishes.
 
-The slip's direction w/|w| is an analytic function of time but for branch points where
-wx^2 + wy^2 = 0. A dip is a pair of them, a + i b and a - i b, near the real axis. The mean over n
-equal steps less the true mean is, exactly, a sum of integrals around the cuts that go up from the
-branch points: with t = a + i b cosh u
+The slip's direction w/|w| is an analytic function of time, except at branch points with wx^2 + wy^2
+= 0. A dip is a pair of branch points a + i b and a - i b near the real axis. The mean over n equal
+steps minus the true mean is exactly a sum of integrals along the cuts that go up from the branch
+points. With t = a + i b cosh u the integral of a dip is
 
     -2/pi Re integral of w / sqrt(Q) q / (1 + q) du from 0 to infinity,   q = exp(i n t)
     Q = (wx^2 + wy^2) / (-(b sinh u)^2)
 
-The integrand is even, falls like exp(-n b cosh u), and has its poles at Im u = pi/2 whatever b is.
-So a few equal steps of u give it, for deep dips as for shallow ones: a contour instead of a grid.
+The integrand is even and decreases like exp(-n b cosh u). Its poles are at Im u = pi/2 for any b.
+So a few equal steps of u are sufficient for deep and shallow dips, and no finer grid of times is
+needed.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ from .. import _kernels
 
 
 def find_dips(square: np.ndarray, n: int, found: np.ndarray) -> int:
-    """Write the indices of the dips of a squared slip (n,) to `found` (n,); return how many."""
+    """Write the indices of the dips of a squared slip (n,) to `found` (n,). Return their number."""
     return _kernels.find_dips(square, n, found)
 
 
 def branch_point(slip: np.ndarray, start: complex, close: float) -> tuple[complex, float, bool]:
-    """Return exp(i a), b of the zero of wx + i wy near a time, and whether it is alone there.
+    """Find the zero a + i b of wx + i wy near a time. Return exp(i a), the absolute value of b, and
+    whether there is no other zero close to it.
 
     Parameters
     ----------
@@ -34,7 +36,7 @@ def branch_point(slip: np.ndarray, start: complex, close: float) -> tuple[comple
     start : complex
         exp(i t) at a minimum of the samples.
     close : float
-        Distance [rad] within which other zeros are not welcome.
+        Distance [rad] within which another zero counts as close.
     """
     real, imag, b, alone = _kernels.branch_point(slip, start.real, start.imag, close)
     return complex(real, imag), b, alone

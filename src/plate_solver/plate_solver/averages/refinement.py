@@ -1,4 +1,8 @@
-"""Three maps on which a request may be met, each nearer to the truth and dearer than the last."""
+"""Solution of a request on refined force maps by repeated correction.
+
+There are three maps: `none`, `velocity` and `cycle`. Each is more accurate and more expensive than
+the previous one. The functions return a `Solution` with the errors on the refined map.
+"""
 
 from __future__ import annotations
 
@@ -18,26 +22,27 @@ REFINEMENTS = ("none", "velocity", "cycle")
 """Names of the maps, see `ForceSolver.solve`."""
 
 CYCLE_CORRECTIONS = 6
-"""Times that a motion is corrected for what finer steps show."""
+"""Maximum number of corrections on the map `cycle`, for the error found with finer steps."""
 
 VELOCITY_CORRECTIONS = 20
-"""Times that a motion is corrected for the velocities that it gives to the parts: each leaves about
-half of the error."""
+"""Maximum number of corrections on the map `velocity`, for the mean velocities of the parts. Each
+correction approximately halves the error."""
 
 REFINED_TOLERANCE = 1e-3
-"""Greatest force error that counts as success on a refined map [mu m g]; or the solver's own, if
-that is greater."""
+"""Maximum force error that counts as success on a refined map [mu m g]. A larger tolerance of the
+solver overrides it."""
 
 MISSED = 0.1
-"""On a refined map, where most requests can be met only nearly, this fraction of the request may
-be missed too (root mean square over parts and axes). The map without it misses more than all."""
+"""Error that counts as success on a refined map, as a fraction of the request (root mean square
+over parts and axes). Most requests can be met only approximately on these maps. The error of a
+motion solved on the map `none` is larger than the request."""
 
 STALE = 4
-"""Corrections in a row that are no better than the best so far: there will be no better one."""
+"""Number of consecutive corrections without an improvement after which the search ends."""
 
 MOST_ON_CYCLE = 0.5
-"""Full friction all along moves a part by half of mu g T^2: no force on the cycle map is greater
-[mu m g]."""
+"""Maximum force on the map `cycle` [mu m g]. Full friction during the whole cycle moves a part by
+half of mu g T^2."""
 
 
 def force_solution(
@@ -48,7 +53,7 @@ def force_solution(
     iterations: int,
     condition: float,
 ) -> Solution:
-    """Put a motion within the limits, and its errors in the rows asked for, into a solution."""
+    """Return the solution for a motion within the limits, from the errors of the requested rows."""
     worst = float(np.max(np.abs(error)))
     every = np.zeros(len(request.rows))
     every[request.rows] = error
@@ -65,7 +70,8 @@ def force_solution(
 
 
 def judged(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with force errors (M, 2), and whether they are within the slack."""
+    """Return the solution with force errors (M, 2). It is a success if they exceed the tolerance by
+    at most `bound` [mu m g]."""
     worst = float(np.max(np.abs(error) - request.tolerance))
     success = worst <= bound
     message = f"force error {np.max(np.abs(error)):.2g} mu m g"
@@ -82,7 +88,8 @@ def judged(request: Request, solution: Solution, error: np.ndarray, bound: float
 
 
 def refined(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with force errors (M, 2), and whether that is good for a refined map."""
+    """Return the solution with force errors (M, 2) on a refined map. It is a success as in
+    `judged`, or if the error is at most `MISSED`."""
     allowed = MISSED * float(np.sqrt(np.mean(request.force**2)))
     enough = _spill(request, error) <= allowed
     return judged(
@@ -93,9 +100,9 @@ def refined(request: Request, solution: Solution, error: np.ndarray, bound: floa
 def on_mean_velocity(
     request: Request, solve: Callable[[Request], Solution], friction_accel: float, bound: float
 ) -> Solution:
-    """Solve with the velocities that parts have on average over the cycle under its motion.
+    """Solve with the mean velocities of the parts over the cycle under the returned motion.
 
-    Velocities and motion are found in turns, each from the last.
+    A fixed-point iteration alternates between the motion and the velocities.
     """
     velocity = request.velocity
 
@@ -116,7 +123,8 @@ def on_cycle(
     friction_accel: float,
     bound: float,
 ) -> Solution:
-    """Solve on the cycle map; what finer steps show to be missed is aimed at again."""
+    """Solve on the cycle map. After each solution the error found with finer steps, beyond the
+    tolerance, is added to the requested force."""
     unit = friction_accel * period**2
     position, velocity, slack = request.position, request.velocity, request.tolerance
     good = max(bound, MISSED * float(np.sqrt(np.mean(request.force**2)))) / 4
@@ -143,7 +151,8 @@ def on_cycle(
 def _best_of(
     request: Request, correct: Callable[[], tuple[Solution, np.ndarray]], most: int, bound: float
 ) -> Solution:
-    """Correct again and again, until it is good or does not help; keep the best."""
+    """Repeat a correction until the result is good enough or no longer improves. Return the
+    best."""
     best: Solution | None = None
     least, stale, iterations = np.inf, 0, 0
     for _ in range(most):
@@ -160,5 +169,5 @@ def _best_of(
 
 
 def _spill(request: Request, error: np.ndarray) -> float:
-    """Return the root mean square of errors (M, 2) beyond the slack [mu m g]."""
+    """Return the root mean square of errors (M, 2) beyond the tolerance [mu m g]."""
     return float(np.sqrt(np.mean(np.maximum(np.abs(error) - request.tolerance, 0.0) ** 2)))

@@ -1,4 +1,4 @@
-// What kind of request it is: kernels of request.py.
+// Properties of a request: kernels of request.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,7 +17,7 @@ struct RequestFlags {
     double loaded = 0;
 };
 
-// Of position, force, velocity, tolerance (M, 2) and curl (M,).
+// Computes the properties for position, force, velocity, tolerance (M, 2) and curl (M,).
 inline RequestFlags request_flags(View<const double, 2> position, View<const double, 2> force,
                                   View<const double, 2> velocity, View<const double, 1> curl,
                                   View<const double, 2> tolerance) {
@@ -34,7 +34,7 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
             flags.moving |= velocity(i, axis) != 0;
             flags.slack |= free != 0;
             flags.within &= wanted <= free;
-            least = scaled_length(least, std::max(wanted - free, 0.0));  // any finite force is sound
+            least = scaled_length(least, std::max(wanted - free, 0.0));  // cannot overflow
         }
         flags.loaded = std::max(flags.loaded, least);
     }

@@ -21,19 +21,19 @@ FASTEST_MPS: float = _kernels.FASTEST_MPS
 
 
 class RequestFlags(NamedTuple):
-    """What kind of request it is, found in one pass, in C++: numpy takes longer than a search from
-    a near start.
+    """Properties of a request. They are computed in one pass in C++, because numpy takes longer
+    than a search from a good start.
 
     Attributes
     ----------
     sound : bool
         Whether all values are allowed.
     moving, curled, slack : bool
-        Whether parts move, curls are asked for, forces have a tolerance.
+        Whether parts move, curls are requested, forces have a tolerance.
     within : bool
-        Whether no force is within all tolerances.
+        Whether zero force is within all tolerances.
     loaded : float
-        Force [mu m g] asked of the most loaded part, all its slack used.
+        Maximum over the parts of the requested force minus its tolerance [mu m g].
     """
 
     sound: bool
@@ -62,11 +62,11 @@ class Request:
     Attributes
     ----------
     position, force, velocity : (M, 2)
-        [m] in plate_home, [mu m g], [m/s].
+        Positions [m, plate_home], requested forces [mu m g] and velocities [m/s] of the parts.
     curl : (M,)
-        [mu m g / m]; NaN where the curl is free.
+        Requested curls [mu m g / m]. NaN accepts any curl.
     tolerance : (M, 2)
-        Forces within +- this [mu m g] of those wanted are as good.
+        Forces within +-tolerance [mu m g] of the request have no error.
     """
 
     position: np.ndarray
@@ -77,7 +77,7 @@ class Request:
 
     @property
     def rows(self) -> np.ndarray:
-        """Which of force x, force y, curl, part by part, are asked for: (3 M,) bool."""
+        """Whether force x, force y and curl of each part are requested, (3 M,) bool."""
         asked = np.ones((len(self.position), 3), bool)
         asked[:, 2] = np.isfinite(self.curl)
         return asked.ravel()
@@ -125,9 +125,9 @@ class Request:
         Raises
         ------
         PlateError
-            If a shape is not (M, 2), or (M,) for curl, or a value is not finite or absurd.
+            If a shape is not (M, 2), or (M,) for curl, or a value is not finite or out of range.
         """
-        position = np.array(position, dtype=float, order="C")  # as kernels take it
+        position = np.array(position, dtype=float, order="C")  # memory layout of the kernels
         if position.ndim != 2 or position.shape[1] != 2 or not len(position):
             raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
         count = len(position)
@@ -148,7 +148,7 @@ class Request:
         return request
 
     def _refuse(self) -> None:
-        """Raise the error that names the value that is not allowed."""
+        """Raise an error with the invalid value and the allowed range."""
         greatest = {"position": FARTHEST_M, "force": np.inf, "velocity": FASTEST_MPS}
         for name, most in greatest.items():
             array = getattr(self, name)

@@ -1,4 +1,4 @@
-// What Python sees of the kernels of rotations.hpp and tour.hpp.
+// Python bindings of the kernels in rotations.hpp and tour.hpp.
 #include "averages/rotations.hpp"
 #include "averages/tour.hpp"
 #include "fit/fit_record.hpp"
@@ -8,7 +8,7 @@ namespace plate {
 
 using namespace rotations;
 
-// Rows of results that are asked for, of a mask (3 M,).
+// Indices of the requested rows in a mask (3 M,).
 static std::vector<int> rows_of(const Array<const bool, 1>& asked, size_t parts) {
     check("asked", asked, {3 * parts});
     std::vector<int> rows;
@@ -35,11 +35,12 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
     return to_numpy(std::move(jacobian));
 }
 
-// `SequenceForces` of Python, whose arrays it keeps.
+// Owns the arrays of a Python `SequenceForces`.
 class ForcesRecord {
 public:
     explicit ForcesRecord(const nb::tuple& record)
-        : family(nb::cast<nb::tuple>(field(record, 0))), position(nb::cast<Table>(field(record, 1))),
+        : family(nb::cast<nb::tuple>(field(record, 0))), position(nb::cast<Table>(field(record,
+        1))),
           velocity(nb::cast<Table>(field(record, 2))), wanted(nb::cast<Numbers>(field(record, 4))),
           scale(nb::cast<Numbers>(field(record, 5))) {
         const size_t parts = position.shape(0);

@@ -1,4 +1,9 @@
-"""Method A (section 3.1 of the paper) on the averaged map: rotations with wanted mean forces."""
+"""Method A (section 3.1 of the paper) on the averaged map: rotations with requested mean forces.
+
+A linear programme plans the rotations. Levenberg-Marquardt then corrects their durations and twists
+until the mean forces match, with further starts by basin hopping. Input is a `Request`, output a
+`Solution`.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +27,9 @@ from .rotations import fit_mean_force, mean_force_error
 from .tour import filled, nearest_order
 
 COARSE, FINE, FINEST = (20, 4), (60, 20), (600, 200)
-"""Steps in every ramp and hold when an average force is corrected, when that is done for good, and
-when a curl is judged: in a ramp the surface may almost stand still under a part."""
+"""Numbers of steps in each ramp and each hold: for the search, for the final correction, and for
+the evaluation of curls. Ramps need more steps because the slip of a part may nearly vanish in
+them."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class RotationForceOptions(RotationOptions):
     Attributes
     ----------
     tolerance : float
-        Greatest force error that counts as success [mu m g].
+        Maximum force error that counts as success [mu m g].
     """
 
     tolerance: float = 1e-3
@@ -44,7 +50,7 @@ class RotationForceOptions(RotationOptions):
 
 
 class RotationSolver(ForceSolver, RotationCycles):
-    """Plate motions made of rotations.
+    """Solver that finds sequences of rotations with requested mean forces.
 
     Parameters
     ----------
@@ -109,7 +115,8 @@ class RotationSolver(ForceSolver, RotationCycles):
     def _judged(
         self, request: Request, family: RotationFamily, parameters: np.ndarray
     ) -> tuple[PlateCycle, np.ndarray]:
-        """Return the motion within the limits and its true errors in the rows asked for."""
+        """Return the motion within the limits, and its errors in the requested rows. Forces are
+        evaluated by `average_force`, curls with `FINEST` steps."""
         cycle = within_limits(family.cycle(parameters), self._full)
         error = np.zeros(np.count_nonzero(request.rows))
         if np.any(np.isfinite(request.curl)):

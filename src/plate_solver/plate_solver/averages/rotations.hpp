@@ -1,7 +1,7 @@
 // Sequences of rotations on the averaged map: kernels of rotations.py.
 //
-// The derivatives are those of sequence.hpp and of the mean over steps, taken together: what a step
-// of the motion does to all forces goes straight to the knots of its segment.
+// The derivatives combine those of sequence.hpp with those of the mean over steps. The contribution
+// of each step to the forces is propagated directly to the knots of its segment.
 #pragma once
 #include "averages/mean_force.hpp"
 #include "fit/levenberg_marquardt.hpp"
@@ -9,22 +9,23 @@
 
 namespace plate::rotations {
 
-// Given up sooner, forces are missed that can be had.
+// Damping options with a later stall criterion. With the usual one, the search gives up on feasible
+// forces.
 constexpr Damping PATIENT = [] {
     Damping damping = DAMPING;
     damping.stall_steps = 10, damping.stall_fraction = 0.9;
     return damping;
 }();
 
-// What is asked of sequences on the averaged map: `SequenceForces` of rotations.py.
+// Requested forces of a sequence on the averaged map: `SequenceForces` of rotations.py.
 struct SequenceForces {
     Sequences family;
     View<const double, 2> position, velocity;  // (M, 2)
-    std::vector<int> asked;                    // rows of force x, force y and curl of each part
+    std::vector<int> asked;                    // requested rows: force x, force y, curl of a part
     View<const double, 1> wanted, scale;       // (R,)
 };
 
-// What is missed (R,) over steps dt (n,) of twists (n, 3).
+// Computes the errors (R,) of the mean forces for twists (n, 3) over steps dt (n,).
 inline void missed(const SequenceForces& problem, View<const double, 2> twist, const double* dt,
                    std::vector<double>& error) {
     const int count = problem.position.size(0);
@@ -35,7 +36,7 @@ inline void missed(const SequenceForces& problem, View<const double, 2> twist, c
         error[r] = (problem.wanted(r) - mean[0][problem.asked[r]]) * problem.scale(r);
 }
 
-// Parts of a problem, a quantity after the other.
+// Parts of a problem as one array per quantity.
 struct Parts {
     std::vector<double> x, y, vx, vy;
 
@@ -47,12 +48,13 @@ struct Parts {
     }
 };
 
-// Rows of `value` in `directions`: force x by u and v, force y by v, both by spin; curl by u, v and
-// spin, where curls are asked for.
+// Rows of `value` in `directions`: derivatives of force x with respect to u and v, of force y to v,
+// of both to spin, and of the curl to u, v and spin. The curl's rows are used only if curls are
+// requested.
 enum Row { XX, XY, YY, X_SPIN, Y_SPIN, CURL_U, CURL_V, CURL_SPIN };
 
-// Writes the derivatives (8, M) of each part's force and curl by a twist, in a step of `fraction`
-// of the period; adds force and curl to `way` (3, M).
+// Writes the derivatives (8, M) of each part's force and curl with respect to the twist, in a step
+// of `fraction` of the period. Adds force and curl to `way` (3, M).
 template <bool TURNING>
 [[gnu::always_inline]] inline void directions(const double (&twist)[3], const Parts& parts,
                                               double fraction, Matrix& value, Matrix& way) {
@@ -87,8 +89,9 @@ template <bool TURNING>
     }
 }
 
-// Adds what the steps of segment k do to its knots: `total` (5, 8 M) by where in it they are, and
-// `way` (3, M). Results are force x of all parts, force y of all, and curls.
+// Adds the contribution of the steps of segment k to the derivatives with respect to its knots.
+// `total` (5, 8 M) contains the sums of the steps' derivatives with five weights, `way` (3, M) the
+// sums of forces and curls. Results are force x of all parts, force y of all parts, and curls.
 inline void to_knots(int k, double steps_period, const double* gap, const Matrix& total,
                      const Matrix& way, ByKnots& by) {
     constexpr int ROW[3][3] = {{XX, XY, X_SPIN}, {XY, YY, Y_SPIN}, {CURL_U, CURL_V, CURL_SPIN}};
@@ -117,7 +120,8 @@ inline void to_knots(int k, double steps_period, const double* gap, const Matrix
     }
 }
 
-// The derivatives by knots of force x of all parts, force y of all, and, if TURNING, of curls.
+// Derivatives with respect to the knots of force x of all parts, force y of all parts, and, if
+// TURNING, of curls.
 template <bool TURNING>
 [[gnu::always_inline]] inline ByKnots forces_back(const Sequences& family, const Line& line,
                                                   const Parts& parts) {
@@ -154,7 +158,8 @@ template <bool TURNING>
     return by;
 }
 
-// Derivatives (R, P) of `step_forces`, of the rows asked for, at parameters whose knots are `line`.
+// Derivatives (R, P) of the requested rows of `step_forces` with respect to the parameters. `line`
+// contains the knots of these parameters.
 PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& family,
                                     const Line& line, View<const double, 2> position,
                                     View<const double, 2> velocity, const std::vector<int>& asked,
@@ -162,7 +167,7 @@ PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& fa
     const int count = position.size(0);
     const Parts parts(position, velocity);
     bool turning = false;
-    std::vector<int> results;  // where `forces_back` has each of the rows
+    std::vector<int> results;  // index of each requested row in the results of `forces_back`
     for (int row : asked) {
         results.push_back(row % 3 * count + row / 3);
         turning = turning || row % 3 == 2;
@@ -172,7 +177,7 @@ PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& fa
     parameters_back(theta, family, by, results, jacobian);
 }
 
-// Corrects a sequence until its average forces are as asked.
+// Adjusts a sequence until its average forces match the request.
 inline Fit descend(const SequenceForces& problem, Parameters theta, double tolerance,
                    int iterations) {
     Run run;

@@ -1,4 +1,8 @@
-"""Sequences of rotations on the averaged map: searches in C++ from end to end (rotations.hpp)."""
+"""Fit of a sequence of rotations to requested mean forces, on the averaged map.
+
+One call runs the whole Levenberg-Marquardt search in C++ (rotations.hpp). Inputs are a `Request`
+and the initial parameters of a `RotationFamily`; output is a `Fit`.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +17,16 @@ from .request import Request
 
 
 class SequenceForces(NamedTuple):
-    """What is asked of sequences of rotations on the averaged map.
+    """Requested forces of a sequence of rotations, in the form that the C++ kernels use.
 
     Attributes
     ----------
     family : Sequences
     position, velocity : (M, 2)
     asked : (3 M,) bool
-        Which of force x, force y and curl of each part.
+        Whether force x, force y and curl of each part are requested.
     wanted, scale : (R,)
-        These, and what makes force errors of errors in them.
+        Requested values, and factors that convert their errors to force errors.
     """
 
     family: Sequences
@@ -34,7 +38,7 @@ class SequenceForces(NamedTuple):
 
     @classmethod
     def of(cls, request: Request, family: RotationFamily) -> SequenceForces:
-        """Take what is asked from a request."""
+        """Convert a request."""
         rows = request.rows
         return cls(
             family.plain, request.position, request.velocity, rows,
@@ -49,7 +53,7 @@ def fit_mean_force(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Correct a sequence until its average forces (5) are as asked; errors in mu m g."""
+    """Adjust a sequence until its average forces (5) match the request. Errors are in mu m g."""
     forces = SequenceForces.of(request, family)
     return Fit(*_kernels.fit_mean_force(forces, parameters, tolerance, iterations))
 
@@ -57,7 +61,8 @@ def fit_mean_force(
 def mean_force_error(
     request: Request, family: RotationFamily, parameters: np.ndarray
 ) -> np.ndarray:
-    """Return what is missed in the rows `request.rows` [mu m g], curls by `CURL_LENGTH_M`."""
+    """Return the errors of the requested rows [mu m g]. Errors of curls are multiplied by
+    `CURL_LENGTH_M`."""
     _, twist, dt = family.samples(parameters)
     return _kernels.mean_force_error(SequenceForces.of(request, family), twist, dt)
 
@@ -70,5 +75,6 @@ def force_slopes(
     velocity: np.ndarray,
     asked: np.ndarray,
 ) -> np.ndarray:
-    """Return the derivatives (R, P) of `step_forces`, of the R rows `asked` (3 M,) bool only."""
+    """Return the derivatives (R, P) of the R rows `asked` (3 M,) of `step_forces` with respect to
+    the parameters."""
     return _kernels.force_slopes(theta, family, *line, position, velocity, asked)

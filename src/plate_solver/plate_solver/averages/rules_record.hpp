@@ -1,21 +1,20 @@
-// `Rules` of Python, as kernels take it: for bindings.
+// Converts the Python tuple `Rules` to the C++ struct, for the bindings.
 #pragma once
 #include "averages/sinusoid_force.hpp"
 #include "records.hpp"
 
 namespace plate {
 
-// Keeps the arrays of a named tuple `Rules` while views of them are used; checked for motions of as
-// many sines and cosines, together, as `rows`.
+// Owns the arrays of a named tuple `Rules` while their views are in use. The constructor checks the
+// shapes for motions with `rows` sines and cosines in total.
 class RulesRecord {
 public:
     RulesRecord(const nb::tuple& record, size_t rows)
         : waves(nb::cast<Table>(field(record, 0))), taylor(nb::cast<Table>(field(record, 2))) {
-        check("waves", waves, {rows, waves.shape(1)});
-        check("taylor", taylor, {DEGREE + 1, rows / 2});
-        rules = {view(waves), nb::cast<int>(field(record, 1)), view(taylor), nb::cast<int>(field(record, 3))};
-        const int few = rules.few, usual = rules.waves.size(1) - few;
-        if (few < EIGHT || usual < EIGHT || few % EIGHT || usual % EIGHT)
+        check("waves", waves, {rows, waves.shape(1)}); check("taylor", taylor, {DEGREE + 1, rows /
+        2}); rules = {view(waves), nb::cast<int>(field(record, 1)), view(taylor),
+        nb::cast<int>(field(record, 3))}; const int few = rules.few, usual = rules.waves.size(1) -
+        few; if (few < EIGHT || usual < EIGHT || few % EIGHT || usual % EIGHT)
             throw nb::value_error("steps are not a multiple of eight");
         if (rules.pieces < 1) throw nb::value_error("pieces is not at least 1");
     }

@@ -12,12 +12,12 @@
 
 namespace plate {
 
-constexpr int DEGREE = 10;  // of the polynomials that the adaptive quadrature takes
+constexpr int DEGREE = 10;  // of the slip's Taylor polynomials for the panels
 
-// Grids: few equal steps, the usual ones, those with dips corrected, and adaptive panels.
+// Quadratures, see sinusoid_force.py.
 enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };
 
-// Where the slip of N harmonics is looked at: `Rules` of sinusoid_force.py.
+// Nodes for the slip of N harmonics: `Rules` of sinusoid_force.py.
 struct Rules {
     View<const double, 2> waves;  // (2 N, K)
     int few;
@@ -25,7 +25,8 @@ struct Rules {
     int pieces;
 };
 
-// The slip (2 N + 1, 2) under a part at a place, of a motion (2 N, 3) in plate_home.
+// Writes the slip (2 N + 1, 2) under a part at (x, y) with velocity (vx, vy), for a motion (2 N, 3)
+// in plate_home.
 [[gnu::always_inline]] inline void slip_at(View<const double, 2> coefficients, double x, double y,
                                            double vx, double vy, View<double, 2> slip) {
     const int rows = coefficients.size(0);
@@ -37,8 +38,8 @@ struct Rules {
     slip(rows, 0) = -vx, slip(rows, 1) = -vy;
 }
 
-// The mean direction of slip over nodes from `start` to `stop`, a multiple of eight of them; rows
-// of `work`: slip x, y, its square, 1 / its size.
+// Returns the mean direction of the slip over the nodes [start, stop), a multiple of eight. Writes
+// to the rows of `work`: slip x, slip y, its square, and the reciprocal of its magnitude.
 [[gnu::always_inline]] inline Force equal_steps(View<const double, 2> slip,
                                                 View<const double, 2> waves, int start, int stop,
                                                 View<double, 2> work) {
@@ -71,7 +72,7 @@ struct Rules {
     return {sum_of_eight(fx) / n, sum_of_eight(fy) / n};
 }
 
-// Adds the derivatives of `equal_steps` to `gradient` (3, 2 N); overwrites `work`.
+// Adds the derivatives of `equal_steps` to `gradient` (3, 2 N). Overwrites `work`.
 [[gnu::always_inline]] inline void step_slopes(View<const double, 2> waves, int start, int stop,
                                                View<double, 2> work, View<double, 2> gradient) {
     const int n = stop - start;
@@ -104,8 +105,8 @@ struct Rules {
     }
 }
 
-// By the adaptive quadrature, piece by piece; the derivatives are written to `gradient` (3, 2 N),
-// unless it is empty.
+// Returns the mean direction of the slip by adaptive quadrature, piece by piece. Writes the
+// derivatives to `gradient` (3, 2 N), unless it is empty.
 PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
                                   View<double, 2> gradient) {
     const int number = rule.taylor.size(1);
@@ -144,9 +145,10 @@ PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
     return total;
 }
 
-// The average force [mu m g] of a slip (2 N + 1, 2) [m/s] on a grid. `work` (5, K) takes the
-// samples; `gradient` (3, 2 N) takes the derivatives by the slip's rows, unless it is empty:
-// d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y [s/m].
+// Returns the average force [mu m g] of a slip (2 N + 1, 2) [m/s] by the quadrature `grid`. `work`
+// (5, K) is a buffer. Unless `gradient` (3, 2 N) is empty, it receives the derivatives with respect
+// to the slip's rows: d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y
+// [s/m].
 PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, int grid,
                                  View<double, 2> work, View<double, 2> gradient) {
     if (grid == PANELS) return by_panels(slip, rule, gradient);
@@ -170,7 +172,7 @@ PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, 
     return force;
 }
 
-// The average forces (C, 2) [mu m g] of C cases: one motion (2 N, 3) and one part each.
+// Average forces (C, 2) [mu m g] of C cases with one motion (2 N, 3) and one part each.
 inline void sinusoid_forces(View<const double, 3> coefficients, View<const double, 2> position,
                             View<const double, 2> velocity, const Rules& rule,
                             View<double, 2> force) {

@@ -1,13 +1,14 @@
-"""The averaged force map of sinusoidal motions: equations (3) to (5) with (13).
+"""Averaged force map of sinusoidal motions: equations (3) to (5) with (13).
 
-Equal steps integrate a smooth periodic function with an error of exp(-n b), where b is how far its
-nearest singularity lies from the real axis. Here the singularities are the complex times at which
-the slip under the part is zero. At a dip, where the surface almost stands still, b is small: so the
-samples are searched for dips, and what equal steps miss there is added in closed form
-(`near_zero_slip`). Where two dips are as good as one, the adaptive quadrature of `mean_force` takes
-over, on Taylor polynomials of the slip.
+The mean over n equal steps of a smooth periodic function has an error of exp(-n b), where b is the
+distance of its nearest singularity from the real axis. Here the singularities are the complex times
+at which the slip under the part is zero. At a dip, where the slip nearly vanishes, b is small.
+Therefore dips are detected in the samples, and the error at each dip is subtracted
+(`near_zero_slip`). If two dips are too close to be separated, the adaptive quadrature of
+`mean_force` is used instead, with Taylor polynomials of the slip.
 
-At a part the motion is `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y [m/s].
+The motion under a part is `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y
+[m/s].
 """
 
 from __future__ import annotations
@@ -21,32 +22,35 @@ import numpy as np
 from .. import _kernels
 
 STEPS_PER_HARMONIC = 64
-"""Steps per harmonic: most random motions with N = 2 need one correction or none."""
+"""Number of equal steps per harmonic. Most random motions with N = 2 then need at most one
+correction."""
 
 FEW_STEPS_PER_HARMONIC = 16
-"""Steps that tell good motions from bad ones, per harmonic."""
+"""Number of equal steps per harmonic for a rough comparison of motions."""
 
 PIECES_PER_HARMONIC, DEGREE = 8, 10
-"""Pieces of the period for the adaptive quadrature, per harmonic, and the degree of the polynomials
-there: the slip of the highest harmonic errs by (pi/8)^11 / 11! = 1e-12."""
+"""Number of pieces of the period per harmonic for the adaptive quadrature, and degree of the Taylor
+polynomials in them. The slip's error in the highest harmonic is (pi/8)^11 / 11! = 1e-12."""
 
 FEW, USUAL, ADAPTIVE, PANELS = 0, 1, -1, -2
-"""Grids: few equal steps, the usual ones, those with dips corrected, and adaptive panels."""
+"""Quadratures: few equal steps; the usual number of equal steps; the same, corrected at dips; and
+adaptive panels."""
 
 
 class Rules(NamedTuple):
-    """Where the slip of N harmonics is looked at.
+    """Nodes for the slip of N harmonics.
 
     Attributes
     ----------
     waves : (2 N, K)
-        Rows sin 1..N, cos 1..N at equal steps: a few for the period, then the usual ones.
+        Rows sin 1..N, cos 1..N at equal steps of the period: `few` steps, then the usual number.
     few : int
-        How many the few are.
+        Number of steps of the grid `FEW`.
     taylor : (D + 1, N)
-        Powers of time about the middle of a piece, in pieces, from sin and cos there.
+        Taylor coefficients of each harmonic about the middle of a piece, with the piece as unit of
+        time: factors of its value there (even rows) and of its quadrature component (odd rows).
     pieces : int
-        Of the period, for the adaptive quadrature.
+        Number of pieces of the period for the adaptive quadrature.
     """
 
     waves: np.ndarray
@@ -73,7 +77,8 @@ def force_rules(number: int) -> Rules:
 def slip_at(
     coefficients: np.ndarray, x: float, y: float, vx: float, vy: float, slip: np.ndarray
 ) -> None:
-    """Write the slip (2 N + 1, 2) under a part at a place, of a motion (2 N, 3) in plate_home."""
+    """Write the slip (2 N + 1, 2) under a part at (x, y) with velocity (vx, vy), for a motion
+    (2 N, 3) in plate_home."""
     _kernels.slip_at(coefficients, x, y, vx, vy, slip)
 
 
@@ -87,11 +92,11 @@ def force_of(
     slip : (2 N + 1, 2)
         [m/s].
     grid : int
-        `FEW`, `USUAL`, `ADAPTIVE` (the usual one corrected for its dips), or `PANELS`.
+        `FEW`, `USUAL`, `ADAPTIVE` or `PANELS`.
     work : (5, K)
-        Takes the samples.
+        Buffer for the samples.
     gradient : (3, 2 N) or (0, 0)
-        Takes the derivatives by the slip's rows, unless it is empty: d f_x / d slip_x,
+        Result unless it is empty: derivatives with respect to the slip's rows, d f_x / d slip_x,
         d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y [s/m].
     """
     return _kernels.force_of(slip, rule, grid, work, gradient)
@@ -100,7 +105,7 @@ def force_of(
 def sinusoid_forces(
     coefficients: np.ndarray, position: np.ndarray, velocity: np.ndarray, rule: Rules
 ) -> np.ndarray:
-    """Return the average forces (C, 2) [mu m g] of C cases: one motion and one part each.
+    """Return the average forces (C, 2) [mu m g] of C cases with one motion and one part each.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-// What Python sees of the kernels of sinusoids.hpp.
+// Python bindings of the kernels in sinusoids.hpp.
 #include "averages/rules_record.hpp"
 #include "averages/sinusoids.hpp"
 #include "records.hpp"
@@ -17,7 +17,7 @@ static Matrix matrix_of(View<const double, 2> from) {
     return result;
 }
 
-// The transpose of rows of an array, from the `first` on.
+// Transpose of `rows` rows of an array, from row `first` on.
 static Matrix across(const Table& array, size_t first, size_t rows) {
     const int count = static_cast<int>(rows), size = static_cast<int>(array.shape(1));
     Matrix result(size, count);
@@ -26,14 +26,14 @@ static Matrix across(const Table& array, size_t first, size_t rows) {
     return result;
 }
 
-// Of bases (n, h) of pose, twist and acceleration.
+// Converts bases (n, h) of pose, twist and acceleration.
 static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, size_t size) {
     const size_t n = pose.shape(0);
     for (const Table* basis : {&pose, &twist, &accel}) check("basis", *basis, {n, size});
     return {across(pose, 0, n), across(twist, 0, n), across(accel, 0, n)};
 }
 
-// Motions of a `SinusoidBasis` of Python.
+// Converts a Python `SinusoidBasis` to `Motions`.
 static Motions motions_of(nb::tuple rules_record, nb::handle basis, nb::tuple limits,
                           int candidates) {
     const auto table = [&](const char* name) { return nb::cast<Table>(basis.attr(name)); };
@@ -64,7 +64,8 @@ static Motions motions_of(nb::tuple rules_record, nb::handle basis, nb::tuple li
     };
 }
 
-// Samples (3, n) as an array (n, 3), the last of which is the first, to the last bit.
+// Converts samples (3, n) to an array (n, 3). The last sample is a copy of the first, so that the
+// cycle closes exactly.
 static nb::object closed(const Matrix& path) {
     const int n = path.columns;
     std::vector<double> samples(3 * n);
@@ -73,7 +74,7 @@ static nb::object closed(const Matrix& path) {
     return nb::cast(to_numpy<2>(std::move(samples), {static_cast<size_t>(n), 3}));
 }
 
-// The fields of `Found` of Python.
+// Returns the fields of the Python tuple `Found`.
 static nb::tuple fields_of(Found&& found) {
     const size_t size = found.theta.size(), pieces = found.spline.size() / 18;
     const size_t parts = found.error.size() / 2;

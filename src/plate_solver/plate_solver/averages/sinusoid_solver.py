@@ -1,4 +1,8 @@
-"""Method B (section 3.2 of the paper) on the averaged map: sinusoids with wanted mean forces."""
+"""Method B (section 3.2 of the paper) on the averaged map: sinusoids with requested mean forces.
+
+Requests without curls are solved in C++ (`sinusoids.invert`). Requests with curls are fitted by
+Levenberg-Marquardt and basin hopping, on equal steps. Input is a `Request`, output a `Solution`.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +28,17 @@ from .sinusoids import FEW_CANDIDATES, Motions, invert, motions_of
 from .unreachable import is_out_of_reach
 
 CURL_SAMPLES = 8192
-"""Samples on which curls are judged: their average, of u3/|slip|, feels dips more than a force."""
+"""Number of samples for the evaluation of curls. A curl is the mean of u3/slip, so it is more
+sensitive than a force to times at which the slip nearly vanishes."""
 
 SPREAD = 0.7
-"""Size of a disturbance of what is known, over that of a random motion, where curls are asked."""
+"""Size of a perturbation of the best motion relative to a random motion, if curls are requested."""
 
 STARTS = 3
-"""Starts of the averaged search for each restart: one takes a tenth of a millisecond."""
+"""Number of starts of the averaged search per restart. A start takes a tenth of a millisecond."""
 
 MOST_STARTS = 200
-"""Random starts that are drawn; who wants more restarts meets them again."""
+"""Maximum number of random starts that are drawn. Further restarts repeat them."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +48,12 @@ class SinusoidForceOptions(SinusoidOptions):
     Attributes
     ----------
     at_rest : bool
-        Whether cycles start and end with the plate at home and at rest. Costs two parameters for
-        each degree of freedom; cycles of `steer` always do.
+        Whether cycles start and end with the plate at home and at rest. This takes two parameters
+        per degree of freedom. Cycles of `steer` always do so.
     tolerance : float
-        Greatest force error that counts as success [mu m g].
+        Maximum force error that counts as success [mu m g].
 
-    For averages there are up to `STARTS` times as many further starts as `restarts`.
+    On the averaged map, the maximum number of further starts is `STARTS` times `restarts`.
     """
 
     at_rest: bool = False
@@ -62,7 +67,7 @@ class SinusoidForceOptions(SinusoidOptions):
 
 
 class SinusoidSolver(ForceSolver, SinusoidCycles):
-    """Plate motions made of sinusoids.
+    """Solver that finds sums of sinusoids with requested mean forces.
 
     Parameters
     ----------
@@ -86,11 +91,12 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         self._warm.clear()
 
     def harmonics(self, constraints: int) -> int:
-        """Return the number of harmonics of motions that give this number of forces."""
+        """Return the number of harmonics for this number of requested force components."""
         return self._key(constraints)[0]
 
     def search_of(self, constraints: int) -> tuple[Motions, np.ndarray]:
-        """Return the arguments of `invert` for this number of forces: motions, random starts."""
+        """Return the motions and the random starts of `invert`, for this number of requested force
+        components."""
         key = self._key(constraints)
         if key not in self._searches:
             basis = sinusoid_basis(*key)
@@ -100,7 +106,8 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         return self._searches[key]
 
     def _key(self, constraints: int) -> tuple[int, float, bool]:
-        """Return harmonics, period and kind of the motions for this number of forces."""
+        """Return the number of harmonics, the period [s], and whether motions start at rest, for
+        this number of requested force components."""
         if self.options.at_rest:
             return *self._rest_key(constraints), True
         number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
@@ -162,7 +169,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         ) -> tuple[Fit, float, int, bool]:
             found = fit_curl(request, family, start, tolerance / 10, most)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
-            if good:  # by coarse samples, which do not resolve dips
+            if good:  # coarse samples do not resolve dips, so refine
                 found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)
@@ -186,7 +193,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
 
 
 def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
-    """Return what is missed in the rows `request.rows` [mu m g] over equal steps."""
+    """Return the errors of the requested rows [mu m g] for twists (n, 3) at equal steps."""
     got = step_forces(request.position, request.velocity, twist, np.ones(len(twist))).ravel()
     return np.asarray(((request.wanted - got) * request.scale)[request.rows])
 
@@ -194,9 +201,11 @@ def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
 def fit_curl(
     request: Request, family: SinusoidFamily, start: np.ndarray, tolerance: float, iterations: int
 ) -> Fit:
-    """Correct a motion until its average forces and curls, equations (5) and (12), are as asked.
+    """Adjust a motion until its average forces and curls, equations (5) and (12), match the
+    request.
 
-    Errors are in mu m g, for the rows `request.rows`; `tolerance` is the greatest at which to stop.
+    Errors are in mu m g, for the requested rows. The search stops when the largest error is at most
+    `tolerance`.
     """
     rows, scale = request.rows, request.scale[request.rows]
 

@@ -1,4 +1,4 @@
-// Method B's inversion of the averaged map, from first guess to finished spline: kernels of
+// Method B's inversion of the averaged map, from the first start to the finished spline: kernels of
 // sinusoids.py.
 #pragma once
 #include <algorithm>
@@ -19,49 +19,51 @@ namespace plate::averages {
 
 using namespace sinusoids;
 
-// Damping from a fresh guess, and where a solution is near.
+// Damping options for a fresh start, and for a start near a solution.
 constexpr Damping AFRESH{1.25e-3, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
 constexpr Damping NEAR{1.25e-5, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
 
-// Disturbances in a row that may fail to better a round's motion, and their size relative to it.
+// Number of consecutive failed perturbations after which a round ends, and size of a perturbation
+// relative to the best motion of the round.
 constexpr int HOPS = 12;
 constexpr double HOP = 0.15;
 
-constexpr double SURE = 0.7;  // of the allowed error, that a motion may miss uncorrected
+// A motion is corrected at dips if its error exceeds this fraction of the tolerance.
+constexpr double SURE = 0.7;
 
-// Equal legs in which a fresh guess is led to a request that others have not reached; steps for a
-// leg, and the error that is left behind, over the size of the request.
+// Continuation from a fresh start: number of equal legs to the request, maximum number of steps per
+// leg, and error at which a leg ends, relative to the request.
 constexpr int LEGS = 3, LEG_STEPS = 8;
 constexpr double LEG_ERROR = 0.03;
 
 // A basis of h sinusoidal motions of N harmonics.
 struct Motions {
-    Matrix waves, taylor;  // of the rules
+    Matrix waves, taylor;  // as in `Rules`
     int few, pieces;
     Matrix span;                // (2 N, h)
-    Looks steps, knots, hull;   // at equal steps; at the knots of a finished cycle; control points
+    Looks steps, knots, hull;   // basis at equal steps, at the knots, and at control points
     Matrix spline;              // (h, 6 k): powers of the time since the knot
     std::vector<double> times;  // (k + 1,): knots [s]
-    Limits limits;              // MARGIN of the rig's
-    int candidates;             // random motions that are tried for each fresh guess
+    Limits limits;              // MARGIN times the rig's limits
+    int candidates;             // number of random motions that are compared for a fresh start
 
     int size() const { return span.columns; }
 
-    // Nodes of the averages.
+    // Nodes of the quadratures.
     Rules rules() const {
         return {{waves[0], {waves.rows, waves.columns}}, few,
                 {taylor[0], {taylor.rows, taylor.columns}}, pieces};
     }
 };
 
-// What is asked for.
+// Input of the inversion.
 struct Request {
     View<const double, 2> position, velocity, force;  // parts (M, 2) [m], [m/s], [mu m g]
-    double tolerance;                                 // greatest error that is allowed [mu m g]
-    int iterations, tries;                            // most steps of one start, and most starts
+    double tolerance;                                 // maximum acceptable error [mu m g]
+    int iterations, tries;                            // maximum steps per start, maximum starts
 };
 
-// A finished motion: pose, twist and acceleration (3, k + 1) at its knots, a spline (k, 6, 3), and
+// Finished motion: pose, twist and acceleration (3, k + 1) at its knots, its spline (k, 6, 3), and
 // its errors (M, 2) [mu m g].
 struct Found {
     std::vector<double> theta;  // parameters (3 h,), at full amplitude
@@ -73,7 +75,7 @@ struct Found {
 
 class Inversion {
 public:
-    // `pool` (S, 3 h) has random motions.
+    // pool (S, 3 h): random motions.
     Inversion(const Motions& motions, View<const double, 2> pool, const Request& request)
         : motions(motions), rules(motions.rules()), pool(pool), request(request),
           size(motions.size()),
@@ -85,7 +87,8 @@ public:
         wanted.assign(request.force.data, request.force.data + 2 * parts);
     }
 
-    // Finds a motion with the wanted average forces; `warm` (3 h,) is the last solution, or null.
+    // Finds a motion with the requested average forces. `warm` (3 h,) is the last solution, or
+    // null.
     Found invert(const double* warm) {
         is_warm = warm;
         auto [fit, done, tried] =
@@ -98,7 +101,7 @@ public:
             found = finished(fit, done, tried);
         }
         if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
-            is_warm = false, backwards = true;  // from other starts
+            is_warm = false, backwards = true;  // search again from other starts
             const auto [other, more, others] = search(fresh(FIRST));
             found = finished(other, done + more, tried + others);
         }
@@ -111,9 +114,9 @@ private:
     const View<const double, 2> pool;
     const Request request;
     const int size, parts;
-    bool moving, is_warm = false, backwards = false;  // whether the pool is taken from its end
+    bool moving, is_warm = false, backwards = false;  // backwards: take motions from the pool's end
     std::vector<double> wanted;
-    Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // room
+    Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // buffers
     Looked looked;
 
     const double* random(int number) const {
@@ -130,7 +133,8 @@ private:
         return basin_hopping<Fit>(propose, attempt, begin, request.tries, HOPS, true, 0);
     }
 
-    // Descends from a start; what is good by equal steps is corrected where these miss dips.
+    // Runs a descent from a start on equal steps. If the result is good there, it is evaluated with
+    // corrected dips and, if necessary, improved further.
     Attempted<Fit> attempted(const std::vector<double>& start, int number, double least) {
         const double tolerance = request.tolerance;
         const bool known = number == FIRST && is_warm;
@@ -158,7 +162,7 @@ private:
         return theta;
     }
 
-    // A fresh start, led towards the request.
+    // Returns a fresh start that was led towards the request by continuation.
     std::vector<double> led(int number) {
         std::vector<double> theta = fresh(number), part = wanted;
         const double left = LEG_ERROR * std::sqrt(squared(wanted) / (2 * parts));
@@ -169,10 +173,11 @@ private:
         return theta;
     }
 
-    // The next random motion, or its opposite, that does most of what is asked.
+    // Returns the best of the next random motions and their opposites, by the error of their
+    // forces.
     std::vector<double> fresh(int number) {
         const int count = pool.size(0), most = motions.candidates;
-        const int first = number / (HOPS + 1) * most % count;  // another for every fresh start
+        const int first = number / (HOPS + 1) * most % count;  // differs for every fresh start
         double least = 1e300, sign = 1;
         int index = first;
         std::vector<double> error;
@@ -181,7 +186,7 @@ private:
             if (moving) to_full_amplitude(theta);
             const double cost = force_error(FEW, wanted, theta, error, nullptr);
             if (cost < least) least = cost, index = i, sign = 1;
-            // With g = f - error the force got, |f + g|^2 = |f - g|^2 + 4 f.g
+            // With the achieved force g = f - error, |f + g|^2 = |f - g|^2 + 4 f.g
             double opposite = cost;
             for (int r = 0; r < 2 * parts; r++) opposite += 4 * wanted[r] * (wanted[r] - error[r]);
             if (opposite < least) least = opposite, index = i, sign = -1;
@@ -191,25 +196,25 @@ private:
         return theta;
     }
 
-    // Corrects a motion until its forces on a grid are those of `force` (2 M,).
+    // Adjusts a motion until its forces by the quadrature `grid` match `force` (2 M,).
     Fit descend(int grid, const std::vector<double>& force, std::vector<double> theta,
                 const Damping& damping, double tolerance, int iterations) {
         const auto evaluate = [&](std::vector<double>& trial, std::vector<double>& error) {
             if (moving) to_full_amplitude(trial);
-            force_error(grid, force, trial, error, &now);  // slopes share most of the work
+            force_error(grid, force, trial, error, &now);  // with cheap derivatives
         };
         const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };
         return levenberg_marquardt<double>(evaluate, slopes, std::move(theta), damping, tolerance,
                                            iterations);
     }
 
-    // Coefficients (h, 3) of parameters (3 h,).
+    // Sets the coefficients (h, 3) from parameters (3 h,).
     void set_coefficients(const std::vector<double>& theta) {
         std::copy(theta.begin(), theta.end(), own[0]);
         for (int h = 0; h < size; h++) own[h][2] /= motions.limits.arm_m;
     }
 
-    // Scales parameters so that the samples just reach the first of the limits.
+    // Scales parameters so that the samples reach the first limit exactly.
     void to_full_amplitude(std::vector<double>& theta) {
         set_coefficients(theta);
         const double used = use_of(motions.steps, weights(EQUAL_WEIGHT), true);
@@ -223,8 +228,8 @@ private:
                          weight, motions.limits, linear);
     }
 
-    // Request minus average force (2 M,), and d force / d theta (2 M, 3 h) unless that is null;
-    // returns the squared error.
+    // Computes the request minus the average force (2 M,), and d force / d theta (2 M, 3 h) unless
+    // `jacobian` is null. Returns the squared error.
     double force_error(int grid, const std::vector<double>& force,
                        const std::vector<double>& theta, std::vector<double>& error,
                        Matrix* jacobian) {
@@ -273,12 +278,12 @@ private:
         return cost;
     }
 
-    // Makes parameters a spline within the limits, and judges it.
+    // Converts parameters to a spline within the limits, and evaluates its forces.
     Found finished(const Fit& fit, int iterations, int tries) {
         Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
         to_full_amplitude(found.theta);
         set_coefficients(found.theta);
-        for (int round = 0; round < 4; round++) {  // turning enters with its square: nearly linear
+        for (int round = 0; round < 4; round++) {  // rotation has a quadratic effect: nearly linear
             const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);
             if (used <= CERTAIN) break;
             const double factor = 0.9999 * CERTAIN / used;

@@ -1,13 +1,14 @@
-"""Method B's inversion of the averaged map (3.2.3), from first guess to finished spline.
+"""Method B's inversion of the averaged map (section 3.2.3), from the first start to the finished
+spline.
 
-Starts are, in this order: the last solution; then rounds of one fresh guess and disturbances of the
-best motion that the round has found. A fresh guess is led to a far request by continuation, in
-fractions that grow to the whole. What is found is made a spline within the rig's limits, and its
-forces are judged on that spline, by a quadrature that the search has not used.
+The first start is the last solution. Then rounds follow, each with one fresh start and
+perturbations of the round's best motion. A fresh start is led to the request by continuation, with
+increasing fractions of the request. The result is converted to a spline within the rig's limits.
+Its forces are evaluated on this spline by a quadrature that the search does not use.
 
-Scale and shift in time leave the averaged forces of parts at rest unchanged. Steps of least norm
-are orthogonal to both, so none is wasted on them; the scale is spent on the limits: motions are
-kept at full amplitude, where the parts' own velocities matter least.
+Averaged forces of parts at rest do not depend on the amplitude and on a shift in time. Steps of
+minimum norm are orthogonal to both. Motions are kept at the full amplitude that the limits allow,
+because the influence of the parts' velocities is then smallest.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from ..sinusoids.basis import SinusoidBasis
 from .sinusoid_force import force_rules
 
 FEW_CANDIDATES = 12
-"""Random motions that are tried at the parts' places for each fresh guess."""
+"""Number of random motions that are compared for each fresh start."""
 
 Motions = _kernels.AveragedMotions
-"""A basis of sinusoidal motions, with the limits that they are kept within; made once."""
+"""A basis of sinusoidal motions and their limits, in the form that the C++ kernels use."""
 
 
 def motions_of(number: int, basis: SinusoidBasis, limits: Limits) -> Motions:
@@ -34,7 +35,7 @@ def motions_of(number: int, basis: SinusoidBasis, limits: Limits) -> Motions:
 
 
 class Found(NamedTuple):
-    """What `invert` finds.
+    """Result of `invert`.
 
     Attributes
     ----------
@@ -47,10 +48,11 @@ class Found(NamedTuple):
     error : (M, 2)
         Request minus force of this spline [mu m g].
     worst : float
-        Greatest of them.
+        Maximum absolute error [mu m g].
     condition : float
-        Condition number of the forces' derivative by the parameters.
+        Condition number of the forces' derivative with respect to the parameters.
     iterations, tries : int
+        Number of steps of all starts, and number of starts.
     """
 
     theta: np.ndarray
@@ -76,25 +78,26 @@ def invert(
     iterations: int,
     tries: int,
 ) -> Found:
-    """Find a motion with the wanted average forces.
+    """Find a motion with the requested average forces.
 
-    Two dips may be taken for one by the search's quadrature. Where the judge sees more error than
-    is allowed, the motion is corrected on panels, and if need be the search done anew.
+    The quadrature of the search may mistake two dips for one. If the error of the finished spline
+    therefore exceeds the tolerance, the motion is corrected with adaptive panels. If this fails,
+    the search is repeated from other starts.
 
     Parameters
     ----------
     warm : (F, 3 h)
-        The last solution, if there is one.
+        The last solution (F = 1), or none (F = 0).
     pool : (S, 3 h)
-        Random motions. A fresh guess is the best of the next `FEW_CANDIDATES`, forwards and
-        backwards, at the parts' places; disturbances are taken from here too.
+        Random motions. A fresh start is the best of the next `FEW_CANDIDATES` of them and their
+        opposites. Perturbations are also taken from the pool.
     position, velocity, force : (M, 2)
-        Parts [m], [m/s], plate_home; wanted forces [mu m g].
+        Positions [m] and velocities [m/s] of the parts, plate_home; requested forces [mu m g].
     motions : Motions
     tolerance : float
-        Greatest error that is allowed [mu m g].
+        Maximum error that counts as success [mu m g].
     iterations, tries : int
-        Most steps from one start, and most starts.
+        Maximum number of steps from one start, and maximum number of starts.
     """
     return Found(
         *_kernels.invert(

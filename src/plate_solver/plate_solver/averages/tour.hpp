@@ -1,4 +1,4 @@
-// The order of rotations: kernels of tour.py.
+// Order of rotations: kernels of tour.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,10 +9,10 @@
 
 namespace plate::rotations {
 
-// Most rounds of 2-opt; four do as a rule.
+// Maximum number of rounds of the 2-opt method; four are usually sufficient.
 constexpr int MOST_ROUNDS = 20;
 
-// The change (J, J) [m/s] of the fastest corner between any two twists (J, 3).
+// Velocity changes (J, J) [m/s] of the fastest corner between all pairs of twists (J, 3).
 inline Matrix changes(View<const double, 2> twists, const double* half) {
     const int count = twists.size(0);
     Matrix change(count, count);
@@ -30,8 +30,8 @@ inline Matrix changes(View<const double, 2> twists, const double* half) {
     return change;
 }
 
-// A short closed tour that begins at 0, and ends there: the nearest neighbour each time, then
-// stretches are turned round as long as that shortens it.
+// Returns a short closed tour that begins and ends at 0: nearest neighbours, improved by 2-opt,
+// which reverses sections while this shortens the tour.
 inline std::vector<int> short_tour(const Matrix& change) {
     const int count = change.rows;
     std::vector<int> tour(count + 1);

@@ -1,4 +1,5 @@
-"""Order of rotations for averaged forces: a short tour with small changes between neighbours."""
+"""Order of the rotations of a plan for averaged forces. It is a short closed tour through the
+twists by the nearest-neighbour and 2-opt methods, so that the ramps between rotations are short."""
 
 from __future__ import annotations
 
@@ -11,9 +12,11 @@ from ..rotations.plan import RotationPlan
 
 
 def filled(plan: RotationPlan) -> RotationPlan:
-    """Return the plan with the rest of the time spent on its longest rotation, to and fro.
+    """Return the plan with its remaining time filled by its longest rotation, half of it in
+    reverse.
 
-    On average that does nothing, whereas at rest the slightest motion counts as full friction.
+    The average force of this addition is 0. The plate must not rest in this time, because then the
+    slightest motion would cause full friction.
     """
     left, j = 1 - float(np.sum(plan.fraction)), int(np.argmax(plan.fraction))
     fraction = np.append(plan.fraction, left / 2)
@@ -27,10 +30,10 @@ def filled(plan: RotationPlan) -> RotationPlan:
 
 
 def nearest_order(twists: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return the order (J,) of twists (J, 3) in which little changes from one to the next.
+    """Return the order (J,) of twists (J, 3) with small changes from one to the next.
 
-    Changes are those of the plate's fastest corner: they are what ramps cost. From rest the nearest
-    neighbour is taken each time, then stretches are turned round as long as that shortens the tour.
+    The length of a ramp is proportional to the velocity change of the plate's fastest corner, so
+    this is the distance between two twists. The tour starts at rest.
     """
     tour = _kernels.short_tour(np.vstack([np.zeros(3), twists]), half)
     return np.array(tour, dtype=int) - 1

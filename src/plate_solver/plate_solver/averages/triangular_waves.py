@@ -1,9 +1,9 @@
-"""The paper's closed form of the force map, on triangular waves: equations (19) to (21).
+"""Closed form of the force map for triangular waves: equations (19) to (21) of the paper.
 
-The sines of (13) are replaced by triangular waves, so between their kinks the slip is linear in
-time, p + q s with s from 0 to 1, and its direction has an integral in closed form. The kinks divide
-the period into 8 intervals for N = 2, 16 for N = 3, and so on; they are generated. Nothing here is
-used to solve: `bench` shows what the approximation costs, and what it saves.
+The sines of (13) are replaced by triangular waves. Between their kinks the slip is linear in time,
+p + q s with s from 0 to 1, so the integral of its direction has a closed form. The kinks divide the
+period into 8 intervals for N = 2, 16 for N = 3, and so on. No solver uses this map. `bench`
+compares its error and its speed with those of the exact map.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ from .. import _kernels
 
 
 def triangle_sine(phase: np.ndarray) -> np.ndarray:
-    """Return s*(t), the triangular wave of unit height that follows the sine."""
+    """Return s*(t), the triangular wave of unit height in phase with the sine."""
     share = np.mod(phase / (2 * np.pi) + 0.25, 1.0)
     return 1 - 4 * np.abs(share - 0.5)
 
 
 @lru_cache(maxsize=16)
 def intervals(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the kinks' basis (K + 1, 2 N), rows sin 1..N, cos 1..N, and shares (K,) of the period.
+    """Return the waves at their kinks (K + 1, 2 N), columns sin 1..N, cos 1..N, and the lengths
+    (K,) of the intervals as fractions of the period.
 
-    The waves are linear between one kink and the next.
+    The waves are linear between consecutive kinks.
     """
-    whole = 4 * int(np.lcm.reduce(np.arange(1, number + 1)))  # of which all kinks are multiples
+    whole = 4 * int(np.lcm.reduce(np.arange(1, number + 1)))  # all kinks are multiples of 1/whole
     ticks = {tick * whole // (4 * j) for j in range(1, number + 1) for tick in range(4 * j + 1)}
     kinks = np.array(sorted(ticks)) / whole
     phase = 2 * np.pi * np.outer(kinks, np.arange(1, number + 1))
@@ -37,7 +38,7 @@ def intervals(number: int) -> tuple[np.ndarray, np.ndarray]:
 def triangular_forces(
     coefficients: np.ndarray, position: np.ndarray, kinks: np.ndarray, shares: np.ndarray
 ) -> np.ndarray:
-    """Return average forces (C, 2) [mu m g] of C cases: one motion and one part at rest each.
+    """Return average forces (C, 2) [mu m g] of C cases with one motion and one part at rest each.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-// What no motion of N harmonics can do: kernels of unreachable.py.
+// Proof that no motion of N harmonics meets a request: kernels of unreachable.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -15,23 +15,24 @@ namespace plate::unreachable {
 
 constexpr double PI = std::numbers::pi;
 
-// Points on each great circle.
+// Number of points on each great circle.
 constexpr int POINTS = 48;
 
-// Times that a cell of great circles is halved in a proof at most.
+// Maximum number of subdivisions of a cell of great circles in a proof.
 constexpr int HALVINGS = 4;
 
-// Pairs of points that a proof looks at before it is given up: some hundredths of a second.
+// Maximum number of pairs of points in a proof, after which it is abandoned. They take some
+// hundredths of a second.
 constexpr double MOST_WORK = 2e8;
 
-// Middle points that `greatest_triple` looks at, at once.
+// Number of middle points that `greatest_triple` processes together.
 constexpr int SIDE_BY_SIDE = 8;
 
 constexpr double NOTHING = -std::numeric_limits<double>::infinity();
 
-// Points on a great circle, a coordinate after the other.
+// Points on a great circle, as one array per coordinate.
 struct Circle {
-    std::vector<double> cosine, sine;  // of their angles, which are equally spaced
+    std::vector<double> cosine, sine;  // of equally spaced angles
     std::vector<double> x, y, z;
 
     explicit Circle(int count) : cosine(count), sine(count), x(count), y(count), z(count) {
@@ -55,7 +56,7 @@ struct Circle {
     }
 };
 
-// The great circles (Q, POINTS, 3) of the middles of cells (Q, 4).
+// Computes the great circles (Q, POINTS, 3) in the middles of cells (Q, 4).
 inline void circles(View<const double, 2> cells, View<double, 3> points) {
     Circle circle(POINTS);
     for (int q = 0; q < cells.size(0); q++) {
@@ -67,7 +68,7 @@ inline void circles(View<const double, 2> cells, View<double, 3> points) {
     }
 }
 
-// Unit slips (T, 2 M) of twists (T, 3) in units of (1, 1, 1/arm_m).
+// Computes the unit slips (T, 2 M) of M parts for twists (T, 3) in units of (1, 1, 1/arm_m).
 inline void unit_slips(View<const double, 2> twists, View<const double, 2> position, double arm_m,
                     View<double, 2> slips) {
     for (int t = 0; t < twists.size(0); t++) {
@@ -82,7 +83,8 @@ inline void unit_slips(View<const double, 2> twists, View<const double, 2> posit
     }
 }
 
-// Bounds of lambda . n over all twists within `radius` [rad] of the points of a circle.
+// Computes upper bounds of lambda . n over all twists within `radius` [rad] of each point of a
+// circle.
 PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> position, double arm_m,
                              const double* separating, double radius, double* __restrict most) {
     const int count = circle.count();
@@ -99,7 +101,7 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
         for (int c = 0; c < count; c++) {
             const double spin = z[c] / arm_m, wx = x[c] - spin * py, wy = y[c] + spin * px;
             const double square = wx * wx + wy * wy;
-            // The angle to lambda, less the most that the slip may turn within the radius.
+            // Angle to lambda, minus the maximum rotation of the slip within the radius.
             const double along = lx * wx + ly * wy, across = std::abs(lx * wy - ly * wx);
             const double free = std::sqrt(square - reach * reach);
             const bool all = (square <= reach * reach) |
@@ -109,16 +111,18 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
     }
 }
 
-// T of values (C,) around a great circle; C is a multiple of SIDE_BY_SIDE.
+// Returns T (see unreachable.py) of values (C,) around a great circle. C is a multiple of
+// SIDE_BY_SIDE.
 //
-// The value opposite to the middle one stands for minus it, so that bounds remain bounds; the angle
-// between the outer two may be half a turn and a step, for points between those given.
+// The value of the opposite point replaces the negative value of the middle one, so that upper
+// bounds remain upper bounds. The angle between the outer two points may be up to half a turn plus
+// one step, to cover points between those given.
 PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
-    std::vector<double> round(points + 2 * reach);  // once round, and `reach` to both sides
+    std::vector<double> round(points + 2 * reach);  // circle plus `reach` on both sides
     for (int i = 0; i < static_cast<int>(round.size()); i++)
         round[i] = values[(i + points - reach) % points];
-    std::vector<double> before((reach + 1) * SIDE_BY_SIDE);  // greatest from there to the middle
+    std::vector<double> before((reach + 1) * SIDE_BY_SIDE);  // maximum up to the middle
     double triple = NOTHING;
     for (int m = 0; m < points; m += SIDE_BY_SIDE) {
         double most[SIDE_BY_SIDE], pair[SIDE_BY_SIDE];
@@ -147,13 +151,13 @@ PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     return triple;
 }
 
-// T of values on great circles, the circle, and three points on it.
+// Maximum of T over great circles. places: index of the circle, then of the three points on it.
 struct Best {
     double triple;
     std::array<int, 4> places;
 };
 
-// The three places on a circle where `greatest_triple` is.
+// Indices of the three points on a circle that give `greatest_triple`.
 inline std::array<int, 3> places_of(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
     std::vector<double> running(reach + 1);
@@ -177,7 +181,7 @@ inline std::array<int, 3> places_of(const double* values, int points) {
     return places;
 }
 
-// T of values (Q, C), and where it is.
+// Maximum of T of values (Q, C), and its points.
 inline Best best_triple(View<const double, 2> value) {
     const int points = value.size(1);
     Best found{NOTHING, {}};
@@ -192,8 +196,9 @@ inline Best best_triple(View<const double, 2> value) {
     return found;
 }
 
-// Whether T is less than a limit on all great circles, cell by cell (Q, 4): tilt from, to, turn
-// from, to.
+// Returns whether T is proven to be below a limit on all great circles. Each cell (Q, 4) of circles
+// has ranges of tilt (from, to) and rotation (from, to) of the normal. Cells are subdivided until
+// the bound suffices.
 inline bool proves(View<const double, 2> cells, View<const double, 2> position, double arm_m,
                    const double* separating, double limit) {
     struct Cell {
@@ -214,7 +219,8 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             const double tilt = (low + high) / 2, turn = (left + right) / 2;
             work += static_cast<double>(n) * n;
             circle.turn_to(tilt, turn);
-            // Farthest normal of the cell from its middle, and half a step along the circle.
+            // Maximum distance of a normal in the cell from its middle, plus half a step on the
+            // circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());

@@ -1,24 +1,24 @@
 """Proof that no motion of N harmonics meets a request.
 
-N + 1 equal steps integrate harmonics up to the N-th exactly, so the twists s_0..s_N of a closed
+N + 1 equal steps integrate harmonics up to the N-th exactly. So the twists s_0..s_N of a closed
 motion at times T/(N + 1) apart add up to zero. Averaged over the first of these times, the forces
 of any such motion are a mean of
 
     (n(s_0) + ... + n(s_N)) / (N + 1)   with   s_0 + ... + s_N = 0,
 
-n(s) the parts' unit vectors of slip, all in one vector. So they lie in a convex set, and a request
-is out of reach if some lambda separates it: lambda . force > h(lambda), the support function. Let
-g(s) = lambda . n(s), which is odd and free of scale, and T the greatest of g(s_1) + g(s_2) - g(m)
-with m between s_1 and s_2 on a great circle: what three twists can do that add up to zero. By
-Caratheodory's theorem zero is a mean of two, three or four of the twists. Four are two triples with
-a common m, so
+where the vector n(s) contains the unit vectors of all parts' slips. These forces form a convex set.
+A request is infeasible if a vector lambda separates it from this set: lambda . force > h(lambda),
+where h is the support function. Let g(s) = lambda . n(s). It is odd and does not depend on the
+magnitude of s. Let T be the maximum of g(s_1) + g(s_2) - g(m) for m between s_1 and s_2 on a great
+circle: the value of three twists that add up to zero. By Caratheodory's theorem zero is a mean of
+two, three or four of the twists. Four twists are two triples with a common m, so
 
     h(lambda) <= (N - 1)/(N + 1) T(lambda).
 
-For one part T is one: the known (N - 1)/(N + 1). Lambda is looked for on a coarse grid of twists;
-the proof is not one by samples: T is bounded over whole cells of great circles, which are halved
-until they are below what is asked. What is not proven may still be out of reach: the set is larger
-than what N harmonics can do.
+For one part T is 1, which gives the known bound (N - 1)/(N + 1). The search for lambda uses a
+coarse grid of twists. The proof does not rely on samples: T is bounded over whole cells of great
+circles, which are subdivided until the bound is below the request. A request without a proof may
+still be infeasible, because the convex set is larger than the set of forces of N harmonics.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
             return _proves(cells, position, arm_m, separating, separating @ wanted / most)
         force = most * sum(vectors[three[0], k] for k in three[1:])
         found += [force, -force]
-        # The nearest mean of what is found, with fractions of at most one in all.
+        # Nearest mean of the found forces; the sum of its fractions is at most 1.
         columns = np.column_stack([*found, np.zeros(len(wanted))])
         fractions, _ = nnls(
             np.vstack([columns, np.full(columns.shape[1], PENALTY)]), np.append(wanted, PENALTY)
@@ -112,7 +112,7 @@ def _cells() -> np.ndarray:
 
 
 def _circles(cells: np.ndarray) -> np.ndarray:
-    """Return the great circles (Q, C, 3) of the middles of cells."""
+    """Return the great circles (Q, C, 3) in the middles of cells (Q, 4)."""
     return _kernels.circles(cells)
 
 
@@ -122,12 +122,13 @@ def _vectors(twists: np.ndarray, position: np.ndarray, arm_m: float) -> np.ndarr
 
 
 def _best(value: np.ndarray) -> tuple[float, tuple[int, int, int, int]]:
-    """Return T of values (Q, C) on great circles: circle, and three points on it."""
+    """Return the maximum of T over great circles, from values (Q, C). Return also the indices of
+    the circle and of three points on it."""
     return _kernels.best_triple(value)
 
 
 def _proves(
     cells: np.ndarray, position: np.ndarray, arm_m: float, separating: np.ndarray, limit: float
 ) -> bool:
-    """Whether T is less than a limit on all great circles, cell by cell."""
+    """Whether T is proven to be below a limit on all great circles, cell by cell."""
     return _kernels.proves(cells, position, arm_m, separating, limit)

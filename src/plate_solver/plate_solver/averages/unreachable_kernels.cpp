@@ -1,4 +1,4 @@
-// What Python sees of the kernels of unreachable.hpp.
+// Python bindings of the kernels in unreachable.hpp.
 #include "averages/unreachable.hpp"
 #include "records.hpp"
 
