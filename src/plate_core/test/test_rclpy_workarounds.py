@@ -1,11 +1,13 @@
-"""A subscription that an executor does not know of."""
+"""A subscription that an executor does not know of, and the caller of a logger."""
 
+import inspect
 import os
 import time
 
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="rclpy is not installed")
+from rclpy.impl.rcutils_logger import CallerId  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
@@ -73,3 +75,10 @@ def test_nothing_comes_once_it_is_destroyed(node):
     subscription.destroy()
     assert subscription.take() is None
     subscription.destroy()
+
+
+def test_a_logger_names_its_caller_without_reading_the_source(monkeypatch):
+    monkeypatch.setattr(inspect, "findsource", None)
+    caller, line = CallerId(), inspect.currentframe().f_lineno
+    name = "test_a_logger_names_its_caller_without_reading_the_source"
+    assert caller[:3] == (name, __file__, line)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError
-from plate_core.yaml_fields import Fields, Key, Number, Text, read_yaml
+from plate_core.yaml_fields import CONFIG, FAST_LENGTH, Fields, Key, Number, Text, read_yaml
 
 
 class FileError(PlateError):
@@ -193,4 +193,20 @@ def test_numbers_with_an_exponent_are_numbers(tmp_path, text):
 def test_a_path_that_is_none_is_refused():
     for path in ("a\0b.yaml", 5000 * "a" + ".yaml"):
         with pytest.raises(FileError, match="cannot be read"):
+            read_yaml(path, FileError)
+
+
+def test_the_fast_parser_and_the_other_one_return_the_same(tmp_path, monkeypatch):
+    paths = sorted(CONFIG.rglob("*.yaml"))
+    assert len(paths) > 20
+    fast = [read_yaml(path, FileError)._data for path in paths]
+    monkeypatch.setattr("plate_core.yaml_fields.FAST_LENGTH", -1)
+    assert fast == [read_yaml(path, FileError)._data for path in paths]
+
+
+def test_no_depth_ends_the_process(tmp_path):
+    path = tmp_path / "deep.yaml"
+    for depth in (FAST_LENGTH, 10 * FAST_LENGTH):
+        path.write_text(depth * "[")
+        with pytest.raises(FileError, match="nested too deeply"):
             read_yaml(path, FileError)
