@@ -1,6 +1,8 @@
-"""The planner: computes the request once per plate cycle, from the parts in the images.
+"""Planner of a task: computes the request to the solver once per plate cycle.
 
-All functions are pure; the time is an argument.
+Inputs are the parts in the images, the cycles sent and started, and the scenario. The estimator
+predicts the parts, the task rules return drifts or targets, and the supervision decides whether the
+task continues. All functions are pure; the time is an argument.
 """
 
 from __future__ import annotations
@@ -130,13 +132,13 @@ class PlannerState:
 
 @dataclass(frozen=True)
 class Planner:
-    """Plans one scenario on one rig.
+    """Planner for one scenario on one rig.
 
-    Use: `state = planner.start(planner.initial())`. With a camera that is triggered at the start of
-    each cycle, then for every image `state, wanted, progress = planner.plan(state, parts, t)`.
-    With one that runs free, `state = planner.see(state, parts, t)` for every image,
+    Begin with `state = planner.start(planner.initial())`. If the camera is triggered at cycle
+    starts, call `state, wanted, progress = planner.plan(state, parts, t)` for every image. If it is
+    free-running, call `state = planner.see(state, parts, t)` for every image,
     `state = planner.started(state, cycle, t)` for every cycle that the plate begins, and at the
-    time `state.due`, `state, wanted, progress = planner.answer(state)`.
+    time `state.due` call `state, wanted, progress = planner.answer(state)`.
     """
 
     rig: Rig
@@ -149,7 +151,7 @@ class Planner:
 
     @cached_property
     def rules(self) -> TaskRules:
-        """The rules of the task. They are cached, because they contain tables of paths and bins."""
+        """Rules of the task. They are cached, because they contain tables of paths and bins."""
         return rules_for(self.scenario.task, self.rig, self.options)
 
     def doubts(self) -> tuple[str, ...]:
@@ -192,20 +194,20 @@ class Planner:
     def retarget(
         self, state: PlannerState, targets: Sequence[PartTarget]
     ) -> tuple[Planner, PlannerState, tuple[str, ...]]:
-        """Replace the targets of parts in a running task of `move`, and of no others.
+        """Change the targets of some parts in a running `move` task.
 
         Returns
         -------
         planner : Planner
-            With the new targets, in place of this one.
+            Planner with the new targets, which replaces this one.
         state : PlannerState
         refused : tuple of str
-            Why some targets are refused: the others count.
+            Reasons for refused targets. The other targets are accepted.
 
         Raises
         ------
         PlateError
-            If no such task runs.
+            If no `move` task runs.
         """
         task = self.scenario.task
         if not isinstance(task, MoveTask) or state.task.phase is not Phase.RUNNING:
@@ -228,13 +230,12 @@ class Planner:
         return replace(self, scenario=scenario), replace(state, task=task_state), tuple(refused)
 
     def order(self, state: PlannerState, order: FeedOrder) -> Planner:
-        """Return a planner in place of this one, for a running task of `feed` that is to do
-        something else from now on.
+        """Return a planner with another order for a running `feed` task. It replaces this one.
 
         Raises
         ------
         PlateError
-            If no such task runs, or picks do not fit the rig or the recipe.
+            If no `feed` task runs, or the order does not fit the rig or the recipe.
         """
         task = self.scenario.task
         if not isinstance(task, FeedTask) or state.task.phase is not Phase.RUNNING:
@@ -255,26 +256,27 @@ class Planner:
     def hear(
         self, state: PlannerState, cycle: PlateCycle, arrival: float, asked: float | None = None
     ) -> PlannerState:
-        """Take in a cycle that the solver sent, and when [s, the time of the stamps].
+        """Record a cycle from the solver that arrived at `arrival` [s, the time of the stamps].
 
-        `asked` is when the cycle began that it answers [s]; None: it is the one that runs. Without
-        any the planner takes parts to do as was asked of them.
+        `asked` is the start of the cycle that it answers [s]. Default: the running cycle. Without
+        any cycle the planner assumes that parts follow the requests.
         """
         return replace(state, estimator=state.estimator.hear(cycle, arrival, asked))
 
     def started(
         self, state: PlannerState, cycle: PlateCycle, begin: float, triggered: bool = False
     ) -> PlannerState:
-        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]; `triggered`
-        tells that images are taken at starts all the same."""
+        """Record that the plate began a cycle at `begin` [s, the time of the stamps]. `triggered`
+        tells whether images are taken at cycle starts nevertheless."""
         due = begin + max(cycle.period - self.options.answer_s, 0.0)
         estimator = state.estimator.started(cycle, begin, triggered)
         return replace(state, estimator=estimator, due=due)
 
     def see(self, state: PlannerState, parts: Parts, t: float) -> PlannerState:
-        """Take in the parts of one image, as vision saw them, and its stamp [s].
+        """Record the detected parts of an image and its stamp [s].
 
-        A running task begins again if time was put back, and ends if it was put on.
+        If the stamp is earlier than the last one, a running task restarts. If it is more than
+        `LONGEST_GAP_S` later, the task ends.
         """
         clock = state.estimator.clock
         if state.task.phase is not Phase.RUNNING or clock.stamp is None:
@@ -292,22 +294,22 @@ class Planner:
     def plan(
         self, state: PlannerState, parts: Parts, t: float
     ) -> tuple[PlannerState, Wanted, Progress]:
-        """Answer one image, taken at the start of a cycle.
+        """Return the request for an image that was taken at the start of a cycle.
 
         Parameters
         ----------
         state : PlannerState
         parts : Parts
-            Parts as vision saw them.
+            Detected parts.
         t : float
-            Stamp of the image [s]. The same stamp again gives the same answer again; an earlier
-            one means that the source was started again, and a running task begins again too.
+            Stamp of the image [s]. The same stamp as before gives the same answer. An earlier stamp
+            means that the source was restarted. In this case a running task restarts.
 
         Returns
         -------
         state : PlannerState
         wanted : Wanted
-            Of the same parts; of none when nothing is asked.
+            Request for these parts; `NOTHING` if the plate should rest.
         progress : Progress
         """
         if state.answer is not None and t == state.estimator.clock.stamp:
@@ -315,10 +317,10 @@ class Planner:
         return self.answer(self.see(state, parts, t))
 
     def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:
-        """Say what is asked of the parts in the next cycle; see `plan`."""
+        """Return the request for the next cycle, as in `plan`, from the images recorded so far."""
         estimator = state.estimator
         there, last = estimator.parts, state.last
-        if self.rules.open_ended:  # there is no end to names, and none is missed
+        if self.rules.open_ended:  # parts may be removed at any time
             there = self._without_doubles(there, estimator.seen)
         else:
             there = self._without_doubles(there, estimator.seen, NAMELESS)
@@ -339,19 +341,19 @@ class Planner:
         return tuple(group.label for group in self.scenario.parts)
 
     def _mine(self, ids: Sequence[str]) -> set[str]:
-        """Ids without those of unknown things."""
+        """Return the ids except those of objects that do not belong to the task."""
         return {name for name in ids if not is_bystander(name, self._labels)}
 
     def _on_plate(self, parts: Parts) -> Parts:
-        """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
+        """Return the parts whose centres are on the plate. The others have left it."""
         keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
         return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
 
     def _without_doubles(
         self, parts: Parts, seen: Parts, classes: tuple[str, ...] | None = None
     ) -> Parts:
-        """Leave out parts, of these classes if any are given, that are not seen where another is:
-        that one was hidden, and has come back under another name."""
+        """Remove undetected parts at whose position another part is detected. This is the same part
+        with a new id, because it was hidden. `classes` limits this to some classes."""
         label = [part_class(name) for name in parts.ids]
         gone = [name not in seen.ids for name in parts.ids]
         if classes is not None:
@@ -366,7 +368,8 @@ class Planner:
     def _last_seen(
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
     ) -> Mapping[str, LastSeen]:
-        """Where each part was seen last; of one that is off the plate, where it left it."""
+        """Return each part's last position and stamp. For a part that left the plate, this is the
+        place where it left."""
         half = self.rig.plate.half
         off = {name for name, at in before.items() if np.any(np.abs(at.position) > half)}
         on = np.all(np.abs(parts.position) <= half, axis=1)
@@ -375,12 +378,12 @@ class Planner:
         return {**before, **now}
 
     def _advance(self, state: PlannerState, parts: Parts) -> tuple[PlannerState, Assessment]:
-        """Bring the task up to date."""
+        """Update the state of the task, and evaluate it by its rules."""
         t, count = state.estimator.stamp, self.scenario.count
         comes_and_goes = self.rules.open_ended
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
         seen = set(state.estimator.seen.ids)
-        mine = self._mine(parts.ids)  # things that come and go do not keep a task from beginning
+        mine = self._mine(parts.ids)  # other objects do not prevent the start
         again = comes_and_goes or self._mine(state.known) == mine <= seen
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)
@@ -404,12 +407,12 @@ class Planner:
         return replace(state, task=task, estimator=estimator, memory=memory, known=known), found
 
     def others(self, parts: Parts) -> str:
-        """Say which unknown things are on the plate; a task in which parts come and go counts them
-        itself."""
+        """Return a text on unknown objects on the plate. It is empty for tasks in which parts are
+        added and removed, because these tasks count them."""
         return "" if self.rules.open_ended else bystanders_text(parts, self._labels)
 
     def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
-        """Learn what parts do otherwise than predicted; a task begins without knowing."""
+        """Update the drift bias by the prediction error. It is reset when a task begins."""
         estimator, rules = state.estimator, self.rules
         if begins:
             estimator = estimator.begin_task()
@@ -421,7 +424,7 @@ class Planner:
     def _situation(
         self, estimator: Estimator, state: PlannerState, parts: Parts, active: bool
     ) -> Situation:
-        """Return what the rules are told."""
+        """Return the input of the task rules."""
         period, start, place = estimator.period, estimator.next_start, estimator.bias.place
         axes = self.rules.bias_axes(state.memory, parts, start - period / 2)
         return Situation(
@@ -448,7 +451,7 @@ class Planner:
         parts: Parts,
         request: DriftInterval | Targets,
     ) -> tuple[PlannerState, Wanted]:
-        """Build the request for the solver, and remember the drift that it leads to."""
+        """Build the request for the solver, and store the drift that it leads to."""
         estimator, period = state.estimator, state.estimator.period
         targets = request if isinstance(request, Targets) else None
         if isinstance(request, Targets):

@@ -15,11 +15,12 @@ constexpr double TINY = 1e-300;
 // additional states do not move.
 constexpr int LANES = 8;
 
-// Propagates states (K, 5) in place: x, y [m], vx, vy [m/s] of each, by implicit Coulomb steps.
+// Propagates states (K, 5) in place by implicit Coulomb steps. The columns are x, y [m], vx, vy
+// [m/s]; the fifth one is not changed. With the slip d = surface - v, v += d min(1, bound dt /
+// |d|), x += v dt.
 //
-// `bound` (K,) is mu g [m/s2], not 0; pose and twist (n, 3) are the plate's at the middles of n
-// steps of dt [s]; each state moves from its `begin` to its `end` (K,) [s since the first step]
-// only.
+// bound (K,): mu g [m/s2], above 0. pose, twist (n, 3): the plate at the middles of n steps of dt
+// [s]. begin, end (K,): interval in which a state is propagated [s since the first step].
 PLATE_WIDE inline void stick_slip(View<double, 2> state, const double* bound, Samples pose,
                                   Samples twist, const double* begin, const double* end,
                                   double dt) {

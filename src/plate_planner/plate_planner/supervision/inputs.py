@@ -244,10 +244,10 @@ class Inputs:
             return Failure(Reason.DRIVER_STOPPED, why)
         silent = self.starts is not None and min(self.starts.silence(now), now - began)
         if self.starts is not None and silent > max(self.starts.timeout_s, CYCLES * period):
-            # What the others miss then, they miss because of it.
+            # Missing inputs of other nodes are a consequence.
             return Failure(Reason.NO_CYCLE, self.starts_problem(now))
         silence = min(self.parts.silence(now), now - began)
-        if self.unanswered is not None:  # a simulator in lockstep shows nothing new until then
+        if self.unanswered is not None:  # in lockstep the simulator waits for the answer
             silence, question = now - max(self.unanswered, began), "does the solver run?"
             if silence > timeout:
                 why = self._blame("plate_cycle", "solver", question, now, publishers)
@@ -255,7 +255,7 @@ class Inputs:
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
         seen = self.reports.get("detector")
-        wrong = seen is not None and seen.level is Level.ERROR  # places of parts are wrong
+        wrong = seen is not None and seen.level is Level.ERROR  # wrong positions
         if seen is not None and wrong and seen.at - max(seen.since, began) > ERROR_TIMEOUT_S:
             return Failure(Reason.CUT_OFF, f"detector: {seen.message}")
         name = self._cut_off(now, began, period)
@@ -266,9 +266,9 @@ class Inputs:
         return Failure(Reason.CUT_OFF, gone.message) if gone is not None else None
 
     def _cut_off(self, now: float, began: float, period: float) -> str:
-        """Name the first node around the loop that says that it has no input; empty if none does.
+        """Return the first node of the loop that reports missing input; empty if none does.
 
-        Those after it, and those after a silent one, only miss what that does not send.
+        Nodes after it, or after a node that timed out, lack input only as a consequence.
         """
         fresh = max(FRESH_S, CYCLES * period)
         stale = {
@@ -276,7 +276,7 @@ class Inputs:
             for name, report in self.reports.items()
             if report.level is Level.STALE and report.at - began > self.parts.timeout_s
         }
-        if "detector" in stale:  # beside a simulated device images come only with its motion
+        if "detector" in stale:  # a simulated device's images depend on its motion
             driven = "device" in self.reports and "simulator" in stale
             return "simulator" if driven else "detector"
         if self.parts.silence(now) > fresh:
@@ -292,7 +292,7 @@ class Inputs:
         return next((name for name in ("device", "simulator") if name in stale), "")
 
     def findings(self, now: float, publishers: Callable[[str], int]) -> list[Finding | None]:
-        """Return what is missing, for diagnostics, whether a task runs or not."""
+        """Return findings on missing inputs for diagnostics, with or without a running task."""
         parts = self.parts.gone(now)
         if parts is not None:
             parts = Finding(Level.STALE, self.parts_problem(now, publishers))
@@ -303,9 +303,10 @@ class Inputs:
         return [parts, driver, starts]
 
     def stood_still(self, now: float, period: float) -> Failure | None:
-        """Say that the planner itself has stood still for longer than its inputs may; or None.
+        """Return a failure if the planner's process stalled for longer than the input timeout, or
+        None.
 
-        What has come meanwhile looks fresh, but the plate has long been brought to rest.
+        Messages that arrived during the stall look fresh, but the driver has stopped the plate.
         """
         away = now - self.ran
         if away <= self.timeout(period):
@@ -313,7 +314,7 @@ class Inputs:
         return Failure(Reason.STOOD_STILL, f"the planner itself stood still for {away:.1f} s")
 
     def woken(self, now: float) -> Inputs:
-        """Return what counts after a standstill: what came meanwhile is not known."""
+        """Return the inputs after a stall. Arrival times of earlier messages are discarded."""
         parts, driver = (
             replace(each, since=now, came=None if each.came is None else now)
             for each in (self.parts, self.driver)
@@ -332,7 +333,8 @@ class Inputs:
     def _blame(
         self, topic: str, node: str, question: str, now: float, publishers: Callable[[str], int]
     ) -> str:
-        """Say why nothing comes on a topic of a node, or ask a question if it is not known."""
+        """Return why a node sends nothing on its topic. If the reason is unknown, return
+        `question`."""
         if not publishers(topic):
             return f"nobody publishes them, does the {node} run?"
         report = self.reports.get(node)

@@ -1,8 +1,8 @@
-"""What each task asks of the parts; `rules_for` picks the rules of a task, `TaskRules` says what
-the planner wants of them.
+"""Rules of the tasks: they compute drifts or targets for the parts. `TaskRules` is the interface,
+and `rules_for` returns the rules of a task.
 
-A new task is one file here with a class of `TaskRules`, and its case in `rules_for` below (and a
-field of `TaskOptions`, if it has any). How a scenario file says it stands in `plate_core.tasks`.
+A new task needs one file here with a subclass of `TaskRules`, a case in `rules_for`, and a field of
+`TaskOptions` if it has options. Its keys in a scenario file are defined in `plate_core.tasks`.
 """
 
 from dataclasses import dataclass, field
@@ -51,7 +51,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class TaskOptions:
-    """What can be tuned of each task."""
+    """Options of the tasks."""
 
     follow: FollowOptions = field(default_factory=FollowOptions)
 

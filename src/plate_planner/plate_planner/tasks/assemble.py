@@ -1,4 +1,5 @@
-"""Assemble: where each part is to go so that a pattern of places is filled."""
+"""Rules of an assembling task: parts fill a pattern of places. In each image every part gets the
+place of its class that minimises the sum of squared distances. Its place is its target."""
 
 from __future__ import annotations
 
@@ -13,23 +14,23 @@ from .targets import GAP, assign, way_weight
 from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
-"""Where a part may stay: a square of this half side round its place [tolerance]."""
+"""Half side of the square around a place in which a part has no error [tolerance]."""
 
 
 @dataclass(frozen=True)
 class Assembler(TaskRules):
-    """The rules of assembling for one task on one rig."""
+    """Rules of an assembling task on one rig. They have no memory."""
 
     task: AssembleTask
     rig: Rig
 
     @property
     def hold_s(self) -> float:
-        """Done when all parts have been in their places for this long [s]."""
+        """Time for which all places must be filled [s]."""
         return self.task.hold_s
 
     def assess(self, memory: None, now: Situation) -> tuple[None, Assessment]:
-        """Judge one image, and say what is wanted; nothing is remembered."""
+        """Evaluate one image and return the request, see `TaskRules.assess`."""
         distance = self.distance(now.parts)
         error = distance[~np.isnan(distance)]
         worst = float(np.max(error, initial=0.0))
@@ -46,19 +47,20 @@ class Assembler(TaskRules):
         )
 
     def distance(self, parts: Parts) -> np.ndarray:
-        """How far each part (M,) is from its place [m]; NaN for a part that has none."""
+        """Return the distance of each part (M,) from its place [m]; NaN for a part without one."""
         aim, placed = self._aim(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
     def request(self, parts: Parts) -> Targets:
-        """Return the place of each part, as seen (M); one without is only kept on the plate."""
+        """Return the targets of M parts. A part without a place is only kept on the plate."""
         aim, placed = self._aim(parts)
         band, rows = BAND * self.task.tolerance_m, placed[:, None] & [True, True]
         weight = np.where(rows, way_weight(aim - parts.position), 0.0)
         return Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Place (M, 2) [m] of each part, its own where it has none, and whether it has one (M,)."""
+        """Return each part's place (M, 2) [m], and whether it has one (M,). Without one the place
+        is its position."""
         place = np.array(self.task.place)
         row = assign(self.task.labels, place, parts)
         placed = row >= 0

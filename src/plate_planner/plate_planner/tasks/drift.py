@@ -1,4 +1,8 @@
-"""Drift intervals: the request of a task that leads parts along, and their mean forces."""
+"""Drift intervals, which tasks request, and the mean forces for them.
+
+A drift is the mean velocity of a part over a cycle. Input are the parts with their present drift;
+output are intervals of drifts and forces.
+"""
 
 from __future__ import annotations
 
@@ -9,26 +13,25 @@ import numpy as np
 from plate_core import Parts, Rig, Targets, part_class
 
 APPROACH = 1.5
-"""Drift towards a target, for each metre to go [1/s]."""
+"""Drift towards a target, per metre to go [1/s]."""
 
 MAX_DRIFT = 0.05
-"""Maximum drift towards a target [m/s]: the fastest that many parts at once reach."""
+"""Maximum drift towards a target [m/s]. Many parts cannot move faster at the same time."""
 
 
 @dataclass(frozen=True)
 class DriftInterval:
-    """Requested drift of M parts: every drift from `low` to `high`, each (M, 2) [m/s, plate_home],
-    is as good."""
+    """Requested drift of M parts: any drift from `low` to `high`, both (M, 2) [m/s, plate_home]."""
 
     low: np.ndarray
     high: np.ndarray
 
     @classmethod
     def towards(cls, position: np.ndarray, targets: Targets) -> DriftInterval:
-        """Return the drift that leads parts at (M, 2) [m] to their targets.
+        """Return the drift of parts at (M, 2) [m] towards their targets.
 
-        v = APPROACH (target - position), at most `MAX_DRIFT`; every drift up to `MAX_DRIFT` along
-        an axis without a target.
+        v = APPROACH (target - position), limited to `MAX_DRIFT`. Along an axis without a target any
+        drift up to `MAX_DRIFT` is accepted.
         """
         low, high = (
             np.where(
@@ -46,11 +49,11 @@ class DriftInterval:
         return (self.low + self.high) / 2
 
     def less(self, bias: np.ndarray) -> DriftInterval:
-        """Return the interval minus a drift (M, 2) [m/s] that parts have by themselves."""
+        """Return the interval minus a drift bias (M, 2) [m/s]."""
         return DriftInterval(self.low - bias, self.high - bias)
 
     def force(self, parts: Parts, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean force over a cycle that changes the present drift into the requested.
+        """Return the mean force over a cycle that changes the present drift to the requested one.
 
         F = m (v_requested - v)/T. The solver computes v + F T/m with the same v, so an error of the
         measured v cancels, unless F is limited to mu m g.

@@ -1,13 +1,15 @@
-"""Feed: have parts lie ready for a robot, alone and turned, while parts come and go.
+"""Rules of a feeding task: parts are made ready for a robot, isolated and at their angles, while
+parts are added and removed.
 
-As in `move`, each cycle is to leave as little as possible of the ways to targets. A few parts have
-some: those that are ready stay so, those that are nearest to being ready get there, and those that
-nobody wants go over the edge to the chute. All parts keep the gripper's clearance, so a heap comes
-apart by itself. When enough are ready the plate rests: the robot may come.
+As in `move`, each cycle minimises the sum of squared weighted distances to targets. Ready parts
+stay ready, the parts nearest to being ready move to their windows and angles, and unwanted parts
+move over the edge to the chute. All parts keep the gripper's clearance, so heaps dissolve. When
+enough parts are ready, the plate rests and the robot may pick.
 
-Wanted parts are asked the same whether or not others leave meanwhile, and of these only the one
-that is nearest to the chute counts as much. No wanted part is held back from the chute but by the
-wall that keeps parts from every edge: else the crowd about it is, too, and nothing leaves.
+The targets of wanted parts do not depend on whether unwanted parts leave. Of the unwanted parts
+only the one nearest to the chute has the same weight. Wanted parts are kept from the chute only by
+the wall that keeps parts from all edges. A stronger restraint would also stop the crowd around
+them, and no part would leave.
 """
 
 from __future__ import annotations
@@ -36,64 +38,69 @@ from .targets import FULL_WAY_M, way_weight
 from .task import Assessment, Situation, TaskRules
 
 STILL_M = 1e-3
-"""On a plate at rest a part that has moved further since the last image is not ready [m]."""
+"""Maximum displacement of a ready part since the last image, on a plate at rest [m]."""
 
 MARGIN_M, BAND = 4e-3, 0.3
-"""How far inside the window parts are to come [m], and how near to their angle [tolerance]."""
+"""Margin of the targets inside the window [m], and half width of the target interval of angles [the
+pick's tolerance]."""
 
 KEPT = 0.8
-"""How near to its angle a ready part is to stay [tolerance]."""
+"""Half width of the angle interval in which a ready part has no error [the pick's tolerance]."""
 
 GAP_MARGIN_M = 2e-3
-"""How much more than the gripper's clearance parts are to keep [m]."""
+"""Margin that is added to the gripper's clearance [m]."""
 
 STOCK = 0.03
-"""What a metre to the window, or to the chute, counts for parts that are not needed yet, beside
-others [-]. Many that count more push those before them against the wall, and all stand."""
+"""Weight of the distance to the window or to the chute, for parts that are not needed yet, relative
+to others [-]. With a larger weight, many such parts would push the others against the wall, and all
+would stop."""
 
 MANY_UNWANTED = 5
-"""When so many parts lie there that nobody wants, all of them go to the chute, also while enough
-others are ready."""
+"""Number of unwanted parts at which all of them move to the chute, even if enough others are
+ready."""
 
 PURGED = 6.0
-"""What a metre to the chute counts for the part that is nearest to it, in a purge [-]."""
+"""Weight of the distance to the chute, in a purge, for the part nearest to it, relative to others
+[-]."""
 
 NEAREST_M = 1e-3
-"""Of parts that are to be ready at an angle each counts the more the nearer it is, down to this way
-[m]: the next one is ready the sooner. Round ones only hinder each other so (by trial)."""
+"""Minimum distance in the weight of a part that must get ready at an angle [m]. Its weight is
+inversely proportional to its distance, so that the nearest part is ready sooner. Round parts do not
+use this, because they would hinder each other (found by trial)."""
 
 CHANGE_M = 0.02
-"""A part that was on its way to being ready is given up for one that is nearer by this [m]."""
+"""Another part replaces a part on its way to being ready only if it is nearer by this distance
+[m]."""
 
 RENAMED_M = 0.02
-"""A part of its class that appears so near to where one was is that one [m]."""
+"""Maximum distance of a new part from a vanished part of its class at which it counts as the same
+part [m]."""
 
 BEYOND_M, FAR_M = 0.01, 0.1
-"""How far beyond the chute's edge parts are to come [m]: anywhere between."""
+"""Minimum and maximum distance of targets beyond the chute's edge [m]."""
 
 NEAR_EDGE, NEAR_CHUTE = 1.5, 4.0
-"""A part that was seen last so near an edge, or the chute, and no more, has left over it [its
-reach]."""
+"""Maximum distance of a vanished part's last position from an edge, and from the chute's edge, at
+which it counts as having left there [its reach]."""
 
 
 @dataclass(frozen=True)
 class FeedReport:
-    """What there is to tell of one image.
+    """Report of the task at one image.
 
     Attributes
     ----------
     stamp : float
-        Of the image [s].
+        Time at which the image was taken [s].
     mode : FeedMode
-        What is done.
     at_rest : bool
-        Whether parts lie where the image shows them: the plate rests, and goes on resting.
+        Whether plate and parts were at rest in the image and remain at rest.
     ready : Parts
-        Those that may be gripped.
+        Parts that the robot may grip.
     seen : mapping of str to int
-        Parts on the plate, by class.
+        Number of parts on the plate, by class.
     discharged, lost : int
-        Parts that have left over the chute's edge, as they were to, and others that have left.
+        Number of unwanted parts that left over the chute's edge, and of all other parts that left.
     """
 
     stamp: float = -np.inf
@@ -107,18 +114,19 @@ class FeedReport:
 
 @dataclass(frozen=True)
 class FeedMemory:
-    """What is remembered from image to image.
+    """Memory of the feeding rules between images.
 
     Attributes
     ----------
     rest_from : float
-        The plate rests from this stamp on [s]; infinite while it moves.
+        Time from which the plate rests [s]; infinite while it moves.
     place : mapping of str to (x, y)
-        Where parts were at the last image [m, plate_home]; of none that a robot may take.
+        Positions of parts at the last image [m, plate_home]. If that image was ignored, the ready
+        parts are omitted, because the robot may take them.
     chosen : tuple of str
         Parts on their way to being ready.
     clearing : bool
-        Whether parts that nobody wants are on their way to the chute.
+        Whether unwanted parts are on their way to the chute.
     report : FeedReport
     """
 
@@ -131,31 +139,31 @@ class FeedMemory:
 
 @dataclass(frozen=True)
 class Feeder(TaskRules):
-    """The rules of feeding for one task on one rig."""
+    """Rules of a feeding task on one rig."""
 
     task: FeedTask
     rig: Rig
 
     @property
     def hold_s(self) -> float:
-        """It is never done."""
+        """Infinite: the task is never done [s]."""
         return np.inf
 
     @property
     def endless(self) -> bool:
-        """It goes on until it is canceled."""
+        """True: the task runs until it is canceled."""
         return True
 
     @property
     def open_ended(self) -> bool:
-        """Parts come and go."""
+        """True: parts may be added and removed."""
         return True
 
     def check(self, scenario: Scenario) -> None:
-        """Any recipe that fits the rig will do."""
+        """Accept any recipe. `check_scenario` has already checked that it fits the rig."""
 
     def assess(self, memory: FeedMemory | None, now: Situation) -> tuple[FeedMemory, Assessment]:
-        """Judge one image, and say what is wanted."""
+        """Evaluate one image and return the request, see `TaskRules.assess`."""
         memory = memory or FeedMemory()
         parts, gap = now.parts, free_gap(now.parts, self.rig)
         near = np.array(
@@ -178,7 +186,7 @@ class Feeder(TaskRules):
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
             if name in now.seen.ids or name in memory.place
         }
-        if now.kept:  # what the robot takes is not lost
+        if now.kept:  # parts that the robot takes are not lost
             taken = memory.report.ready.ids
             place = {name: at for name, at in memory.place.items() if name not in taken}
         ready, asked = len(report.ready), sum(pick.ready for pick in self._picks)
@@ -197,7 +205,7 @@ class Feeder(TaskRules):
         )
 
     def keeps_last(self, memory: FeedMemory | None) -> bool:
-        """While a robot hides parts, and none moves, what an image shows does not count."""
+        """Whether the image is ignored: the robot hides parts, and all parts are at rest."""
         report = FeedReport() if memory is None else memory.report
         return (
             self.task.order.hidden and self._mode is FeedMode.REST is report.mode and report.at_rest
@@ -212,11 +220,11 @@ class Feeder(TaskRules):
         return self.task.order.picks or self.task.picks
 
     def _report(self, memory: FeedMemory, now: Situation, rest_from: float) -> FeedReport:
-        """Tell what this image shows, and what has left the plate since the last one; the plate
-        rests from a stamp on [s]."""
+        """Return the report of this image. It counts the parts that left since the last one. The
+        plate rests from `rest_from` [s] on."""
         seen, before = now.seen, memory.report
         hidden = [i for i, name in enumerate(now.parts.ids) if name not in seen.ids]
-        every = _join(seen, now.parts.take(hidden))  # others may stand beside them
+        every = _join(seen, now.parts.take(hidden))  # hidden parts also need clearance
         gap = free_gap(every, self.rig)
         here = np.arange(len(every)) < len(seen)
         ready = np.zeros(len(every), dtype=bool)
@@ -251,12 +259,13 @@ class Feeder(TaskRules):
         return None if self.task.chute is None else (self.task.chute.x, self.task.chute.y)
 
     def _is_wanted(self, name: str) -> bool:
-        """Whether a part is to stay on the plate."""
+        """Whether a part must stay on the plate."""
         labels = [pick.label for pick in self._picks]
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
     def _left_over(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
-        """Over which side a part has left that was last seen (2,) there; None: it has not."""
+        """Return the side over which a part with the last position (2,) [m] left; None if it did
+        not leave."""
         reach = self.rig.part_type(part_class(name)).reach_m
         away = self.rig.plate.half - np.abs(place)
         axis = int(np.argmin(away))
@@ -266,9 +275,9 @@ class Feeder(TaskRules):
         return side if away[axis] <= near * reach else None
 
     def _clearing(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
-        """Whether parts (M,) that nobody wants are to go to the chute now: many of them, or nothing
-        else can be done."""
-        if self._chute is None or self._mode is FeedMode.REST:  # then a robot may look like one
+        """Whether the unwanted parts must move to the chute now: if there are many of them, or if
+        no other part can get ready."""
+        if self._chute is None or self._mode is FeedMode.REST:  # the robot may look like a part
             return self._chute is not None and memory.clearing
         unwanted = sum(not self._is_wanted(name) for name in parts.ids)
         if self._mode is FeedMode.PURGE:
@@ -284,8 +293,11 @@ class Feeder(TaskRules):
         gap: np.ndarray,
         clearing: bool,
     ) -> tuple[Targets | None, tuple[str, ...]]:
-        """Return what is wanted of parts (M,), which are ready (picks, M) or not, and those that
-        are to become so; nothing if enough are, and nothing is to be cleared."""
+        """Return the targets of M parts, and the ids of those that must get ready.
+
+        `near` (picks, M) tells which parts are ready, `gap` (M,) are their free gaps [m]. The
+        targets are None if enough parts are ready and no parts must be cleared.
+        """
         aims, chosen = Aims.none(parts, self.rig), []
         purging = self._mode is FeedMode.PURGE
         for row, pick in enumerate(() if purging else self._picks):
@@ -308,12 +320,12 @@ class Feeder(TaskRules):
 
     @property
     def _keep(self) -> float:
-        """Gap that parts are to keep [m]."""
+        """Minimum gap between parts [m]."""
         return self.task.clearance_m + GAP_MARGIN_M
 
     def _aim(self, aims: Aims, parts: Parts, pick: Pick, near: np.ndarray) -> np.ndarray:
-        """Have parts of a class come to their window and angle, and those that are ready (M,) stay
-        so; return which are of the class (M,)."""
+        """Set the window and angle of a pick as targets of the parts of its class. `near` (M,)
+        tells which are ready. Return which parts are of the class (M,)."""
         mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
         low, high = pick_window(pick, self.rig)
         low, high = behind_wall(low, high, pick.label, self.rig)
@@ -329,8 +341,8 @@ class Feeder(TaskRules):
         return mine
 
     def _aim_at_chute(self, aims: Aims, unwanted: np.ndarray) -> None:
-        """Have parts (n,) that nobody wants go over the chute's edge, the one that is nearest
-        first."""
+        """Set targets beyond the chute's edge for the unwanted parts (n,). The nearest part has the
+        largest weight."""
         out, half = np.array(self._chute, float), self.rig.plate.half
         for axis in np.flatnonzero(out):
             ends = out[axis] * (half[axis] + np.array([BEYOND_M, FAR_M]))
@@ -344,26 +356,26 @@ class Feeder(TaskRules):
 
 @dataclass
 class Aims:
-    """Where M parts are to come, while that is being put together.
+    """Targets of M parts under construction.
 
     Attributes
     ----------
     position : (M, 2)
-        Where they are [m, plate_home].
+        Positions of the parts [m, plate_home].
     low, high : (M, 2)
-        Where they are to come: anywhere between [m, plate_home].
+        Target intervals [m, plate_home].
     weight : (M,)
-        What a metre counts, beside one of the ways that count in full [-].
+        Weight of the distance to go, relative to the full weight [-].
     full : (M,) bool
-        Whether their ways count in full at least.
+        Whether the weight is at least the full weight.
     angle, turn, slack : (M,)
-        Their angles, how far they are to turn, and how much less will do [rad].
+        Angles of the parts, requested rotations, and tolerances of the rotations [rad].
     angled : (M,) bool
-        Whether an angle is asked.
+        Whether an angle is requested.
     leaving : (M,) bool
-        Whether they are to go to the chute.
+        Whether the part must move to the chute.
     reach : (M,)
-        Greatest distance of their rims from their centres [m].
+        Maximum distance of the part's edge from its centre [m].
     """
 
     position: np.ndarray
@@ -380,7 +392,7 @@ class Aims:
 
     @classmethod
     def none(cls, parts: Parts, rig: Rig) -> Aims:
-        """Ask nothing of parts but to stay on the plate."""
+        """Return targets that only keep the parts on the plate."""
         at, count = parts.position, len(parts)
         anywhere = np.tile(rig.plate.half, (count, 1))
         reach = np.array([rig.part_type(part_class(name)).reach_m for name in parts.ids])
@@ -392,14 +404,17 @@ class Aims:
 
     @property
     def left(self) -> np.ndarray:
-        """Ways (M,) that are left, and of turns what their rims have to go [m]."""
+        """Distances to go (M,) plus arc lengths of the remaining rotations at the edge [m]."""
         way = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
         return np.asarray(way + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
 
     def targets(self, gap_m: float) -> Targets:
-        """Return it as targets of parts that keep a gap [m]. Of those that are leaving, and of
-        others, ways are measured by the longest that counts in full; of those that are to be ready
-        at an angle by their own."""
+        """Return the targets of the parts, with a minimum gap [m].
+
+        The weight scales the longest distance with full weight to `FULL_WAY_M`, separately for
+        leaving and for other parts. If a part must get ready at an angle, its own distance is
+        scaled instead.
+        """
         left = self.left
         counts, way = np.zeros(len(left)), np.column_stack([left, 0 * left])
         for who in (self.leaving, ~self.leaving):
@@ -417,14 +432,15 @@ class Aims:
 
 
 def _is_among(parts: Parts, name: str, place: tuple[float, float]) -> bool:
-    """Whether a part of the class of another lies where that was: the same under a new name."""
+    """Whether one of the parts has the class of `name` and is at its place (x, y): the same part
+    with a new id."""
     same = [part_class(each) == part_class(name) for each in parts.ids]
     away = np.hypot(*(parts.position - place).T)
     return bool(np.any(away[np.array(same, dtype=bool)] <= RENAMED_M))
 
 
 def _join(one: Parts, other: Parts) -> Parts:
-    """Return both in one."""
+    """Return the parts of both groups."""
     return Parts.make(
         (*one.ids, *other.ids),
         np.vstack([one.position, other.position]),

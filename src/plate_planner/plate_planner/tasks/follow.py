@@ -1,16 +1,16 @@
-"""Follow: which drift to ask of each part so that it stays on its path.
+"""Rules of a path-following task: a PD controller computes the drift of each part once per cycle.
 
-One PD step per cycle. The answer to image k acts during cycle k+1. So the controller looks at the
-error where the part will be when its answer begins to act, and asks for the mean drift over that
-cycle:
+The answer to image k acts during cycle k+1. So the controller uses the error predicted for the
+start of that cycle, and requests the mean drift over it:
 
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
-kp = 1 corrects the whole predicted error in one cycle. Where one of the last answers began n cycles
-late, kp is divided by 1 + n: the plate may repeat the cycle n times before the next one begins, and
-all of these together correct the error once. The solver brings a part from the drift it has to the
-one it should have: that is the D of PD, with a gain of 1. The drift bias is the known deviation of
-parts from the model. It is part of the prediction, and the planner subtracts it from the request.
+kp = 1 corrects the whole predicted error in one cycle. If one of the last answers began n cycles
+late, kp is divided by 1 + n: the plate may repeat a cycle n times before the next one begins, and
+all of them together must correct the error once. The solver changes a part's drift from the present
+to the requested one. This is the D term, with a gain of 1. The drift bias is the observed deviation
+of parts from the model. It is part of the prediction, and the planner subtracts it from the
+request.
 """
 
 from __future__ import annotations
@@ -31,54 +31,57 @@ from .targets import UNMATCHED, match_targets, matched_rows, rematch_targets, st
 from .task import Assessment, Situation, TaskRules
 
 EDGE = (0.70, 0.85)
-"""Where parts without a path are held back from the edges [fraction of the half side]."""
+"""Start and end of the zone near the edges in which parts without a path are increasingly moved
+inwards [fraction of the half side]."""
 
 LACKING, SLOW_DOWN = 0.1, 0.7
-"""A cycle that lacks more than this fraction of a path's speed takes the speed scaling down to this
-fraction of what it was [-]."""
+"""If the shortfall of drift in a cycle exceeds the first fraction of a path's speed, the speed
+scaling is multiplied by the second [-]."""
 
 LEAST = 0.05
-"""Speed scaling below which no lack of drift takes it [-]. Errors may stop the references: they
-pass. A lack need not pass while nothing moves on, and the task would be stuck."""
+"""Minimum speed scaling due to a shortfall of drift [-]. Errors may stop the references, because
+they then decrease. A shortfall may persist while the references stand still, and the task would be
+stuck."""
 
 NEGLIGIBLE = 0.3e-3
-"""Drift that a cycle may always lack [m/s]: solver and filter leave 0.2 mm/s, no reason to slow
-down on a slow path."""
+"""Shortfall of drift that is always accepted [m/s]. Solver and filter cause about 0.2 mm/s, which
+must not slow down a slow path."""
 
 SLOW_START = 0.1
-"""Speed scaling at the start, and as long as it is not known how old images are [-]: errors are
-then larger the faster all is."""
+"""Speed scaling at the start and until the image latency is known [-]. Until then, errors increase
+with the speed."""
 
 SPEED_UP = 0.1
-"""Growth of the speed scaling in one cycle: smoother than the errors that slow it down [-]."""
+"""Maximum increase of the speed scaling per cycle [-]. It is more gradual than the decrease."""
 
 TURN = 0.12
-"""Acceleration of references at corners, starts and ends [mu g]: they slow down before these."""
+"""Maximum acceleration of references at corners, starts and ends [mu g]. They slow down before
+these."""
 
 CLOSE = 4
-"""Instants in a cycle at which the way ahead is looked at."""
+"""Number of times per cycle at which the paths ahead are sampled."""
 
 
 BIAS_MAX, SPEED_RATIO_MAX = 1.0, 3.0
-"""Greatest drift bias along and across the path, and greatest drift to ask for [path's speed]."""
+"""Maximum drift bias along and across the path, and maximum requested drift [path's speed]."""
 
 SLOW_FROM, SLOW_TO = 0.15, 0.5
-"""Errors at which the references begin to slow down, and stand still [max_error_m]."""
+"""Errors at which the references begin to slow down, and at which they stop [max_error_m]."""
 
 LEAD_TO_M = 1e-3
-"""Parts are led to the starts of their paths as near as this [m], or as `SLOW_FROM` if that is
-more: from there the references can begin at full speed."""
+"""Minimum tolerance of the parts at the starts of their paths [m]. The error `SLOW_FROM` is used if
+it is larger, because the references can then start at full speed."""
 
 KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.01)
-"""Speeds that one, two, ... six parts or more kept on circles [m/s]: docs/results.md, (f), and the
-scenario follow_8."""
+"""Speeds that one, two, ... six or more parts reached on circles [m/s]: docs/results.md, (f), and
+the scenario follow_8."""
 
 REACHED, PERIOD_S = 0.3, 0.1
-"""Share of the bound a T/16 that two parts kept at shaking ratios of 3 and 5 [-], and the length of
-a cycle for few parts, T [s]."""
+"""Fraction of the bound a T/16 that two parts reached at shaking ratios of 3 and 5 [-], and length
+T of a cycle for few parts [s]."""
 
 SLOWED = 0.95
-"""An average pace below this is reported at the end [-]."""
+"""Mean pace below which the result text reports it [-]."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ class FollowOptions:
     kp : float
         Fraction of the predicted position error to correct in one cycle [-].
     observer_gain : float
-        Fraction of what a cycle does otherwise than predicted that counts as drift bias [-].
+        Gain of the drift bias observer: weight of the newest prediction error [-].
     """
 
     kp: float = 0.8
@@ -100,7 +103,7 @@ class FollowOptions:
         "kp": (0.0, 2.0),
         "observer_gain": (0.0, 1.0),
     }
-    """Of each: least and most that is allowed."""
+    """Allowed range of each option."""
 
 
 def pd_drift(
@@ -111,20 +114,20 @@ def pd_drift(
     kp: float,
     speed_max: np.ndarray,
 ) -> np.ndarray:
-    """Drift wanted over the cycle in which the answer acts.
+    """Return the requested mean drift over the cycle in which the answer acts.
 
     Parameters
     ----------
     predicted : (M, 2)
-        Positions when the cycle begins [m, plate_home].
+        Predicted positions at the start of the cycle [m, plate_home].
     reference, reference_after : (M, 2)
-        Where the parts should be when it begins, and when it ends [m, plate_home].
+        Reference positions at the start and at the end of the cycle [m, plate_home].
     period : float
         Length of a cycle [s].
     kp : float
         Fraction of the error to correct [-].
     speed_max : (M,)
-        Bound of the result's magnitude [m/s].
+        Maximum magnitude of the result [m/s].
 
     Returns
     -------
@@ -138,26 +141,26 @@ def pd_drift(
 
 @dataclass(frozen=True)
 class FollowMemory:
-    """What following remembers from image to image.
+    """Memory of the path-following rules between images.
 
     Attributes
     ----------
     match : tuple of str
         Id of the part of each path.
     began : float
-        Stamp at which the references leave their first corners [s].
+        Time at which the references leave their first corners [s].
     anchor, progress : float
-        A stamp [s], and how far on their paths the references are then [s at full speed].
+        A time [s], and the path time of the references at this time [s at full speed].
     scaling : (float, float)
-        Seconds on the path per second, before the anchor and after it: 1 is full speed.
+        Speed scaling before and after the anchor: path time per time. 1 is full speed.
     leading : bool
-        Whether parts are still led to the starts of their paths; the references wait.
+        Whether parts are still moving to the starts of their paths. The references wait.
     lead_s : float
-        How long that took [s].
+        Duration of this motion [s].
     square_sum, samples : float, int
-        Sum of squared distances from the references [m2], and their number.
+        Sum of squared distances from the references [m2], and number of distances.
     max_error_m : float
-        The greatest of these distances [m].
+        Maximum of these distances [m].
     """
 
     match: tuple[str, ...] = ()
@@ -177,18 +180,18 @@ class FollowMemory:
         return float(np.sqrt(self.square_sum / self.samples)) if self.samples else 0.0
 
     def path_time(self, t: float) -> float:
-        """How far the references are on their paths at a stamp t [s], in seconds at full speed."""
+        """Return the path time of the references at time t [s]: time at full speed [s]."""
         since = t - self.anchor
         return self.progress + since * self.scaling[0 if since < 0 else 1]
 
     def pace(self, t: float) -> float:
-        """Speed of the references over that of their paths, on average until a stamp t [s]."""
+        """Return the mean speed of the references until t [s], relative to that of their paths."""
         return self.path_time(t) / (t - self.began) if t > self.began else 1.0
 
 
 @dataclass(frozen=True)
 class Follower(TaskRules):
-    """The rules of following for one task on one rig."""
+    """Rules of a path-following task on one rig."""
 
     task: FollowTask
     rig: Rig
@@ -196,28 +199,28 @@ class Follower(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """Done as soon as the references have come to their ends [s]."""
+        """0: the task is done when the references reach their ends [s]."""
         return 0.0
 
     @property
     def nearer_m(self) -> float:
-        """References are known without noise: however slow, they come nearer or stand still [m]."""
+        """0: references have no noise, so any decrease of the distance is progress [m]."""
         return 0.0
 
     @property
     def bias_gain(self) -> float:
-        """As the options say [-]."""
+        """Gain of the drift bias observer, from the options [-]."""
         return self.options.observer_gain
 
     @cached_property
     def paths(self) -> list[PolygonPath]:
-        """The paths, in the order of the task."""
+        """Paths in the order of the task."""
         return [PolygonPath.from_task(path) for path in self.task.paths]
 
     def assess(
         self, memory: FollowMemory | None, now: Situation
     ) -> tuple[FollowMemory | None, Assessment]:
-        """Judge one image, and say what is wanted; see `TaskRules.assess`."""
+        """Evaluate one image and return the request, see `TaskRules.assess`."""
         if not now.active:
             found = Assessment()
         else:
@@ -246,12 +249,12 @@ class Follower(TaskRules):
         )
 
     def _begun(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
-        """Begin, or begin again as long as parts are led to their paths or a cycle's length is not
-        known."""
+        """Begin the task. It begins again while parts move to the starts of their paths, and until
+        the length of a cycle is known."""
         early = memory is None or now.stamp < memory.began - now.period / 2
         if memory is not None and not memory.leading and not (early and now.motion_known):
             return memory
-        # How long the solver's cycles are is known from the first that runs: wait for it.
+        # The first running cycle determines the length of cycles, so wait for it.
         start = now.start if now.motion_known else now.start + now.period
         again = self.begin(now.parts, start)
         if not now.latency_known:
@@ -264,7 +267,7 @@ class Follower(TaskRules):
         return replace(again, leading=leading, lead_s=led)
 
     def _lead(self, memory: FollowMemory, now: Situation) -> Assessment:
-        """Bring parts to the starts of their paths, round each other, as in assembling."""
+        """Return the assessment while parts move to the starts of their paths, as in assembling."""
         found = self._leader.assess(None, now)[1]
         return replace(
             found,
@@ -277,13 +280,13 @@ class Follower(TaskRules):
 
     @cached_property
     def _leader(self) -> Assembler:
-        """The rules by which parts are led to the starts of their paths."""
+        """Rules for the motion of the parts to the starts of their paths."""
         starts = tuple(path.waypoint[0] for path in self.task.paths)
         near = max(SLOW_FROM * self.task.max_error_m, LEAD_TO_M)
         return Assembler(AssembleTask(tuple(self._labels), starts, near, 0.0), self.rig)
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse a path that takes longer at its speed than the scenario's time limit."""
+        """Raise a `ScenarioError` if a path takes longer at its speed than the time limit."""
         k = int(np.argmax([path.duration for path in self.paths]))
         takes, limit = self.paths[k].duration, scenario.time_limit_s
         if takes > limit:
@@ -293,7 +296,8 @@ class Follower(TaskRules):
             )
 
     def doubts(self) -> tuple[str, ...]:
-        """Say that paths are faster than was ever kept, or than any motion of the plate allows."""
+        """Return a warning if paths are faster than was reached before, or than any motion of the
+        plate allows."""
         count, fastest = len(self.paths), float(np.max(self._speeds))
         kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
         if fastest <= kept:
@@ -308,17 +312,17 @@ class Follower(TaskRules):
 
     @property
     def _bound(self) -> float:
-        """Greatest mean speed that any motion of the plate gives a part [m/s], a T/16."""
+        """Upper bound a T/16 of the mean speed of a part for any motion of the plate [m/s]."""
         return self.rig.gamma * self.rig.friction.accel * PERIOD_S / 16
 
     def begin(self, parts: Parts, start: float) -> FollowMemory:
-        """Match parts to paths; the references leave at `start` [s]."""
+        """Match parts to paths. The references start at `start` [s]."""
         memory = FollowMemory(began=start, anchor=start)
         target = self.reference(memory, start)
         return replace(memory, match=match_targets(self._labels, target, parts))
 
     def measure(self, memory: FollowMemory, now: Situation) -> FollowMemory:
-        """Take one image into the match, the error statistics and the speed scaling."""
+        """Update the match, the error statistics and the speed scaling with an image."""
         reference = self.reference(memory, now.stamp)
         match = rematch_targets(
             memory.match, self._labels, reference, now.parts, self.task.max_error_m
@@ -338,24 +342,26 @@ class Follower(TaskRules):
             square_sum=memory.square_sum + float(np.sum(distance**2)),
             samples=memory.samples + len(distance),
             max_error_m=max(memory.max_error_m, worst),
-            # Until the answer begins to act, the references do as was said before.
+            # Until the answer takes effect, the references keep their previous speed.
             anchor=now.start,
             progress=time,
             scaling=(before, after),
         )
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
-        """Speed scaling after another, for an error [m] and a lack of drift [path's speed]."""
+        """Return the next speed scaling, for an error [m] and a shortfall of drift [path's
+        speed]."""
         room = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
         return float(np.clip(room, 0, min(1.0, most)))
 
     def _ahead(self, time: float, period: float) -> float:
-        """Greatest speed scaling at a time [s] on the paths from which no corner ahead needs more
-        than an acceleration of `TURN`.
+        """Return the maximum speed scaling at a path time [s] at which no corner ahead requires a
+        higher acceleration than `TURN`.
 
-        At a scaling s the time on the paths advances by s dt, so s ds/dtime = a/v: s^2 may be
-        larger by 2 a/v for each second that a corner is away.
+        With the scaling s, the path time advances by s dt. At the deceleration a and the speed v of
+        the path, s ds/dtime = a/v. So s^2 may be larger by 2 a/v per second of path time to a
+        corner.
         """
         accel, fastest = TURN * self.rig.friction.accel, float(np.max(self._speeds))
         away = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)
@@ -369,28 +375,29 @@ class Follower(TaskRules):
         return float(np.sqrt(np.min(slow**2 + 2 * accel / fastest * away)))
 
     def reference(self, memory: FollowMemory, t: float) -> np.ndarray:
-        """Where the part of each path should be (P, 2) [m, plate_home] at a stamp t [s]."""
+        """Return the reference position of each path (P, 2) [m, plate_home] at time t [s]."""
         time = memory.path_time(t)
         return np.array([path.position(time) for path in self.paths])
 
     def to_go(self, memory: FollowMemory, t: float) -> float:
-        """Length of the longest way still to go [m], at greatest speed."""
+        """Return the maximum remaining path length [m]: remaining path time times maximum speed."""
         time = memory.path_time(t)
         return max(max(path.duration - time, 0) * path.speed for path in self.paths)
 
     def errors(self, memory: FollowMemory, parts: Parts, t: float) -> np.ndarray:
-        """Distance of each part (M,) from its reference [m]; 0 for a part without one."""
+        """Return the distance of each part (M,) from its reference [m]; 0 without a path."""
         result = np.zeros(len(parts))
         path, part = matched_rows(memory.match, parts)
         result[part] = np.hypot(*(parts.position[part] - self.reference(memory, t)[path]).T)
         return result
 
     def finished(self, memory: FollowMemory, t: float) -> bool:
-        """Whether all references have come to the end of their last lap."""
+        """Whether all references have reached the ends of their last laps."""
         return memory.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
 
     def problem(self, memory: FollowMemory, parts: Parts, t: float) -> str:
-        """Say which part is too far off its path, and what would help; empty if none is."""
+        """Return a text on the part farthest from its path, with a remedy. It is empty if all
+        errors are allowed."""
         error = self.errors(memory, parts, t)
         if not len(error) or np.max(error) <= self.task.max_error_m:
             return ""
@@ -403,7 +410,7 @@ class Follower(TaskRules):
         )
 
     def outcome(self, memory: FollowMemory, t: float) -> str:
-        """Sum up how the paths were followed until a stamp t [s]."""
+        """Return a summary of errors and pace until time t [s]."""
         text = f"error {1e3 * memory.rms_error_m:.2f} mm RMS, {1e3 * memory.max_error_m:.2f} most"
         if memory.lead_s > 0:
             text += f"; {memory.lead_s:.1f} s of it to the starts of the paths"
@@ -417,7 +424,7 @@ class Follower(TaskRules):
         )
 
     def bias_axes(self, memory: FollowMemory | None, parts: Parts, t: float) -> np.ndarray:
-        """Unit vectors (M, 2, 2), in rows, along and across the path of each part."""
+        """Return unit vectors (M, 2, 2), in rows, along and across each part's path."""
         axes = super().bias_axes(memory, parts, t)
         if memory is not None:
             path, part = matched_rows(memory.match, parts)
@@ -428,7 +435,7 @@ class Follower(TaskRules):
         return axes
 
     def bias_limit(self, memory: FollowMemory | None, parts: Parts, period: float) -> np.ndarray:
-        """Greatest bias (M,) to be believed [m/s]; 0 for parts without a path."""
+        """Return the maximum drift bias (M,) [m/s]; 0 for parts without a path."""
         limit = np.zeros(len(parts))
         if memory is not None:
             path, part = matched_rows(memory.match, parts)
@@ -436,7 +443,7 @@ class Follower(TaskRules):
         return limit
 
     def _request(self, memory: FollowMemory, now: Situation) -> DriftInterval:
-        """Return the drift wanted of each part; parts without a path are only kept on the plate."""
+        """Return the requested drifts. Parts without a path are only kept on the plate."""
         speed, half = float(np.max(self._speeds)), self.rig.plate.half
         intervals = [
             stay_within(now.parts.position[:, k], half[k], *EDGE, speed, 2 * speed)
@@ -444,9 +451,9 @@ class Follower(TaskRules):
         ]
         low, high = (np.column_stack(ends) for ends in zip(*intervals, strict=True))
         path, part = matched_rows(memory.match, now.parts)
-        # What is predicted by images of unknown age may be wrong by more than the parts have moved.
+        # With an unknown latency, prediction errors may exceed the motion of the parts.
         scaling = 1.0 if now.latency_known else memory.scaling[1]
-        # A cycle may run 1 + late times before the next answer: all of them are one correction.
+        # A cycle may run 1 + late times before the next answer. Together they are one correction.
         times = 1 + now.late
         low[part] = high[part] = pd_drift(
             now.predicted[part],
@@ -464,10 +471,10 @@ class Follower(TaskRules):
 
     @cached_property
     def _speeds(self) -> np.ndarray:
-        """Greatest speed of each path (P,) [m/s]."""
+        """Maximum speed of each path (P,) [m/s]."""
         return np.array([path.speed for path in self.paths])
 
 
 def _not_seen(memory: FollowMemory, parts: Parts) -> tuple[str, ...]:
-    """Name the parts of the paths that are not seen."""
+    """Return the ids of matched parts that are not in `parts`."""
     return tuple(i for i in memory.match if i not in parts.ids and i != UNMATCHED)

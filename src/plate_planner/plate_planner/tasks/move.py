@@ -1,8 +1,8 @@
-"""Move: parts to targets of their own, which may be changed while it runs.
+"""Rules of a moving task: individual targets for parts, which may change while the task runs.
 
-As in `pose`, each cycle is to leave as little as possible of the ways to the targets. A part
-without one is to stay where it was when the task began, or when it was seen first, but it counts
-less near the targets: it makes room.
+As in `pose`, each cycle minimises the sum of squared weighted distances to the targets. A part
+without a target should stay at its home: its position at the start of the task or at its first
+detection. If all other distances are short, its weight is relatively small, so that it makes room.
 """
 
 from __future__ import annotations
@@ -21,37 +21,38 @@ from .targets import GAP, way_weight
 from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
-"""How near to its target a part is asked for [tolerance]."""
+"""Half width of the target intervals of position and angle [tolerance]."""
 
 HOME, HOME_MOST, HOME_BAND_M = 2.0, 0.2, 5e-3
-"""What a metre counts for a part without a target, beside one of the parts with one, and at most
-[-]: so it is not swept along while ways are long, and makes room at their ends. And how far it may
-be from where it was before that counts [m]."""
+"""Weight of a part without a target relative to parts with one, and its maximum [-]. So the part is
+not swept along while distances are long, and makes room when they are short. The third value is the
+deviation from its home that has no error [m]."""
 
 
 @dataclass(frozen=True)
 class MoveMemory:
-    """Where parts were (x, y) [m, plate_home] when the task began, or when they were seen first."""
+    """Homes (x, y) [m, plate_home] of the parts: positions at the start of the task or at their
+    first detection."""
 
     home: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Ways:
-    """What is left of the ways of M parts.
+    """Remaining motion of M parts.
 
     Attributes
     ----------
     asked : (M,) bool
         Whether the part has a target.
     aim : (M, 2)
-        The target, else where it was [m, plate_home].
+        Target or, without one, home [m, plate_home].
     distance : (M,)
-        From there [m].
+        Distance from `aim` [m].
     missing : (M,)
-        Angle still to turn [rad]; 0 where any will do.
+        Remaining rotation [rad]; 0 if no angle is requested.
     turned : (M,) bool
-        Whether an angle is asked.
+        Whether an angle is requested.
     """
 
     asked: np.ndarray
@@ -63,25 +64,25 @@ class Ways:
 
 @dataclass(frozen=True)
 class Mover(TaskRules):
-    """The rules of moving for one task on one rig."""
+    """Rules of a moving task on one rig."""
 
     task: MoveTask
     rig: Rig
 
     @property
     def hold_s(self) -> float:
-        """Done when all targets have been reached for this long [s]."""
+        """Time for which all parts must be at their targets [s]."""
         return self.task.hold_s
 
     @property
     def endless(self) -> bool:
-        """Whether it goes on until it is canceled."""
+        """Whether the task runs until it is canceled."""
         return self.task.until_canceled
 
     def assess(
         self, memory: MoveMemory | None, now: Situation
     ) -> tuple[MoveMemory | None, Assessment]:
-        """Judge one image, and say what is wanted; see `TaskRules.assess`."""
+        """Evaluate one image and return the request, see `TaskRules.assess`."""
         if not now.active:
             return memory, Assessment()
         parts, before = now.parts, {} if memory is None else memory.home
@@ -111,7 +112,7 @@ class Mover(TaskRules):
         )
 
     def ways(self, memory: MoveMemory, parts: Parts) -> Ways:
-        """Return what is left of the ways of the parts, as seen (M)."""
+        """Return the remaining motion of M parts."""
         row = rows_of(parts.ids, tuple(target.id for target in self.task.targets))
         aim = np.array([memory.home[name] for name in parts.ids]).reshape(-1, 2)
         missing, turned = np.zeros(len(parts)), np.zeros(len(parts), bool)
@@ -128,7 +129,7 @@ class Mover(TaskRules):
         return Ways(row >= 0, aim, np.hypot(*(aim - parts.position).T), missing, turned)
 
     def request(self, parts: Parts, ways: Ways) -> Targets:
-        """Return targets of the parts, as seen (M)."""
+        """Return the targets of M parts."""
         reach = np.array([part.reach_m for part in self._types(parts)])
         left = np.where(ways.asked, np.maximum(ways.distance, reach * np.abs(ways.missing)), 0.0)
         counts = way_weight(np.column_stack([left, 0 * left]))
@@ -142,7 +143,7 @@ class Mover(TaskRules):
         return Targets(ways.aim - band, ways.aim + band, weight, gap, angles)
 
     def _in_the_way(self, parts: Parts, ways: Ways, there: np.ndarray) -> list[str]:
-        """Say which parts lie on targets of others."""
+        """Return texts on the parts that occupy targets of other parts."""
         reach = np.array([part.reach_m for part in self._types(parts)])
         found = []
         for k in np.flatnonzero(ways.asked & ~there):

@@ -1,4 +1,4 @@
-"""Polygons that are run through: where a part should be at any time."""
+"""Polygonal paths with a speed profile: reference position of a part as a function of time."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from plate_core.tasks import PathTask
 
 @dataclass(frozen=True)
 class PolygonPath:
-    """A polygon that is run through, from rest at its first corner.
+    """Polygonal path that begins at its first corner.
 
-    Between two entries of the profile the speed v changes linearly with the length s of the way:
+    Between two entries of the profile the speed v changes linearly with the arc length s:
     dv/ds = k, so v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
 
     Attributes
     ----------
     corner : (n, 2)
-        Corners [m, plate_home]; for a closed path the last is the first again.
+        Corners [m, plate_home]. The last corner of a closed path is a copy of the first.
     arc : (n,)
         Length of the path up to each corner [m].
     speed : float
-        Greatest speed along the path [m/s].
+        Maximum speed along the path [m/s].
     laps : float
-        Times round; 1 for an open path.
+        Number of laps; 1 for an open path.
     profile : (k, 3)
         Arc length [m], speed [m/s] and time since the lap began [s] at the entries of the speed
         profile.
@@ -40,7 +40,7 @@ class PolygonPath:
 
     @classmethod
     def from_task(cls, task: PathTask) -> PolygonPath:
-        """Build the path that a scenario asks for."""
+        """Build the path of a scenario."""
         corner = np.array(task.waypoint, dtype=float)
         if task.closed:
             corner = np.vstack([corner, corner[:1]])
@@ -60,15 +60,15 @@ class PolygonPath:
         return float(whole * self._lap_time + self._time_at(part * self.length))
 
     def position(self, t: np.ndarray | float) -> np.ndarray:
-        """Reference position (..., 2) [m, plate_home] at times t (...) [s].
+        """Return the reference position (..., 2) [m, plate_home] at times t (...) [s].
 
-        Before t = 0 it is the first corner, after the duration the end.
+        It is the first corner for t < 0, and the end of the path after the duration.
         """
         along = self._along(t)
         return np.stack([np.interp(along, self.arc, axis) for axis in self.corner.T], axis=-1)
 
     def heading(self, t: np.ndarray | float) -> np.ndarray:
-        """Direction (..., 2) of the edge that the reference is on at times t (...) [s]."""
+        """Return the direction (..., 2) of the edge with the reference at times t (...) [s]."""
         edge = np.searchsorted(self.arc, self._along(t), side="right") - 1
         edge = np.clip(edge, 0, len(self.arc) - 2)
         return np.asarray((np.diff(self.corner, axis=0) / np.diff(self.arc)[:, None])[edge])
@@ -78,14 +78,15 @@ class PolygonPath:
         return float(self.profile[-1, 2])
 
     def _time_at(self, along: float) -> float:
-        """Time [s] from the beginning of a lap to an arc length [m]."""
+        """Return the time [s] from the start of a lap to an arc length [m]."""
         s, v, t = self.profile.T
         i = int(np.clip(np.searchsorted(s, along, side="right") - 1, 0, len(s) - 2))
         there = np.interp(along, s, v)
         return float(t[i] + (along - s[i]) / _log_mean(v[i], there))
 
     def _along(self, t: np.ndarray | float) -> np.ndarray:
-        """Arc length within the lap (...) [m]; the end of a lap is the start of the next."""
+        """Return the arc length within the lap (...) [m]. The end of a lap is the start of the
+        next."""
         since = np.clip(np.asarray(t, dtype=float), 0, self.duration)
         if self.laps != 1:
             since = np.mod(since, self._lap_time)
@@ -97,14 +98,15 @@ class PolygonPath:
 
 
 def _profile(pairs: tuple[tuple[float, float], ...], length: float) -> np.ndarray:
-    """Arc length, speed and time (k, 3) at the entries (fraction of the length, speed)."""
+    """Return arc length, speed and time (k, 3) at the entries (fraction of the length, speed)."""
     fraction, speed = np.array(pairs).T
     step = length * np.diff(fraction) / _log_mean(speed[:-1], speed[1:])
     return np.column_stack([length * fraction, speed, np.append(0.0, np.cumsum(step))])
 
 
 def _log_mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Mean speed over a segment on which speed grows from a to b linearly with the way."""
+    """Return the mean speed on a segment on which the speed changes from a to b linearly with the
+    arc length: (b - a)/log(b/a)."""
     ratio = np.log(np.asarray(b) / a)
     return np.asarray(a * _expm1_over(ratio))
 

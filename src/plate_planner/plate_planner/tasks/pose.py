@@ -1,8 +1,8 @@
-"""Pose: where each part is to go, and which way it is to lie.
+"""Rules of a posing task: parts move to places and rotate to angles.
 
-As in `assemble`, each cycle is to leave as little as possible of the ways to the places, and of the
-angles: these count as the ways of the parts' rims. A part that looks the same in several directions
-turns to the nearest of them.
+As in `assemble`, each cycle minimises the sum of squared weighted distances to the places. A
+rotation counts as the arc length at the part's edge. A part with a rotational symmetry rotates to
+the nearest equivalent angle.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from .targets import GAP, UNMATCHED, match_by_cost, matched_rows, way_weight
 from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
-"""How near to its place and angle a part is asked for [tolerance]."""
+"""Half width of the target intervals of position and angle [tolerance]."""
 
 STAY = 1.0
-"""What a metre counts for a part that has to stay where it is, beside one over an edge [-]."""
+"""Minimum weight of a part that must stay at its position, relative to errors at edges [-]."""
 
 
 @dataclass(frozen=True)
 class PoseMemory:
-    """Which part has which pose.
+    """Assignment of parts to poses.
 
     Attributes
     ----------
     match : tuple of str
-        Id of the part that has each pose.
+        Id of the part of each pose.
     place : (P, 2)
-        Where it is to be [m, plate_home]; NaN for anywhere.
+        Position of each pose [m, plate_home]; NaN accepts any position.
     """
 
     match: tuple[str, ...] = ()
@@ -42,20 +42,20 @@ class PoseMemory:
 
 @dataclass(frozen=True)
 class Poser(TaskRules):
-    """The rules of posing for one task on one rig."""
+    """Rules of a posing task on one rig."""
 
     task: PoseTask
     rig: Rig
 
     @property
     def hold_s(self) -> float:
-        """Done when all parts have been in their poses for this long [s]."""
+        """Time for which all parts must be in their poses [s]."""
         return self.task.hold_s
 
     def assess(
         self, memory: PoseMemory | None, now: Situation
     ) -> tuple[PoseMemory | None, Assessment]:
-        """Judge one image, and say what is wanted; see `TaskRules.assess`."""
+        """Evaluate one image and return the request, see `TaskRules.assess`."""
         if not now.active:
             return memory, Assessment()
         parts = now.parts
@@ -80,7 +80,8 @@ class Poser(TaskRules):
         )
 
     def begin(self, parts: Parts) -> PoseMemory:
-        """Give each part a pose of its class, so that the sum of squared ways and arcs is least."""
+        """Assign to each pose a part of its class, with the minimum sum of squared distances and
+        arcs."""
         poses = self.task.poses
         place = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
         way = place[:, None] - parts.position
@@ -93,8 +94,8 @@ class Poser(TaskRules):
         return PoseMemory(match, place)
 
     def errors(self, memory: PoseMemory, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Distance from its place [m] and angle still to turn [rad] of each part (M,); 0 for one
-        without a pose."""
+        """Return the distance from its place [m] and the remaining rotation [rad] of each part
+        (M,). Both are 0 for a part without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
         away = np.hypot(*(memory.place[pose] - parts.position[part]).T)
@@ -104,14 +105,15 @@ class Poser(TaskRules):
         return distance, angle
 
     def count(self, memory: PoseMemory, parts: Parts) -> int:
-        """How many parts are in their poses."""
+        """Return the number of parts in their poses."""
         distance, angle = self.errors(memory, parts)
         there = distance <= self.task.tolerance_m
         there &= np.abs(angle) <= self.task.tolerance_rad
         return int(np.count_nonzero(there[matched_rows(memory.match, parts)[1]]))
 
     def problem(self, memory: PoseMemory, parts: Parts) -> str:
-        """Say which part is too far from where it was to stay; empty if none is."""
+        """Return a text on the part farthest from the position at which it must stay. It is empty
+        if all are within the tolerance."""
         distance, _ = self.errors(memory, parts)
         pose, part = matched_rows(memory.match, parts)
         stays = np.array([self.task.poses[row].place is None for row in pose], dtype=bool)
@@ -128,8 +130,7 @@ class Poser(TaskRules):
         )
 
     def request(self, memory: PoseMemory, parts: Parts) -> Targets:
-        """Return places and angles of the parts, as seen (M); one without a pose is only kept on
-        the plate."""
+        """Return the targets of M parts. A part without a pose is only kept on the plate."""
         _, missing = self.errors(memory, parts)
         aim, weight = parts.position.copy(), np.zeros((len(parts), 2))
         turned = np.zeros(len(parts))
@@ -153,6 +154,7 @@ class Poser(TaskRules):
         return self.rig.part_type(label).reach_m
 
     def _missing(self, pose: Pose, angle: np.ndarray) -> np.ndarray:
-        """Return by how much parts of its class at angles (...) [rad] have to turn [rad]."""
+        """Return the rotation [rad] from angles (...) [rad] to the nearest equivalent angle of the
+        pose."""
         period = 2 * np.pi / max(self.rig.part_type(pose.label).symmetry, 1)
         return np.asarray((pose.angle - angle + period / 2) % period - period / 2)

@@ -1,7 +1,8 @@
-"""Sort: where each part is to go so that every class ends in its region.
+"""Rules of a sorting task: each part moves to the region of its class.
 
-Only what the task needs is asked: a part may be anywhere in its region, and what the region leaves
-open is free. What is not asked leaves the solver freedom, and with many parts it has none to waste.
+The targets are intervals: a part may be anywhere in its region, and coordinates that the region
+does not restrict are free. This leaves the solver as much freedom as possible, which it needs with
+many parts. Parts that cross the plate in opposite directions pass each other in two lanes.
 """
 
 from __future__ import annotations
@@ -20,44 +21,45 @@ from .targets import CROWD, GAP, assign, way_weight
 from .task import Assessment, Situation, TaskRules
 
 MARGIN, END = 0.03, 0.85
-"""How far beyond the goal line parts are to go, and how much of a side or corner holds parts
-[fraction of the half length and width]."""
+"""Distance of the targets beyond the goal line, and outer end of the area that counts for the
+capacity of a side or corner [fraction of the half length and width]."""
 
 LANE, CROWDED_LANE, LANE_M, LANE_AT = 0.1, 0.3, 0.1, 0.25
-"""What a metre beside its lane counts for a part with a way as long as the third [m] or longer, and
-in a crowd; and where lanes begin [fraction of the half width]."""
+"""Weight of the distance from a lane for parts with at least `LANE_M` [m] to go along x, normally
+and in a crowd [-]; and inner edge of the lanes [fraction of the half width]. For shorter distances
+the weight is proportional to the distance."""
 
 SWITCH = 0.3
-"""The hand of a swirl changes if parts are on average so far on the wrong side [fraction of the
-half width]."""
+"""Mean displacement of the parts to the wrong side at which the swirl changes its direction
+[fraction of the half width]."""
 
 SLOT_SPACING, SLOT_CLEAR = 3.5, 1.25
-"""Distance of neighbouring slots, and of slots from the bin's sides [part radii]."""
+"""Distance between neighbouring slots, and of slots from the bin's sides [part radii]."""
 
 GRID_TRIES = 4
-"""Shifts of the grid of slots that are tried along each axis: the one with most slots is taken."""
+"""Number of shifts of the grid of slots along each axis. The shift with the most slots is used."""
 
 
 @dataclass(frozen=True)
 class Sorter(TaskRules):
-    """The rules of sorting for one task on one rig."""
+    """Rules of a sorting task on one rig."""
 
     task: SortTask
     rig: Rig
 
     @property
     def hold_s(self) -> float:
-        """Done when all parts have been sorted for this long [s]."""
+        """Time for which all parts must be in their regions [s]."""
         return self.task.hold_s
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse a scenario with a region that has no room for its parts, or with two bins in one
-        place.
+        """Check that each region has room for its parts, and that bins do not overlap.
 
         Raises
         ------
         ScenarioError
-            Names the class, how many parts it has and how many there is room for; or both classes.
+            With the class, its number of parts and the capacity of its region, or with both classes
+            of overlapping bins.
         """
         for group in scenario.parts:
             region = self.task.regions[group.label]
@@ -86,7 +88,7 @@ class Sorter(TaskRules):
                 )
 
     def _room(self, label: str, region: Side) -> int:
-        """How many parts of a class find room in a side or corner, in a square pattern."""
+        """Return the capacity of a side or corner for parts of a class in a square pattern."""
         half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
         goal = self.task.goal_fraction
         ends = np.maximum(END, goal + 4 * MARGIN)
@@ -96,7 +98,8 @@ class Sorter(TaskRules):
         return int(np.prod(np.maximum(1 + np.floor(span / wide + 1e-9), 0)))
 
     def assess(self, memory: float | None, now: Situation) -> tuple[float, Assessment]:
-        """Judge one image, and say what is wanted; the hand of the swirl is remembered."""
+        """Evaluate one image and return the request, see `TaskRules.assess`. The memory is the
+        direction of the swirl."""
         to_go = self.to_go(now.parts)
         count, total = int(np.sum(to_go == 0)), int(np.sum(~np.isnan(to_go)))
         distance = np.nan_to_num(to_go)
@@ -112,10 +115,11 @@ class Sorter(TaskRules):
         )
 
     def to_go(self, parts: Parts) -> np.ndarray:
-        """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one."""
+        """Return the distance of each part (M,) from its region [m]. It is 0 inside, and NaN for a
+        class without a region."""
         sign, goal = self._signs(parts), self.task.goal_fraction * self.rig.plate.half
         short = np.where(sign != 0, np.maximum(goal - parts.position * sign, 0), 0)
-        # On the line itself is not beyond it.
+        # A part on the goal line is not yet in its region.
         on_line = np.any((sign != 0) & (parts.position * sign <= goal), axis=1)
         result = np.maximum(np.hypot(*short.T), np.where(on_line, np.finfo(float).tiny, 0))
         result[~np.any(sign, axis=1)] = np.nan
@@ -126,9 +130,9 @@ class Sorter(TaskRules):
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
-        """Return which way the parts are to swirl: 1 where those for the right pass above those for
-        the left, -1 where below. Opposite corners say which; else it changes only where the other
-        way is much nearer."""
+        """Return the direction of the swirl: 1 if parts to the right pass above parts to the left,
+        and -1 if they pass below. Opposite corners determine it. Otherwise it changes only if the
+        other direction is much closer to the present positions."""
         sign = self._signs(parts)
         if diagonal := _diagonal(sign):
             return diagonal
@@ -139,7 +143,7 @@ class Sorter(TaskRules):
         return before
 
     def request(self, parts: Parts, hand: float) -> Targets:
-        """Return the target of each part, as seen (M)."""
+        """Return the targets of M parts, for a direction of the swirl."""
         sign, half = self._signs(parts), self.rig.plate.half
         line = (self.task.goal_fraction + MARGIN) * half
         way = self._ways(parts, sign)
@@ -154,14 +158,15 @@ class Sorter(TaskRules):
             way[rows] = place - parts.position[rows]
         asked = (low > -half) | (high < half)
         weight = np.where(asked, way_weight(way), 0.0)
-        # Far from their sides, those for either keep to their half: so one swirl carries all.
+        # Far from their sides, parts to the left and to the right use different lanes, so that one
+        # swirl moves all of them.
         most = CROWDED_LANE if len(parts) > CROWD else LANE
         lane = most * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
-            lane[:] = 0  # all go one way
-        lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0  # on to the corner
+            lane[:] = 0  # all move in one direction
+        lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0  # corner dominates
         upper = hand * sign[:, 0] > 0
         middle = LANE_AT * half[1]
         low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
@@ -170,18 +175,20 @@ class Sorter(TaskRules):
         return Targets(low, high, weight, GAP * self.rig.parts.radius_m)
 
     def _ways(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
-        """Ways (M, 2) [m] to a little beyond the goal lines of sides (M, 2)."""
+        """Return the distances (M, 2) [m] to the targets, `MARGIN` beyond the goal lines. `sign`
+        (M, 2) are the signs of the sides."""
         line = (self.task.goal_fraction + MARGIN) * self.rig.plate.half
         return np.where(sign != 0, np.maximum(line - parts.position * sign, 0), 0)
 
     def _signs(self, parts: Parts) -> np.ndarray:
-        """Signs (M, 2) of the sides where parts belong; 0 where they may be anywhere."""
+        """Return the signs (M, 2) of the parts' sides along x and y; 0 if a coordinate is free."""
         sides = {k: v for k, v in self.task.regions.items() if isinstance(v, Side)}
         signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in parts.ids]
         return np.array(signs, dtype=float).reshape(-1, 2)
 
     def _binned(self, parts: Parts) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Rows of parts that belong in each bin, the bin's corners (n, 2), its slots (k, 2)."""
+        """Return for each bin the indices of its parts, its corners (n, 2), and its slots (k,
+        2)."""
         label = np.array([part_class(i) for i in parts.ids])
         found = [(np.flatnonzero(label == name), *bin_) for name, bin_ in self._bins.items()]
         return [(rows, corner, slot) for rows, corner, slot in found if len(rows)]
@@ -193,8 +200,8 @@ class Sorter(TaskRules):
 
 
 def _diagonal(sign: np.ndarray) -> float:
-    """Return 1 where parts (M, 2) belong in the bottom left and top right corners, and both do, -1
-    for the other two, 0 for other regions."""
+    """Return 1 if the regions of all parts are the bottom left and the top right corner, -1 for the
+    other two corners, and 0 for other regions. `sign` (M, 2) are the signs of the sides."""
     side = np.prod(sign, axis=1)
     if not len(side) or np.ptp(sign[:, 0]) == 0 or np.ptp(side) != 0:
         return 0.0
@@ -202,19 +209,19 @@ def _diagonal(sign: np.ndarray) -> float:
 
 
 def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
-    """Return places (n, 2) [m] in a bin for parts of a class: behind the wall along the plate's
-    edges, or, where it has none there, as far from them as they have to be."""
+    """Return places (n, 2) [m] in a bin for parts of a class. They are inside the wall along the
+    plate's edges. If the bin has no such places, the minimum distance from the edges is used."""
     margin = rig.edge_margin(label)
     behind = _grid(region, margin.wall_m, rig)
     return behind if len(behind) else _grid(region, margin.least_m, rig)
 
 
 def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
-    """Return places (n, 2) [m] in a bin, on a square grid, apart from each other and its sides, and
-    so far from the plate's edges [m]."""
+    """Return places (n, 2) [m] in a bin on a square grid, at least `edge_m` from the plate's
+    edges."""
     corner = np.array(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
-    room = rig.plate.half - edge_m + clear  # the grid keeps so clear of its ends
+    room = rig.plate.half - edge_m + clear  # the grid begins `clear` inside
     low = np.maximum(np.min(corner, axis=0), -room)
     high = np.minimum(np.max(corner, axis=0), room)
     best = np.zeros((0, 2))

@@ -12,10 +12,10 @@ from plate_core import Parts, part_class
 from ..estimation import rows_of
 
 UNMATCHED = ""
-"""Stands for the id of a target without a part."""
+"""Id of the part of a target without a part."""
 
 WRONG_CLASS_M = 1e3
-"""Cost of a part of the wrong class [m]: more than any sum of distances on a plate."""
+"""Cost of a part of the wrong class [m]. It exceeds any sum of distances on a plate."""
 
 FULL_WAY_M, LEAST_WAY_M = 0.006, 0.005
 """Weights scale the longest distance to go to the first length, in comparison with errors at edges,
@@ -49,7 +49,7 @@ def match_targets(
     Returns
     -------
     tuple of P ids
-        Id of the part of each target, UNMATCHED where there is none.
+        Id of the part of each target; UNMATCHED if there is none.
     """
     target = np.reshape(target, (-1, 2))
     square = np.sum((target[:, None] - parts.position[None]) ** 2, axis=2)
@@ -59,8 +59,8 @@ def match_targets(
 def match_by_cost(
     labels: Sequence[str], cost: np.ndarray, parts: Parts, most: float = np.inf
 ) -> tuple[str, ...]:
-    """Match parts to P targets of their class so that the sum of costs (P, M) [m2] is least; pairs
-    that cost more than `most` are not matched. Returns as `match_targets`."""
+    """Match parts to P targets of their class with the minimum sum of costs (P, M) [m2]. Pairs that
+    cost more than `most` are not matched. The result is that of `match_targets`."""
     match = [UNMATCHED] * len(labels)
     if not len(parts) or not labels:
         return tuple(match)
@@ -105,7 +105,7 @@ def matched_rows(match: tuple[str, ...], parts: Parts) -> tuple[np.ndarray, np.n
 
 
 def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarray:
-    """Assign parts to places (P, 2) [m] of their class: least sum of squared distances.
+    """Assign parts to places (P, 2) [m] of their class, with the minimum sum of squared distances.
 
     Returns
     -------
