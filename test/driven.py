@@ -77,7 +77,8 @@ class Driven:
         self.clock, self.log, self.said, self._ticks = Clock(), Log(), defaultdict(list), 0
         for module in (
             "plate_core.ros.diagnostics", "plate_driver.node", "plate_driver.safety.node",
-            "plate_driver.transports.thread",
+            "plate_driver.transports.thread", "plate_driver.transport_owner",
+            "plate_driver.ros.raw_inputs",
         ):  # fmt: skip
             monkeypatch.setattr(f"{module}.time", self.clock)
         monkeypatch.setattr(TransportThread, "start", lambda _: None)  # `pass_time` polls
@@ -105,7 +106,8 @@ class Driven:
         for _ in range(round(seconds / TICK_S)):
             self.clock.now += TICK_S
             self._ticks += 1
-            for transport in filter(None, (self.node.transport, self.node._lent)):
+            transports = self.node.transports
+            for transport in filter(None, (transports.current, transports.temporary)):
                 transport.poll()
             for timer in [*self.node.timers, *self.node._safety.node.timers]:
                 if self._ticks % round(timer.timer_period_ns * 1e-9 / TICK_S) == 0:

@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from plate_core.driver_status import DriverReason, DriverState  # noqa: E402
 from plate_core.rig import default_rig_path  # noqa: E402
 from plate_core.ros import cycle_to_msg, start_nodes  # noqa: E402
+from plate_driver.clocks import Clocks  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.transports import SerialTransport, TransportThread  # noqa: E402
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults, SuspendedPlate  # noqa: E402
@@ -59,7 +60,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
     sessions = itertools.count(1, 1000)
     hung, line = load_rig(rig_file), FaultSchedule(LineFaults(baud=921_600.0))
     emulator = Emulator(DeviceLimits.of_rig(hung), 3, line, plate=SuspendedPlate(hung, TICK_S))
-    monkeypatch.setattr(DriverNode, "_now", lambda self: emulator.now)
+    monkeypatch.setattr(Clocks, "playback_s", lambda self: emulator.now)
     monkeypatch.setattr(
         TransportThread, "start", lambda self: None
     )  # we look after it, in its time
@@ -85,7 +86,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
             emulator.tick()
             measured.append(emulator._measured[1])
             if tick % 5 == 0:
-                driver._transport.poll()
+                driver.transports.current.poll()
             if tick % 20 == 0:
                 driver._watch()
         return np.array(measured)
@@ -93,7 +94,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
     def enable() -> None:
         """As a person does; the service would wait in real time."""
         run(0.3)
-        order = driver._transport.enable(driver.latch.number)
+        order = driver.transports.current.enable(driver.latch.number)
         for _ in range(20):
             run(0.0 if order.settled else 0.2)
         assert order.done, order.failure
@@ -120,13 +121,13 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         emulator.reset()  # it fails, with the reason; nothing begins again by itself
         run(2.0)
         assert not learned.exists()
-        assert driver._experiment is None
+        assert not driver._calibration.running
         assert driver.status.state is DriverState.STOPPED
         assert driver.status.reason is DriverReason.DEVICE_RESET
         enable()
         calibrated()
         for _ in range(40):
-            if driver._experiment is not None:
+            if driver._calibration.running:
                 run(1.0)
         assert driver.status.state is DriverState.READY
         assert learned.exists()
@@ -135,7 +136,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         ]
         for change in ("deactivate", "cleanup", "configure", "activate"):
             if change == "deactivate":
-                driver._transport.stop()
+                driver.transports.current.stop()
                 run(1.5)
             getattr(driver, f"trigger_{change}")()
         enable()

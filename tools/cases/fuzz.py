@@ -168,7 +168,7 @@ def alone(callback: Any) -> Any:
 def topics_of(node: Any) -> list[tuple[str, type, Any]]:
     """Topics, and services that take numbers, of a node: name, type, and what takes a message."""
     topics = [(s.topic_name, s.msg_type, alone(s.callback)) for s in node.subscriptions]
-    for subscription, take in getattr(node, "heard", ()):  # the driver's, which takes bytes
+    for subscription, take in getattr(node, "raw_inputs", ()):  # the driver's, which takes bytes
 
         def take_bytes(msg: Any, take: Any = take) -> None:
             data = serialize_message(msg)

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from plate_core import PlateCycle
+
+from .playback import Playback
 from .transports import Measured
 from .transports.device_clock import DRIFT
 
-__all__ = ["CycleStarts"]
+__all__ = ["CycleStarts", "StartReporter"]
 
 SAME_START = 0.5
 """Two start times of the same table closer than this fraction of a cycle are the same start. The
@@ -24,6 +27,12 @@ and longer than the delay of a table that starts at a tick of the device."""
 AHEAD_S = 0.1
 """Maximum time by which telemetry may be ahead of the host's time [s]. The clock offset is
 estimated from round trips."""
+
+REST_CYCLE_S = 0.1
+"""Period of the reported cycle while the motors rest [s]."""
+
+NO_START = "starts of cycles are not told where the device's ticks cannot be"
+"""Warning about a device that reports an impossible playing time of a table."""
 
 
 @dataclass(frozen=True)
@@ -122,3 +131,40 @@ class CycleStarts:
             return 0.0, f"began {slip:.3g} s later than whole periods ago, allowed: {MARGIN_S:g} s"
         forgiven = DRIFT * (new.device_s - last.device_s)
         return slip - min(max(slip, -forgiven), forgiven), ""
+
+
+class StartReporter:
+    """Derives the reports on cycle_started from telemetry. A tail counts as a separate cycle, and
+    while the motors rest, rest cycles are reported.
+
+    Parameters
+    ----------
+    playback : Playback
+        Its guard records inconsistent telemetry.
+    now : float
+        Time on the host's steady clock [s].
+    """
+
+    def __init__(self, playback: Playback, now: float) -> None:
+        self._playback, self._starts = playback, CycleStarts(now)
+
+    def update(self, measured: Measured, now: float) -> tuple[PlateCycle, float | None, str]:
+        """Update the state with telemetry.
+
+        Returns
+        -------
+        cycle : PlateCycle
+            The plate's motion in the current cycle.
+        began : float or None
+            Start of this cycle on the steady clock [s] if it was not reported before.
+        problem : str
+            Warning if the telemetry is inconsistent, otherwise "".
+        """
+        cycle = PlateCycle.rest(REST_CYCLE_S)
+        if measured.table and measured.playing is not None:
+            cycle = self._playback.motion(measured.playing)
+        self._starts, began, problem = self._starts.heard(measured, cycle.period, now)
+        if problem:
+            self._playback.note(NO_START)
+            problem = f"{NO_START}: table {measured.table} {problem}"
+        return cycle, began, problem

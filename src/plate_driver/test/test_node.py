@@ -267,7 +267,7 @@ def test_motors_that_take_no_table_are_told_within_two_seconds(make, monkeypatch
     assert driven.report.level == DiagnosticStatus.STALE
     said = r"no plate_cycle has been played for \d\.\d s: device refuses Commit: limit"
     assert re.fullmatch(said, driven.report.message)
-    driven.node.transport._transport.takes = True
+    driven.node.transports.current._transport.takes = True
     play()
     assert driven.report.level == DiagnosticStatus.WARN
 
@@ -349,7 +349,7 @@ def test_what_came_while_the_driver_stood_still_moves_nothing(driven):
 def test_a_table_that_has_become_too_old_on_its_way_is_not_sent(driven):
     """Where the process is held up: for the transport, and within it."""
     driven.pass_time(0.5)
-    thread = driven.node.transport
+    thread = driven.node.transports.current
     for held_up in (thread, thread._transport):
         send = held_up.send
 
@@ -374,9 +374,11 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
         TaskStatus(header=Header(stamp=to_time(asked)), state=TaskStatus.ABORTED)
     )
     waiting = [(data, len(data), b"")]
-    [(_, take), cycles] = driven.node.heard
-    subscription = SimpleNamespace(take=lambda: waiting.pop() if waiting else None)
-    driven.node.heard = (subscription, take), cycles
+    inputs = driven.node._inputs
+    subscription = SimpleNamespace(
+        take=lambda: waiting.pop() if waiting else None, destroy=inputs.tasks.subscription.destroy
+    )
+    inputs.tasks = inputs.tasks._replace(subscription=subscription)
     assert refused(driven, asked) == "plate_cycle was asked for by a task that has ended"
     # A plate at rest may be asked for at any time.
     assert driven.send(PlateCycle.rest(PERIOD), asked) == asked
@@ -442,7 +444,7 @@ def test_lifecycle(make):
     driven.pass_time(1.0)
     assert driven.told == ["unconfigured"]
     assert driven.report.level == DiagnosticStatus.WARN
-    assert not driven.node.heard
+    assert not driven.node.raw_inputs
     data = serialize_message(cycle_to_msg(GENTLE, to_time(driven.clock.time_ns())))
     for _ in range(2):  # and a second life
         assert change(driven, "configure")

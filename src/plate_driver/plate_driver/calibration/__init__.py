@@ -1,6 +1,7 @@
 """Calibration of the plate: its frequency response, measured with three known motions.
 
-`Calibration` and `Experiment` are the procedure. `Response` is the result and is stored in a file.
+`Calibration` and `Experiment` are the procedure, and `CalibrationRun` executes it. `Response` is
+the result and is stored in a file.
 """
 
 from .calibration import (
@@ -13,11 +14,13 @@ from .calibration import (
     saved_response,
 )
 from .response import Response, closed_at_rest, harmonics
+from .run import CalibrationRun
 
 __all__ = [
     "COUNT",
     "PERIOD_S",
     "Calibration",
+    "CalibrationRun",
     "Experiment",
     "Response",
     "check_writable",

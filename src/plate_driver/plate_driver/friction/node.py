@@ -106,12 +106,12 @@ class FrictionServer:
             response.message = "friction is measured already, allowed: one measurement at a time"
         elif status.state is not DriverState.READY:
             response.message = f"the driver is {status.text}, allowed: ready"
-        elif driver.task_runs:
+        elif driver.intake.task_runs:
             response.message = "a task runs, allowed: none; end it with stop"
         else:
             self._end()
             self._found, self._stops = None, driver.latch.number
-            self._running, self._since = True, driver.play_time()
+            self._running, self._since = True, driver.clocks.playback_s()
             self._started = self._after_ns = driver.get_clock().now().nanoseconds
             self._publish(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
             response.success, response.message = True, "see the topic friction"
@@ -124,7 +124,7 @@ class FrictionServer:
             if self._found is None:
                 raise PlateError("friction was not measured, allowed: after measure_friction")
             path = rig_path(driver.options.rig_file)
-            before, mu = load_rig(path), float(f"{rig_mu(driver.rig, self._found):.3g}")
+            before, mu = load_rig(path), float(f"{rig_mu(driver.playback.rig, self._found):.3g}")
             edit_rig(
                 path, {("friction",): {"mu": f"{mu:g}"}},
                 lambda rig: rig == replace(before, friction=replace(before.friction, mu=mu)),
@@ -173,13 +173,14 @@ class FrictionServer:
             if driver.latch.number != self._stops:  # also if they were enabled since
                 raise PlateError("the motors were stopped")
             if self._plays is not None:
-                over_s = now - driver.guard.sent_at - driver.guard.lasts_s
+                guard = driver.playback.guard
+                over_s = now - guard.sent_at - guard.lasts_s
                 if over_s > SETTLE_S and not self._starts_received:
                     self._after_ns = driver.get_clock().now().nanoseconds
                 elif over_s > LATE_S and self._after_ns is None:
                     raise PlateError(f"friction: a push has not begun within {LATE_S:g} s")
                 if over_s > SETTLE_S and self._after_ns is not None:
-                    driver.rest_guard()
+                    driver.playback.rest(driver.clocks.playback_s())
                     self._plays, self._since = None, now
                 return
             if len(self._images) >= IMAGES:
@@ -201,7 +202,8 @@ class FrictionServer:
         """Evaluate the places of the parts, and send the next push."""
         driver, self._images = self._driver, []
         if self._measurement is None:
-            new = FrictionMeasurement.start(driver.rig, rest, driver.guard.correction is not None)
+            corrected = driver.playback.guard.correction is not None
+            new = FrictionMeasurement.start(driver.playback.rig, rest, corrected)
         else:
             new = self._measurement.after(rest, self._played)
         self._measurement, push = new, new.push
@@ -209,7 +211,9 @@ class FrictionServer:
             self._finish(new.found)
             return
         self._plays, self._played, self._after_ns = push.cycle, None, None
-        factor = driver.send_push(push.cycle, now)
+        transport, stamp_ns = driver.transports.current, driver.clocks.stamp_ns()
+        assert transport is not None
+        factor = driver.playback.send_push(transport, push.cycle, stamp_ns, now)
         if factor < 1:
             less = push.cycle.scaled(factor)
             self._played = replace(push, accel=push.accel * factor, cycle=less)

@@ -176,7 +176,7 @@ class SafetyNode:
     ) -> Any:  # fmt: skip
         """Close the latch, stop the motors, and set the response to the result."""
         self._latch.close(reason, over)
-        response.success = self._driver.stop_motors(cut=reason is DriverReason.POWER_CUT)
+        response.success = self._driver.transports.stop(cut=reason is DriverReason.POWER_CUT)
         response.message = self._driver.status.text if response.success else UNANSWERED
         self.publish_status()
         return response
@@ -197,7 +197,7 @@ class SafetyNode:
         if self._standstill.is_late(time.monotonic()):
             response.success, response.message = False, LATE
             return response
-        transport, number = self._driver.transport, self._latch.number
+        transport, number = self._driver.transports.current, self._latch.number
         if transport is None or not self._driver.active:
             response.success = False
             response.message = f"the driver is {self._driver.status.text}, allowed: active"
@@ -217,7 +217,7 @@ class SafetyNode:
         return response
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        transport = self._driver.transport
+        transport = self._driver.transports.current
         response.success = False
         if self._standstill.is_late(time.monotonic()):
             response.message = LATE

@@ -1,0 +1,135 @@
+"""A running calibration: plays its experiments and stores the response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from plate_core import PlateError
+from plate_core.driver_status import DriverState, DriverStatus
+
+from ..clocks import Clocks
+from ..playback import Playback
+from ..transports import Latch, Measured, TransportThread
+from .calibration import Calibration, Experiment, check_writable, save_response
+
+__all__ = ["CalibrationRun"]
+
+PLAYS_MARGIN = 2.0
+"""If the motors take longer than this multiple of the experiment's duration, it has failed."""
+
+
+class CalibrationRun:
+    """Plays the experiments of a calibration one after the other, and keeps the result of the last.
+
+    Parameters
+    ----------
+    playback : Playback
+    latch : Latch
+    clocks : Clocks
+    log : callable
+        Logs a text, and takes whether it is an error.
+
+    Attributes
+    ----------
+    failed : bool
+        Whether the last calibration has failed.
+    """
+
+    def __init__(
+        self,
+        playback: Playback,
+        latch: Latch,
+        clocks: Clocks,
+        log: Callable[[str, bool], None],
+    ) -> None:
+        self._playback, self._latch, self._clocks, self._log = playback, latch, clocks, log
+        self._experiment: Experiment | None = None
+        self._path = ""
+        self._outcome, self.failed = "", False  # of the last calibration
+
+    @property
+    def running(self) -> bool:
+        """Whether a calibration runs."""
+        return self._experiment is not None
+
+    @property
+    def text(self) -> str:
+        """Progress of the running calibration, or result of the last one. Empty without one."""
+        experiment = self._experiment
+        return self._outcome if experiment is None else experiment.calibration.progress
+
+    def start(self, transport: TransportThread | None, status: DriverStatus, path: str) -> None:
+        """Start a calibration whose response is written to the file `path`.
+
+        Raises
+        ------
+        PlateError
+            If it cannot be started.
+        """
+        if not path:
+            raise PlateError("calibration_file is '', allowed: the name of a file")
+        if transport is None or not transport.calibrates:
+            raise PlateError("transport is sim or streams, allowed: serial with cycles")
+        if any(motor.drive for motor in self._playback.rig.motors):
+            raise PlateError("the rig has drives, which tell no acceleration, allowed: bridges")
+        if status.state is not DriverState.READY:
+            raise PlateError(f"the driver is {status.text}, allowed: ready")
+        try:
+            check_writable(path)
+            self._path, self._outcome, self.failed = path, "", False
+            calibration = Calibration.start(self._playback.rig)
+            self._begin_experiment(transport, calibration, self._clocks.playback_s())
+        except PlateError:
+            self._experiment = None
+            raise
+
+    def record(self, measured: Measured) -> None:
+        """Add a measurement to the running experiment."""
+        if self._experiment is not None:
+            self._experiment = self._experiment.with_sample(measured)
+
+    def step(self, transport: TransportThread, now: float) -> None:
+        """Continue at `now` [s]: start the next experiment, or store the response."""
+        experiment = self._experiment
+        assert experiment is not None
+        try:
+            if not experiment.over:
+                if self._playback.guard.over(now, PLAYS_MARGIN):
+                    raise PlateError("the motors have not played the experiment to its end")
+                return
+            calibration = experiment.finished()
+            if calibration.cycle is not None:
+                self._begin_experiment(transport, calibration, now)
+                return
+            save_response(self._path, calibration.response)
+            self._end(f"done: {self._path}, used from the next configure on", now, failed=False)
+        except PlateError as error:
+            self.fail(str(error), now)
+
+    def fail(self, reason: str, now: float) -> None:
+        """End a running calibration without a response."""
+        if self._experiment is not None:
+            self._end(f"failed: {reason}", now, failed=True)
+
+    def cancel(self) -> None:
+        """End a running calibration without a result."""
+        self._experiment = None
+
+    def _begin_experiment(
+        self, transport: TransportThread, calibration: Calibration, now: float
+    ) -> None:
+        experiment = Experiment(calibration)
+        number = self._latch.number
+        before = self._playback.guard_for(transport)
+        guard, played = before.experimenting(experiment.cycle, now)
+        self._experiment = replace(experiment, played=played)
+        self._playback.send(transport, guard, number)
+        self._playback.guard = guard.after_experiment(before)
+        self._log(f"calibration: {experiment.calibration.progress}", False)
+
+    def _end(self, text: str, now: float, failed: bool) -> None:
+        self._outcome, self.failed = text, failed
+        self._log(f"calibration {text}", failed)
+        self._experiment = None
+        self._playback.rest(now)

@@ -1,0 +1,32 @@
+"""Clocks of the driver, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+__all__ = ["Clocks"]
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """Clocks of the driver.
+
+    Attributes
+    ----------
+    steady_s : callable
+        Returns the time on the steady clock [s].
+    stamp_ns : callable
+        Returns the time on the clock that stamps images [ns]. It may be simulated.
+    simulated : callable
+        Returns whether simulated time is used. With real motors it never is, because they heat in
+        real time.
+    """
+
+    steady_s: Callable[[], float]
+    stamp_ns: Callable[[], int]
+    simulated: Callable[[], bool]
+
+    def playback_s(self) -> float:
+        """Return the time used for playback and for the motors' temperature [s]."""
+        return 1e-9 * self.stamp_ns() if self.simulated() else self.steady_s()

@@ -1,0 +1,159 @@
+"""Intake of plate cycles: which received cycles are sent to the motors, and which are refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from plate_core import CycleError, PlateCycle, PlateError
+from plate_core.driver_status import DriverState, DriverStatus
+
+from .clocks import Clocks
+from .freshness import Freshness
+from .playback import Playback
+from .raw_cycle import check_length
+from .setpoints import MAX_KNOTS, Fit
+from .transports import Latch, TransportThread
+
+__all__ = ["CycleIntake", "NotReadyError"]
+
+
+class NotReadyError(CycleError):
+    """A cycle was received while the motors were not ready."""
+
+
+class CycleIntake:
+    """Checks each received cycle, and sends it to the motors or refuses it.
+
+    Parameters
+    ----------
+    playback : Playback
+    latch : Latch
+    clocks : Clocks
+    status : callable
+        Returns the state of the motors.
+    decode : callable
+        Converts a serialized plate_cycle to the cycle and its stamp [ns]. Raises a PlateError if it
+        is invalid.
+    second_publisher : callable
+        Returns a message if several nodes publish plate_cycle, otherwise "".
+    poll_tasks : callable
+        Passes each waiting task_status to `record_task`.
+
+    Attributes
+    ----------
+    task_runs : bool
+        Whether a task runs, as last reported.
+    refusal : str
+        Reason why the last cycle was refused. Empty if it was accepted.
+    """
+
+    def __init__(
+        self,
+        playback: Playback,
+        latch: Latch,
+        clocks: Clocks,
+        *,
+        status: Callable[[], DriverStatus],
+        decode: Callable[[bytes], tuple[PlateCycle, int]],
+        second_publisher: Callable[[], str],
+        poll_tasks: Callable[[], None],
+    ) -> None:
+        self._playback, self._latch, self._clocks = playback, latch, clocks
+        self._status, self._decode = status, decode
+        self._second_publisher, self._poll_tasks = second_publisher, poll_tasks
+        self._freshness = Freshness()
+        self.task_runs, self.refusal = False, ""
+
+    def begin(self) -> None:
+        """Forget earlier cycles, except whether a task runs."""
+        self._freshness, self.refusal = Freshness(), ""
+
+    def record_task(self, running: bool, stamp_ns: int | None) -> None:
+        """Record a report of the planner.
+
+        Parameters
+        ----------
+        running : bool
+            Whether a task runs.
+        stamp_ns : int or None
+            Stamp of the planner's last request [ns]. None if it is unknown.
+        """
+        self.task_runs = running
+        if stamp_ns is not None and not running:
+            self._freshness = self._freshness.ended(stamp_ns)
+
+    def observe(self) -> DriverStatus:
+        """Return the status, and record when the motors became ready or this process stalled. Call
+        this about every 20 ms.
+
+        In simulated time stalls are not recorded.
+        """
+        status = self._status()
+        number = self._latch.number if status.state is DriverState.READY else None
+        now = 0.0 if self._clocks.simulated() else self._clocks.steady_s()
+        self._freshness = self._freshness.seen(number, now, self._clocks.stamp_ns())
+        return status
+
+    def accept(self, data: bytes, size: int, source: bytes, transport: TransportThread) -> Fit:
+        """Check a cycle and send its motor table.
+
+        Parameters
+        ----------
+        data : bytes
+            Beginning of the serialized cycle.
+        size : int
+            Size of the whole message [bytes].
+        source : bytes
+            Key of its publisher.
+        transport : TransportThread
+
+        Returns
+        -------
+        fit : Fit
+            The cycle as sent, and the factor that scales it down to the rig's limits.
+
+        Raises
+        ------
+        PlateError
+            If it is refused. A `NotReadyError` if the motors are not ready.
+        """
+        number, status = self._latch.number, self.observe()
+        self._freshness = self._freshness.came(source, self._clocks.steady_s())
+        if status.state is not DriverState.READY:  # this reason precedes all others
+            self._playback.count_refused()
+            raise NotReadyError(f"the driver is {status.text}")
+        try:
+            check_length(data, size, min(MAX_KNOTS, transport.max_knots))
+            fit = self._send(*self._decode(data), transport, number)
+        except PlateError as error:
+            self._playback.count_refused()
+            self.refusal = str(error)
+            raise
+        self.refusal = ""
+        return fit
+
+    def _send(
+        self, cycle: PlateCycle, stamp_ns: int, transport: TransportThread, number: int
+    ) -> Fit:
+        now = self._clocks.playback_s()
+        if self._clocks.simulated():  # the clock may arrive after the cycle
+            now = max(now, 1e-9 * stamp_ns)
+        guard, fit = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
+        if cycle.moves:
+            self._poll_tasks()  # last: the task of this cycle may have ended by now
+            guard = guard.lasting(self._clocks.steady_s() + self._remaining_s(cycle, stamp_ns))
+        self._playback.send(transport, guard, number)
+        if guard.correction is not None:
+            self._playback.record_motion(stamp_ns, fit.cycle)
+        return fit
+
+    def _remaining_s(self, cycle: PlateCycle, stamp_ns: int) -> float:
+        """Return the remaining time in which a moving cycle may be sent [s], or refuse it."""
+        if problem := self._second_publisher():
+            raise CycleError(problem)
+        clock_ns, simulated = self._clocks.stamp_ns(), self._clocks.simulated()
+        if simulated:  # the clock may arrive after the cycle
+            clock_ns = max(clock_ns, stamp_ns)
+        remaining = self._freshness.left(stamp_ns, clock_ns, cycle.period)
+        return math.inf if simulated else remaining

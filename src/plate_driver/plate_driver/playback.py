@@ -1,0 +1,141 @@
+"""Playback of motor tables: sending, the end of playback, and the commanded state, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from plate_core import PlateCycle, Rig
+from plate_core.motion import motor_state
+from plate_core.status import INPUT_TIMEOUT_S
+
+from .setpoints import Guard, MotorTable
+from .transports import Latch, TransportThread
+
+__all__ = ["Playback"]
+
+MOTIONS_KEPT = 8
+"""Number of sent cycles that are kept, because they may play or wait."""
+
+
+class Playback:
+    """Sends the motor tables of the driver, and records which table plays and when the plate rests.
+
+    Parameters
+    ----------
+    guard : Guard
+    latch : Latch
+    publish : callable
+        Publishes a table that was sent to motors.
+
+    Attributes
+    ----------
+    guard : Guard
+        Guard with the last table sent. `accepted`, `experimenting` and `commanded` of the guard
+        prepare the next one.
+    """
+
+    def __init__(self, guard: Guard, latch: Latch, publish: Callable[[MotorTable], None]) -> None:
+        self.guard, self._latch, self._publish = guard, latch, publish
+        self._motions: dict[int, PlateCycle] = {}  # motions of corrected tables by stamp
+
+    @property
+    def rig(self) -> Rig:
+        """Rig whose limits the tables keep."""
+        return self.guard.rig
+
+    def begin(self) -> None:
+        """Forget the motions of earlier tables."""
+        self._motions = {}
+
+    def set_repeats(self, repeats: int) -> None:
+        """Set the number of plays of a cycle that does not start at rest."""
+        self.guard = replace(self.guard, repeats=repeats)
+
+    def guard_for(self, transport: TransportThread) -> Guard:
+        """Return the guard with the transport's present `hold_s`."""
+        return replace(self.guard, hold_s=transport.hold_s)
+
+    def send(self, transport: TransportThread, guard: Guard, number: int) -> None:
+        """Send the table of `guard`, and keep `guard`.
+
+        Parameters
+        ----------
+        transport : TransportThread
+        guard : Guard
+        number : int
+            Number of stops that the latch had counted when the table was made.
+
+        Raises
+        ------
+        CycleError
+            If there was a stop since, or if the transport refuses the table.
+        """
+        assert guard.table is not None
+        transport.send(guard.table, guard.plays, number)
+        if transport.motors:
+            self._publish(guard.table)
+        self.guard = guard
+
+    def send_push(
+        self, transport: TransportThread, cycle: PlateCycle, stamp_ns: int, now: float
+    ) -> float:
+        """Play a motion from rest to rest once, corrected by the learned response. Return the
+        factor that scales it down to the rig's limits.
+
+        Raises
+        ------
+        PlateError
+            If the plate cannot perform this motion.
+        """
+        before = self.guard_for(transport)
+        guard, fit = replace(before, hold_cycles=1).commanded(cycle, stamp_ns, now)
+        self.send(transport, guard, self._latch.number)
+        self.guard = replace(guard, hold_cycles=before.hold_cycles)
+        return fit.factor
+
+    def record_motion(self, stamp_ns: int, cycle: PlateCycle) -> None:
+        """Record the plate's motion that a corrected table causes."""
+        self._motions = dict([*self._motions.items(), (stamp_ns, cycle)][-MOTIONS_KEPT:])
+
+    def motion(self, table: MotorTable) -> PlateCycle:
+        """Return the plate's motion that a table causes."""
+        return self._motions.get(table.stamp_ns, table.cycle)
+
+    def rest(self, now: float) -> None:
+        """Record that the plate rests."""
+        self.guard = self.guard.resting(now)
+
+    def note(self, problem: str) -> None:
+        """Record a problem for the diagnostics."""
+        self.guard = self.guard.noted(problem)
+
+    def count_refused(self) -> None:
+        """Count a refused cycle."""
+        self.guard = self.guard.refused()
+
+    def check_end(self, now: float) -> str:
+        """Record if the plate rests because no more cycles arrive. Return the message, or ""."""
+        hold_s = self.guard.lasts_s
+        self.guard, over = self.guard.watched(now)
+        return f"no plate_cycle for {hold_s:.3g} s: the plate rests" if over else ""
+
+    def quiet_s(self, now: float, ready_since: float) -> float | None:
+        """Return the time without cycles [s] if the plate rests because of that. Otherwise None."""
+        if self.guard.table is not None:
+            return None
+        quiet = now - max(self.guard.sent_at, ready_since)
+        return quiet if quiet > max(INPUT_TIMEOUT_S, self.guard.lasts_s) else None
+
+    def commanded(self, now: float) -> tuple[list[float], list[float]]:
+        """Return the travel [m] and speed [m/s] of each motor that are commanded at `now` [s]."""
+        table = self.guard.table
+        if table is None:
+            return [0.0] * len(self.rig.motors), [0.0] * len(self.rig.motors)
+        cycle, t = table.cycle, max(0.0, now - self.guard.sent_at)
+        if cycle.tail is None:
+            t %= cycle.period
+        elif t > cycle.period:
+            t, cycle = min(t - cycle.period, cycle.tail.period), cycle.tail
+        q, qd, _ = motor_state(self.rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
+        return q[0].tolist(), qd[0].tolist()

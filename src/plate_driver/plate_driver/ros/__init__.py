@@ -1,0 +1,6 @@
+"""The driver's raw subscriptions, and its messages."""
+
+from .messages import bytes_to_cycle, motor_state_to_msg, table_to_msg
+from .raw_inputs import RawInput, RawInputs
+
+__all__ = ["RawInput", "RawInputs", "bytes_to_cycle", "motor_state_to_msg", "table_to_msg"]

@@ -1,0 +1,107 @@
+"""Subscriptions to plate_cycle and task_status whose messages the driver deserializes itself, so
+that a long message delays no stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core.ros import DATA, LATCHED, UnlockedSubscription
+from plate_interfaces.msg import TaskStatus
+
+from ..raw_cycle import HEAD_BYTES, POINT_BYTES
+from ..setpoints import MAX_KNOTS
+
+CYCLE_PERIOD_S = 0.002
+"""Time between polls for a cycle [s]. A separate thread polls, see `UnlockedSubscription`."""
+
+MAX_WAITING = 5
+"""Maximum number of messages that wait for the executor, so that a flood leaves time for other
+work."""
+
+STATUS_BYTES = 100_000
+"""Maximum size of a task_status [bytes]. A longer one is not from the planner."""
+
+STALLED_S = 0.05
+"""If the process does not run for longer than this, it counts as stalled [s]."""
+
+SETTLE_S = 0.01
+"""Time in which a stalled process receives waiting messages [s]. Otherwise the end of a task could
+be processed after a later cycle."""
+
+Process = Callable[[bytes, int, bytes], None]
+"""Callback for the first bytes of a serialized message, its length [bytes] and a key of its
+publisher."""
+
+
+class RawInput(NamedTuple):
+    """A subscription, and the callback for its messages."""
+
+    subscription: UnlockedSubscription
+    process: Process
+
+
+class RawInputs:
+    """Subscriptions to plate_cycle, polled by a thread, and to task_status, polled by `poll_tasks`.
+
+    Parameters
+    ----------
+    node : Node
+        Its executor calls `on_cycle`.
+    on_cycle, on_task : callable
+        Callbacks for the messages.
+    """
+
+    def __init__(self, node: Node, on_cycle: Process, on_task: Process) -> None:
+        self._node = node
+        max_bytes = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
+        cycles = UnlockedSubscription(node, JointTrajectory, "plate_cycle", DATA, max_bytes)
+        tasks = UnlockedSubscription(node, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
+        self.cycles, self.tasks = RawInput(cycles, on_cycle), RawInput(tasks, on_task)
+        self._waiting: deque[tuple[bytes, int, bytes]] = deque()  # received cycles in order
+        self._polled_at = 0.0  # last poll of task_status [s, steady]
+        self._closed = threading.Event()
+        # A thread that polls every 2 ms needs a tenth of the CPU time of an executor timer.
+        self._thread = threading.Thread(target=self._poll_cycles, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread, drop waiting messages, and destroy the subscriptions."""
+        self._closed.set()
+        self._thread.join()
+        self._waiting.clear()
+        self.cycles.subscription.destroy()
+        self.tasks.subscription.destroy()
+
+    def poll_tasks(self) -> None:
+        """Process the waiting messages on task_status. Call this about every 20 ms."""
+        if time.monotonic() - self._polled_at > STALLED_S:
+            time.sleep(SETTLE_S)
+        self._polled_at = time.monotonic()
+        for _ in range(MAX_WAITING):
+            message = self.tasks.subscription.take()
+            if message is None:
+                break
+            self.tasks.process(*message)
+
+    def _poll_cycles(self) -> None:
+        """Pass received cycles to the executor until `close`."""
+        while not self._closed.wait(CYCLE_PERIOD_S):
+            executor = self._node.executor
+            while executor is not None and len(self._waiting) < MAX_WAITING:
+                message = self.cycles.subscription.take()
+                if message is None:
+                    break
+                self._waiting.append(message)
+                executor.create_task(self._process_cycle)
+
+    def _process_cycle(self) -> None:
+        """Process the oldest received cycle, unless the inputs were closed since."""
+        if self._waiting:
+            self.cycles.process(*self._waiting.popleft())

@@ -1,0 +1,156 @@
+"""Owner of the driver's transport. A stop reaches the motors in every lifecycle state: if no
+transport is open, one is opened for the stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from plate_core import PlateError, Rig
+
+from .status import UNANSWERED
+from .transports import ANSWER_S, BUSY_S, Condition, Latch, Order, Transport, TransportThread
+
+__all__ = ["TransportOwner"]
+
+SETTLED_PERIOD_S = 0.02
+"""Time between checks whether the stop of a temporary transport is settled [s]."""
+
+OFF_PERIOD_S = 0.01
+"""Time between checks whether the motors are off [s]."""
+
+REST_S = 3.0
+"""Maximum wait for motors to brake, go home and switch off [s]."""
+
+
+class TransportOwner:
+    """Opens and closes the driver's transport, and stops the motors.
+
+    `stop` may be called from any thread and in any lifecycle state. A temporary transport that it
+    opens is closed when the stop is settled, or when `open` or `close` is called.
+
+    Parameters
+    ----------
+    latch : Latch
+    read_rig : callable
+        Returns the rig for a temporary transport.
+    make : callable
+        Returns a transport for a rig, not open yet.
+    on_defect : callable
+        See `TransportThread`.
+
+    Attributes
+    ----------
+    latch : Latch
+        Latch that blocks cycles after a stop.
+    current : TransportThread or None
+        The open transport, except a temporary one.
+    temporary : TransportThread or None
+        Transport that was opened for a stop.
+    """
+
+    def __init__(
+        self,
+        latch: Latch,
+        read_rig: Callable[[], Rig],
+        make: Callable[[Rig], Transport],
+        on_defect: Callable[[Exception], None],
+    ) -> None:
+        self.latch = latch
+        self._read_rig, self._make, self._on_defect = read_rig, make, on_defect
+        self.current: TransportThread | None = None
+        self.temporary: TransportThread | None = None
+        self._changing = threading.Lock()  # held while a transport is opened or closed
+
+    def open(self, rig: Rig) -> TransportThread:
+        """Open the transport, and close a temporary one."""
+        with self._changing:
+            self._close_temporary()
+            self.current = self._start(rig)
+            return self.current
+
+    def close(self) -> None:
+        """Stop and close the open transports. A concurrent stop still reaches them."""
+        if self.current is not None:
+            self.current.close()
+            self.current = None
+        with self._changing:
+            self._close_temporary()
+
+    def stop(self, cut: bool) -> bool:
+        """Stop the motors, or cut their power if `cut`.
+
+        Return within `ANSWER_S` whether the motors are known to stop. If they are not, the stop is
+        still tried afterwards.
+        """
+        end = time.monotonic() + ANSWER_S
+        try:
+            while True:
+                transport = self.current
+                if transport is not None:
+                    order = transport.stop(cut)
+                else:
+                    transport, order = self._stop_without_current(cut)
+                done = transport.stopped(order, cut, end)
+                if done or transport in (self.current, self.temporary):
+                    break  # otherwise it was closed during the wait
+        except PlateError as error:
+            done, order = False, Order().settle(str(error))
+        self.latch.late = None if done else order
+        return done
+
+    def rest(self) -> str:
+        """Stop the motors of the current transport, and wait until they are off.
+
+        Return the problem, or "" if they are off or no device was ever connected.
+        """
+        transport = self.current
+        assert transport is not None
+        order, end = transport.stop(), time.monotonic() + ANSWER_S
+        done = transport.stopped(order, cut=False, end=end)
+        self.latch.late = order if transport.met and not done else None
+        if not done:
+            return UNANSWERED if transport.met else ""  # without a device there is no current
+        end = time.monotonic() + REST_S
+        while transport.report.condition not in (Condition.OFF, Condition.GONE):
+            if time.monotonic() > end:
+                return f"the plate still moves after {REST_S:g} s"
+            time.sleep(OFF_PERIOD_S)
+        return ""
+
+    def _start(self, rig: Rig) -> TransportThread:
+        """Open a transport and start its thread."""
+        made = self._make(rig)
+        made.open()
+        thread = TransportThread(made, self.latch, self._on_defect)
+        thread.start()
+        return thread
+
+    def _stop_without_current(self, cut: bool) -> tuple[TransportThread, Order]:
+        """Stop by a temporary transport, or by the current one if it was opened meanwhile."""
+        if not self._changing.acquire(timeout=BUSY_S):
+            raise PlateError("the driver opens or closes its transport")
+        try:
+            if self.current is not None:
+                return self.current, self.current.stop(cut)
+            if self.temporary is None:
+                self.temporary = self._start(self._read_rig())
+                keep = self._keep_temporary
+                threading.Thread(target=keep, name="temporary", daemon=True).start()
+            return self.temporary, self.temporary.stop(cut)
+        finally:
+            self._changing.release()
+
+    def _close_temporary(self) -> None:
+        temporary, self.temporary = self.temporary, None
+        if temporary is not None:
+            temporary.close()
+
+    def _keep_temporary(self) -> None:
+        """Keep the temporary transport open until its stop is settled."""
+        while self.temporary is not None:
+            time.sleep(SETTLED_PERIOD_S)
+            with self._changing:
+                if self.temporary is not None and not self.temporary.stopping:
+                    self._close_temporary()

@@ -1,0 +1,49 @@
+"""Problems that the transport reports: which of them to log, and whether they stop playback."""
+
+from __future__ import annotations
+
+__all__ = ["TransportProblems"]
+
+UNPLAYED_S = 0.5
+"""If the motors play no table for longer than this after a failed table, a problem is reported
+[s]."""
+
+
+class TransportProblems:
+    """Record of the problems that the transport has reported. Times are on the steady clock.
+
+    Parameters
+    ----------
+    repeat_s : float
+        Time after which a problem that occurs again is logged again [s].
+    """
+
+    def __init__(self, repeat_s: float) -> None:
+        self._repeat_s = repeat_s
+        self._logged: dict[str, float] = {}  # time of the last log of each problem [s]
+        self._unplayed: tuple[float, str] | None = None  # start [s] and reason
+
+    def new(self, problems: list[str], motors_rest: bool, now: float) -> list[str]:
+        """Record problems at `now` [s], and return those to log.
+
+        `motors_rest` states whether the motors were last measured to play no table.
+        """
+        self._logged = {p: at for p, at in self._logged.items() if at > now - self._repeat_s}
+        if problems and motors_rest and self._unplayed is None:
+            self._unplayed = now, problems[0]
+        new = [problem for problem in dict.fromkeys(problems) if problem not in self._logged]
+        self._logged |= dict.fromkeys(new, now)
+        return new
+
+    def clear_unplayed(self) -> None:
+        """Record that a table plays, or that none should play."""
+        self._unplayed = None
+
+    def unplayed(self, now: float) -> str:
+        """Return a message if sent cycles have not been played for long, otherwise ""."""
+        if self._unplayed is None:
+            return ""
+        since, reason = self._unplayed
+        if now - since <= UNPLAYED_S:
+            return ""
+        return f"no plate_cycle has been played for {now - since:.1f} s: {reason}"
