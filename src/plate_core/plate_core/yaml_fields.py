@@ -49,8 +49,8 @@ REQUIRED: Any = object()
 """Value of `Key.default` for a key without a default: the file must contain it."""
 
 FAST_LENGTH = 20_000
-"""Maximum length of a text that libyaml parses [characters]: it calls itself for each level, and
-more levels than this exhaust the stack."""
+"""Maximum length of a text that libyaml parses [characters]. libyaml is recursive, and a longer
+text may have enough levels to exhaust the stack."""
 
 UNITS = {
     "m": "m", "kg": "kg", "s": "s", "mps": "m/s", "mps2": "m/s^2", "n": "N", "k": "K", "px": "px",
@@ -494,7 +494,7 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
 
 
 def _load(text: str) -> tuple[Any, str]:
-    """Return the content of a YAML text, and what `_mistake` finds.
+    """Return the content of a YAML text, and the message of `_mistake`.
 
     libyaml is ten times as fast. The messages come from PyYAML's own parser, which also survives
     any depth.

@@ -72,7 +72,7 @@ LEAST_PART_PX = 10.0
 0.05 px, and marks are not read."""
 
 EDGE_POINTS = 9
-"""Number of points for the display of each edge of the plate as seen."""
+"""Number of points with which each measured edge of the plate is displayed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +87,10 @@ class AimField:
     plate, around : (h, w) uint8
         Masks of this window: 255 on the plate (with its surround), 0 elsewhere.
     grid : OutlineGrid
-        Where the plate's edges are searched.
+        Image points at which the plate's edges are searched.
     part_px : (float, float)
-        Diameter of the smallest part where it looks smallest, and of the largest part where it
-        looks largest [px].
+        Minimum diameter of the smallest part, and maximum diameter of the largest part, over all
+        positions in the image [px].
     radius : float
         Radius of a part [m].
     """
@@ -144,7 +144,7 @@ class Light:
 
 
 def light_on_plate(image: np.ndarray, field: AimField) -> Light:
-    """Measure the light where the plate should be in an image (H, W) or (H, W, 3) uint8."""
+    """Measure the light on the expected area of the plate in an image (H, W) or (H, W, 3) uint8."""
     part = np.ascontiguousarray(image[field.rows, field.columns])
     grey = grey_levels(part)
     levels = cv2.calcHist([grey], [0], field.plate, [256], [0, 256]).ravel()
@@ -174,8 +174,9 @@ def sharpness_of(image: np.ndarray, field: AimField) -> float:
 
 
 def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
-    """Return the blur of the plate's edges in an image (H, W) or (H, W, 3), a standard deviation
-    [px]: contrast over slope, the median of the edges that are seen; NaN if none is."""
+    """Return the standard deviation of the blur of the plate's edges in an image (H, W) or
+    (H, W, 3) [px]. It is the median of contrast / (sqrt(2 pi) slope) over the visible edges; NaN if
+    none is visible."""
     calibration, along = field.vision.calibration, field.grid.along
     grey = contrasted(image, field.grid)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
@@ -207,7 +208,7 @@ class Focus:
     values : tuple of (float, float)
         Stamps [s] and sharpness [1/px], the newest last.
     blur_px : float
-        Of the plate's edges in the newest image [px]; NaN if it is not known.
+        Blur of the plate's edges in the newest image [px]; NaN if unknown.
     peaked : bool
         Whether the maximum was passed.
     sharp : bool
@@ -359,7 +360,7 @@ def size_finding(part_px: tuple[float, float]) -> Finding:
 
 @dataclass(frozen=True)
 class Thing:
-    """A thing in an image: a part, or a thing that is not taken for a part.
+    """A thing in an image: a part, or a thing that is rejected as a part.
 
     Attributes
     ----------
@@ -368,7 +369,7 @@ class Thing:
     x_px, y_px, radius_px : float
         Centre, and radius of the disc of the same area [px].
     reason, remedy : str
-        Why it is not taken for a part, and what to do; empty for a part.
+        Reason why it is rejected as a part, and the remedy. Empty for a part.
     """
 
     id: str

@@ -25,7 +25,7 @@ BARE_IMAGES = 5
 """Number of images from which the bare plate is learned; averaging reduces their noise."""
 
 MODELLED = "the bare plate is modelled from an image with parts: call ~/learn_plate when it is bare"
-"""Warning as long as the bare plate was not learned."""
+"""Warning until the bare plate is learned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,8 @@ class BarePlate:
 
 
 def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tuple[BarePlate, str]:
-    """Start learning: the next images must show the bare plate. Also return a message for the user;
-    it names things on the plate in the last image (H, W) or (H, W, 3)."""
+    """Start learning: the next images must show the bare plate. Also return a message for the user.
+    It lists objects on the plate in the last image (H, W) or (H, W, 3)."""
     text = f"the next {BARE_IMAGES} images are taken for the bare plate"
     things = "" if image is None else lying(image, region)
     if things:

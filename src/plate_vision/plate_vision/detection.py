@@ -66,7 +66,7 @@ fit of its contour; its outline, if the parts are not described; a group, if it 
 parts."""
 
 LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
-"""Labels of parts. Names of the methods, indexed by: not measured by moments, by moments."""
+"""Labels of parts; and names of the methods, indexed by whether a part was measured by moments."""
 
 DETECTION = np.dtype(
     [
@@ -89,8 +89,8 @@ The angle of an outline is that of its longest side to x, 0 to pi. The angle of 
 its mark, 0 without a mark."""
 
 APART = 1.4
-"""Minimum distance of two parts, in radii of the larger one; touching parts have 2. Of two that are
-nearer, the one with the larger misfit is not a part."""
+"""Minimum distance of two parts, in radii of the larger one; touching parts have 2. If two are
+nearer, the one with the larger misfit is rejected."""
 
 BETTER = 2.0
 """If one of two overlapping discs has at least this multiple of the other's misfit, the other is
@@ -205,7 +205,7 @@ def detect(
     options : DetectorOptions, optional
         Description of the parts; None if it is unknown.
     region : Region, or (4, 2) or (4, n, 2), optional
-        Where the plate is: a Region from `make_region`, which takes longer than the detection, or
+        Region of the plate: the result of `make_region`, which takes longer than the detection, or
         the argument of `make_region`. None: the whole image.
     view : PartView, optional
         Appearance of a part at each place; None: a disc of the options' radius everywhere.
@@ -240,7 +240,7 @@ class Discs(NamedTuple):
     parts : (n,) SILHOUETTE
         Their silhouettes.
     overlooked : (m,) OVERLOOKED
-        Things on the plate that are not taken for parts. Their x and y are not set.
+        Things on the plate that are rejected as parts. Their x and y are not set.
     shadow : Shadow, optional
         The shadow that every part casts; None if unknown.
     doubtful : bool

@@ -23,10 +23,10 @@ RING = (2.6, 4.6)
 
 NOISE_FACTOR = 8.0
 """Minimum contrast of a patch to the ring around it, in standard deviations of that contrast over
-the plate: excludes texture."""
+the plate. It excludes texture."""
 
 MIN_CONTRAST = 2.0
-"""The same [grey levels]: excludes stripes and spots of the light."""
+"""Minimum contrast of a patch [grey levels]. It excludes stripes and spots of the light."""
 
 CLEAR = 3.4
 """Distance from parts and other things within which patches are ignored [part radii], because of
@@ -51,7 +51,7 @@ def faint_patches(
     ----------
     image : (H, W) or (H, W, 3) uint8
     region : Region
-        Where the plate is.
+        Region of the plate in the image.
     radius_px : float
         Radius of a part [px].
     taken_px : (m, 2)

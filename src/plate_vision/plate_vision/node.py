@@ -178,7 +178,7 @@ class Tally:
     detection_ms : list of float
         Detection times [ms].
     overlooked, overlooked_before : OverlookedTally
-        Things that were not taken for parts: in these images, and in those of the report before.
+        Things that were rejected as parts: in these images, and in those of the report before.
     """
 
     images: int = 0
@@ -337,7 +337,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._warn(text)
 
     def _log_photograph(self, name: str) -> None:
-        """Log the parts of a photograph, and the things in it that are not taken for parts."""
+        """Log the parts of a photograph, and the things in it that are rejected as parts."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
         overlooked.add(*self._counts())
@@ -601,7 +601,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._faint_count, self._faint_at = len(found), stamp
 
     def _note_overlooked(self) -> list[OverlookedThing]:
-        """Count the things that are not taken for parts. Return them in metres."""
+        """Count the things that are rejected as parts. Return them in metres."""
         taken, things, radius = self._counts()
         self._tally.overlooked.add(taken, things, radius)
         columns = (things["x"], things["y"], radius, things["reason"])

@@ -38,7 +38,7 @@ OVERLOOKED = np.dtype(
         ("reason", "U16"),
     ]
 )
-"""One thing that is not taken for a part: centre and radius [px] of the disc of the same area;
+"""One thing that is rejected as a part: centre and radius [px] of the disc of the same area;
 centre [m, plate_home]; one of `REASONS`."""
 
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
@@ -179,7 +179,7 @@ class OverlookedTally:
     images, taken : int
         Number of images, and number of parts in them.
     things : list of (n,) OVERLOOKED
-        Things that are not taken for parts, image by image.
+        Things that are rejected as parts, image by image.
     radii : list of (n,)
         Radii of the things [m], image by image.
     """
@@ -206,7 +206,7 @@ class OverlookedTally:
         )
 
     def finding(self, expected: Expected) -> Finding | None:
-        """Describe the things that are not taken for parts, with reasons and remedies; None without
+        """Describe the things that are rejected as parts, with reasons and remedies; None without
         such things.
 
         All numbers are averages over the images. The level is WARN if the things are many or if no

@@ -70,7 +70,7 @@ def find_parts(
     scale : float
         Scale of the picture [px/m].
     region : Region, optional
-        Where the plate is; the whole image if None.
+        Region of the plate. None: the whole image.
 
     Returns
     -------

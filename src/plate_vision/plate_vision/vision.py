@@ -74,7 +74,7 @@ class Vision:
     calibration : Calibration
         Mapping between image and plate_home.
     region : Region
-        Where the plate is in the image.
+        Region of the plate in the image.
     options : DetectorOptions
         Description of the parts.
     view : PartView
@@ -285,7 +285,7 @@ def follow_plate(
     """Find a plate with markers in an image, before `observe` looks for parts.
 
     Return the new location, a vision whose region is there, and the image (H, W) or (H, W, 3)
-    without the markers, which could be taken for parts. Pass both to `observe`.
+    without the markers, which could be mistaken for parts. Pass both to `observe`.
 
     Raises
     ------

@@ -153,7 +153,7 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
     """
     omega, limits = 2 * np.pi * hz, rig.limits
     pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
-    radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0  # of the fastest point
+    radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0  # lever arm
     travel = float(np.max(np.abs(motor_levers(rig) @ pose)))
     if travel < 1e-9:
         return Shake(0.0, 0.0, 0.0, "no motor pushes this way")

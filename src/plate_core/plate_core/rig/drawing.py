@@ -22,7 +22,7 @@ def draw(rig: Rig, name: str, path: Path) -> None:
     Raises
     ------
     ValueError
-        If the file's ending is no picture format.
+        If the file name does not end with a supported picture format.
     """
     figure = Figure(figsize=(13, 5.5), layout="constrained")
     above, image = figure.subplots(1, 2)
@@ -45,7 +45,7 @@ def _draw_plate(axes: Axes, rig: Rig) -> None:
         arrow = {"arrowstyle": style, "color": "#b2182b", "lw": 2}
         axes.annotate("", (far_x, far_y), (x, y), arrowprops=arrow, annotation_clip=False)
         axes.plot(x, y, "o", color="#b2182b", markersize=4)
-        beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)  # from the arrow's middle
+        beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)  # offset from the arrow [points]
         axes.annotate(
             motor.name, ((x + 2 * far_x) / 3, (y + 2 * far_y) / 3), beside, ha="center",
             textcoords="offset points", va="center" if beside[0] else "bottom",

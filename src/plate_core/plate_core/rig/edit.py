@@ -31,9 +31,9 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     Raises
     ------
     PlateError
-        If the file cannot be written, or the changed file fails `expected` or is no rig file.
+        If the file cannot be written, or the changed file fails `expected` or is not a rig file.
     """
-    path = path.resolve()  # where a link leads
+    path = path.resolve()  # follow a symbolic link
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -53,7 +53,7 @@ def edited(text: str, values: Values) -> str:
     """Return a rig file's text with new values. Missing keys are added at the end of their mapping,
     in its style."""
     root: Any = yaml.compose(text, yaml.SafeLoader)
-    edits = []  # start, end, new text
+    edits = []  # (start, end, new text)
     for keys, new in values.items():
         mapping = root
         for key in keys:
@@ -66,7 +66,7 @@ def edited(text: str, values: Values) -> str:
                 edits.append((_start(mapping, key), _end(old), f": {value}"))
             elif mapping.flow_style:
                 edits.append((last.end_mark.index, last.end_mark.index, f", {key}: {value}"))
-            else:  # below the last one, and the comment behind it
+            else:  # insert after the last item's line
                 at = text.find("\n", _end(last))
                 at = len(text) if at < 0 else at
                 edits.append((at, at, f"\n{indent}{key}: {value}"))

@@ -41,7 +41,7 @@ CONVERGED = 1e-7
 (x, y, 1)."""
 
 MAX_STEPS = 30
-"""Maximum number of Newton steps. Wherever a lens does not fold the image, 2 or 3 are enough."""
+"""Maximum number of Newton steps. If the lens does not fold the image, 2 or 3 are sufficient."""
 
 TABLE = 1025
 """Number of radii in the table of start values for Newton's method."""
@@ -129,7 +129,7 @@ class Lens:
                     f"{self.model}"
                 )
             values = (0.0,) * (5 if 5 in counts else counts[0])
-        if not np.all(np.abs([*values, *self.focal_px, *self.centre_px]) <= BIGGEST):  # NaN neither
+        if not np.all(np.abs([*values, *self.focal_px, *self.centre_px]) <= BIGGEST):  # no NaN
             raise RigError(
                 f"lens: K has {self.focal_px + self.centre_px} for fx, fy, cx, cy, distortion is "
                 f"{values}, allowed: numbers from {-BIGGEST:g} to {BIGGEST:g}"
@@ -269,7 +269,7 @@ class Lens:
             np.polynomial.Polynomial([1, k4, k5, k6]),
         )
         twice = np.polynomial.Polynomial([0, 2])
-        growth = up * down + twice * (up.deriv() * down - up * down.deriv())  # of r c, times down^2
+        growth = up * down + twice * (up.deriv() * down - up * down.deriv())  # d(r c)/dr down^2
         return float(np.sqrt(min(_first_root(growth.coef), _first_root(down.coef))))
 
     @cached_property
@@ -291,8 +291,8 @@ class Lens:
             t2 = t * t
             bent = t * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
             slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
-            steep = (slope / (1 + safe) - bent / r) / (2 * safe)  # of bent / r, in r2
-            first = k1 - 1 / 3  # Taylor's series about the axis
+            steep = (slope / (1 + safe) - bent / r) / (2 * safe)  # d(bent / r)/d(r2)
+            first = k1 - 1 / 3  # Taylor series near the axis
             return np.where(far, bent / r, 1 + first * r2), np.where(far, steep, first)
         k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))

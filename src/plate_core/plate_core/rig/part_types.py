@@ -242,7 +242,7 @@ def _part_type(name: str, fields: Fields) -> PartType:
 
 def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
     """Return the corners (n, 2) of a polygon in counter-clockwise order. Raise an error if they are
-    no valid polygon."""
+    not a valid polygon."""
     if not 3 <= len(corner) <= MOST_CORNERS or not is_simple(corner):
         raise fields.fail(
             key, f"3 to {MOST_CORNERS} corners, in order, of a polygon no two edges of which cross"

@@ -248,7 +248,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         )
 
     def _keep_clock(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse to change the clock during a task, since rclpy's callback would do it at once."""
+        """Refuse a change of the clock during a task, because rclpy's callback would apply it at
+        once."""
         if not self.active or all(item.name != USE_SIM_TIME_NAME for item in parameters):
             return SetParametersResult(successful=True)
         reason = (

@@ -160,7 +160,7 @@ def deserialized(data: bytes, kind: type) -> Any:
     Raises
     ------
     PlateError
-        If the bytes are no message of this kind. rclpy would drop such a message without an error.
+        If the bytes are not a message of this kind. rclpy would drop such bytes without an error.
     """
     try:
         return deserialize_message(data, kind)

@@ -1,4 +1,5 @@
-"""The feed task: reading and checking of its keys, and the rule which parts a robot may grip.
+"""The feed task: reading and checking of its keys, and the rule that decides which parts a robot
+may grip.
 
 A part is ready if it is of the right class, in the pick window, at the requested angle, and far
 enough from all other parts (`ready_parts`).
@@ -244,7 +245,7 @@ def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     if count < 2:
         return np.full(count, np.inf)
     apart = np.hypot(*(parts.position[:, None] - parts.position[None]).transpose(2, 0, 1))
-    gap = apart - reach[:, None] - reach[None]  # of the circumscribed discs: a lower bound
+    gap = apart - reach[:, None] - reach[None]  # gap of the circumscribed discs: a lower bound
     np.fill_diagonal(gap, np.inf)
     if all(kind.radius_m for kind in types):
         return np.asarray(gap.min(axis=1))

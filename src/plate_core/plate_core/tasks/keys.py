@@ -310,4 +310,4 @@ SECTIONS = (
     FILE, GROUP, TASK, SORT, BIN, FOLLOW, PATH, CIRCLE, ASSEMBLE, POSE, POSES, MOVE, MOVES,
     FEED, PICK, HOPPER,
 )  # fmt: skip
-"""All of a scenario file, in the order of the reference."""
+"""All sections of a scenario file, in the order of the reference."""

@@ -36,8 +36,8 @@ LEAST_MARKERS = 4
 """Minimum number of markers for a check of the printed board."""
 
 WORST_MISFIT = 0.4
-"""Maximum misfit of markers to the right board [marker sides]. A wrong board has 0.7 or more, the
-right one with a strongly distorting lens up to 0.2."""
+"""Maximum misfit of markers to the correct board [marker sides]. A wrong board has 0.7 or more, the
+correct one up to 0.2 with a strongly distorting lens."""
 
 NEAR = 4
 """Number of nearest markers from which a corner is predicted. A local prediction tolerates a
@@ -183,8 +183,8 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
 def find_corners(grey: np.ndarray, board: Board) -> Corners | None:
     """Find a board's inner corners in an image (H, W) uint8; None if fewer than `LEAST_CORNERS`.
 
-    All corners of a chessboard must be visible. Of a ChArUco board, the corners next to visible
-    markers are found; its first square may be black or white.
+    All corners of a chessboard must be visible. On a ChArUco board, the corners next to visible
+    markers are found. Its first square may be black or white.
 
     Raises
     ------
@@ -355,7 +355,7 @@ class LensFit:
                 f"the board was seen in {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
                 f"of the height, better: {LEAST_COVER:.0%} or more (hold it into the corners)"
             )
-        model = self.lens.model  # a fisheye may show more than a straight image can
+        model = self.lens.model  # no undistorted image for a wide fisheye
         if model != "equidistant" and not _shows(self.lens, self.size_px):
             return (
                 "the lens folds the image near its edges, allowed there: no part of the plate, "

@@ -139,8 +139,9 @@ def _lens(args: argparse.Namespace) -> None:
 
 
 def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
-    """Search the board in pictures of one size; in a long film or a large folder in fewer and fewer
-    of them. Also return the board as printed."""
+    """Search for the board in pictures of one size. In a long film or a large folder, more and more
+    pictures are skipped (`FRAMES_SEARCHED`). Return the board as printed, the corners in each
+    picture that shows it, and the size [px]."""
     each = FRAMES_SEARCHED if pictures.is_film else PICTURES_SEARCHED
     progress = Progress(pictures)
     seen: list[Corners] = []

@@ -147,7 +147,7 @@ def decode_file(
     Raises
     ------
     ImageError
-        If it is neither, or is damaged or truncated.
+        If the file is neither JPEG nor PNG, or is damaged or truncated.
     """
     if "compressedDepth" in form:
         raise ImageError(f"image: format is {form!r}, allowed: jpeg, png")
@@ -219,8 +219,8 @@ def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarr
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
-    """Return the grey levels (H, W) of an image (H, W) or (H, W, 3) uint8. Of a colour image it is
-    the middle channel, green.
+    """Return the grey levels (H, W) of an image (H, W) or (H, W, 3) uint8. For a colour image this
+    is the green channel.
 
     Raises
     ------

@@ -97,7 +97,8 @@ def _block(matrix: np.ndarray) -> dict[str, object]:
 
 
 def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
-    """Return the values of a matrix, flat; without a shape the size is read from the file."""
+    """Return the values of a matrix as a flat array. If no shape is given, the file determines
+    it."""
     rows, columns = fields.integer("rows", 1, 16), fields.integer("cols", 1, 16)
     if shape is not None and (rows, columns) != shape:
         raise CalibrationError(

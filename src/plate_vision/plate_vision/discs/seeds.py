@@ -49,7 +49,7 @@ def find_seeds(
     ----------
     plate : LitPlate
     region : Region
-        Where the plate is.
+        Region of the plate in the image.
     threshold : float
         Fraction of the plate's brightness below which a pixel is dark.
     radius_px : float

@@ -113,7 +113,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
     Publishes image_raw, camera_info, diagnostics. Each image is stamped with the start of its
     exposure. Automatic exposure, gain, white balance and focus of the device are off unless the
-    parameter auto_... of each is true.
+    respective parameter auto_... is true.
 
     `device` may be a V4L2 camera (/dev/videoN or better its path in /dev/v4l/by-id), a
     GenICam camera (genicam:FILE.cti, the GenTL file of its maker), a named pipe of raw frames, a

@@ -250,8 +250,8 @@ class V4l2Device:
         """Return whether the stamps of its buffers are from the monotonic clock, and whether they
         refer to the start of the exposure; None if the driver does not report it.
 
-        Most drivers answer also to a process that is not the reader. uvcvideo refuses up to Linux
-        6.15; both are true of its stamps.
+        Most drivers also reply to a process that is not the reader. uvcvideo up to Linux 6.15 does
+        not; for this driver both results are True.
         """
         data = bytearray(88)
         struct.pack_into("II", data, 0, 0, CAPTURE)

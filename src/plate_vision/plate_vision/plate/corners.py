@@ -39,7 +39,7 @@ def find_plate_corners(
     """Find the plate's corners in an image (H, W) or (H, W, 3) uint8 of the plate at rest at home.
 
     The outline is searched near the rig's `corners_px` first, then as the largest bright or dark
-    quadrilateral of the picture. Of its four rotations the one nearest to `corners_px` is taken.
+    quadrilateral of the picture. The corner order nearest to that of `corners_px` is used.
 
     Parameters
     ----------

@@ -83,7 +83,7 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
     """Locate the plate in an image (H, W) or (H, W, 3) uint8, before the detection of parts.
 
     Return the new location, whose `region_pose` changes if a new region is needed; and the image
-    without the markers, which could be taken for parts.
+    without the markers, which could be mistaken for parts.
 
     Raises
     ------

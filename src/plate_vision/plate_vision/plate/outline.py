@@ -53,10 +53,10 @@ NEAR_PX = 3.0
 """Least tolerated deviation [px]: corners measured by hand have errors of 1 to 2 px."""
 
 BOW_PX = 1.0
-"""Tolerated bow in the middle of an edge [px]; it is measured to 0.2 px."""
+"""Tolerated bow in the middle of an edge [px]. It is measured to 0.2 px."""
 
 BOW_M = 5e-4
-"""The same [m], if that is larger; sawn plates are straight to 0.3 mm."""
+"""Tolerated bow [m], if it is larger than `BOW_PX`. Sawn plates are straight to 0.3 mm."""
 
 TURN_RAD = np.radians(0.6)
 """Tolerated rotation [rad]. It is measured to a tenth of that on a plate of 300 px; a shaking plate
@@ -106,10 +106,10 @@ SHIFT_TEXT_M = 5e-4
 corners rounded to a pixel."""
 
 TURN_TEXT_RAD = np.radians(0.2)
-"""The same of the rotation [rad]."""
+"""The same for the rotation [rad]."""
 
 STRETCH_TEXT = 0.003
-"""The same of the change of size [-]."""
+"""The same for the change of size [-]."""
 
 FLIPS = {
     "mirrored left to right": (1, -1),

@@ -56,7 +56,7 @@ OTHER_NODES = (
     "after a restart the page uses it for its picture from above, and the planner if camera: "
     "readout_s is above 0; no other node needs it"
 )
-"""The nodes that map between image and plate themselves, beside the detector."""
+"""Text about the nodes that map between image and plate in addition to the detector."""
 
 LEVELS = {
     Level.OK: AimCheck.OK,

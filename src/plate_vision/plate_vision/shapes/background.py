@@ -76,11 +76,12 @@ EDGE_PX = 4
 """Width of the plate's edge that such a blur reaches [px]."""
 
 SOFTER = 0.2
-"""Fraction of the pixels at the plate's edge that differ from the bare plate, from which on blur is
-tried."""
+"""Minimum fraction of the pixels at the plate's edge that differ from the bare plate for a search
+of the blur."""
 
 EXPLAINED = 0.1
-"""Maximum fraction that differs with the right blur. With more, the plate has moved."""
+"""Maximum fraction that differs with the correct blur. A larger fraction means that the plate has
+moved."""
 
 SPECK = 100.0
 """Minimum deviation of a speck, a pixel that differs from its neighbours [L]."""

@@ -34,7 +34,7 @@ BESIDE_PX = 9.0
 """Maximum length of a profile on each side of the contour [px]."""
 
 BESIDE_RADIUS = 0.6
-"""The same, relative to the radius; the smaller counts."""
+"""The same, relative to the radius. The smaller of both is used."""
 
 STEPS = 13
 """Number of samples of a profile."""

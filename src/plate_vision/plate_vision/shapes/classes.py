@@ -66,7 +66,7 @@ OTHER_SIZE = 0.45
 scatter."""
 
 OTHER_SIZE_PX = 1.0
-"""The same of the difference of the outlines [px]."""
+"""The same for the difference of the outlines [px]."""
 
 UNLIKE = 0.4
 """Distance of forms, see `Outline.form`, above which a type is not tried. Parts of 20 px are up to
@@ -90,12 +90,12 @@ CLEAN = 1.5
 """Score below which a type with holes is not also tried without them."""
 
 OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
-"""Error of a position per distance between the outline and the type's; this distance in a sharp
-image [px], without motion blur, height or uneven light."""
+"""Ratio of the position error to the distance between the outline and the type's outline; and this
+distance in a sharp image without motion blur, height or uneven light [px]."""
 
 SWELL_ERROR, USUAL_SWELL_PX = 0.5, 0.2
-"""Error of a position per swelling of an outline, and typical swelling [px]. A cause on one side,
-such as an unknown height, moves a part by more than it swells it."""
+"""Ratio of the position error to the swelling of an outline, and typical swelling [px]. A one-sided
+cause, such as an unknown height, displaces a part by more than the swelling."""
 
 HEIGHT_ERROR_PX = 0.1
 """Standard deviation of a position on the plate along each axis after the correction for height
@@ -195,7 +195,8 @@ def recognise_under(
     calibration: Calibration,
     conditions: Conditions,
 ) -> tuple[np.ndarray, Conditions]:
-    """As `recognise`, but also return the conditions measured with the recognised parts.
+    """Do the same as `recognise`, and also return the conditions measured with the recognised
+    parts.
 
     If most parts with a type are swollen, or their shadows have another length than was measured
     without types, all patches are compared again.
@@ -270,7 +271,7 @@ def _compared(
         SWELL_ERROR * np.maximum(np.abs(found["swell_px"]) - USUAL_SWELL_PX, 0),
     )
     if lamp is not None:
-        # Half of the shadow's error, of its length and its edge, is an error of the part.
+        # Half of the error of the shadow's length and edge is an error of the part.
         shadow_px = np.hypot(lamp.scatter_px, max(swell, LEAST_SWELL_PX))
         error_px = np.hypot(error_px, 0.5 * shadow_px)
     if len(levels) > 1 or levels[0] > 0:

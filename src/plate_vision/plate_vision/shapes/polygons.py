@@ -1,7 +1,7 @@
 """A measured outline simplified to a polygon with few corners.
 
-Douglas-Peucker gives a first polygon; its corners are fitted by least squares, and corners are
-removed as long as the fit remains good.
+The Douglas-Peucker algorithm gives a first polygon. Its corners are fitted by least squares, and
+corners are removed while the fit remains good.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FINE_PX = 0.5
 """Tolerance of the first polygon [px]."""
 
 FINE = 0.012
-"""The same, relative to the reach; the larger counts."""
+"""The same, relative to the reach. The larger of both is used."""
 
 PLAIN_PX = 0.14
 """RMS deviation up to which a polygon with fewer corners is preferred [px]."""

@@ -100,7 +100,7 @@ examples of parts 4, 6 and 8 mm high did; at 0.91 m half of those of 8 mm."""
 
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
 """Distance to both sides of a contour over which blur is measured, in pixels and relative to the
-radius; the smaller counts."""
+radius. The smaller of both is used."""
 
 
 @dataclass(frozen=True, eq=False)

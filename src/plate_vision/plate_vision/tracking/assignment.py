@@ -50,7 +50,8 @@ PREDICTIONS_FAIL = 1e-3
 another cycle."""
 
 TURN_RAD = 0.15
-"""Standard deviation of a rotation between two images, beside the previous spin [rad]."""
+"""Standard deviation of the rotation between two images, relative to that by the last spin
+[rad]."""
 
 ANY_TURN = 0.05
 """Fraction of rotations of any size: a misread mark, a part that was hit."""

@@ -75,7 +75,7 @@ class Tracker:
     renamed : tuple of (id before, id now)
         Parts whose class changed with the last image.
     overlooked : (n,) OVERLOOKED
-        Things in the last image that are not taken for parts.
+        Things in the last image that are rejected as parts.
     shadow : Shadow, optional
         Shadow that every part casts in the last image.
     lamp : Lamp, optional
@@ -171,7 +171,7 @@ def update(
         Positions of parts predicted from the plate's motion. Used if its instant is after the last
         image. The positions of other parts are extrapolated from their drift.
     overlooked : (n,) OVERLOOKED, optional
-        Things in the image that are not taken for parts. Default: none.
+        Things in the image that are rejected as parts. Default: none.
 
     Returns
     -------
