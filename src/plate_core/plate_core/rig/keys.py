@@ -17,79 +17,79 @@ STIFFEST = 1e9
 
 MOTOR = Section(
     "motors, motor_1 to motor_4",
-    "A linear motor: where its shaft meets the plate, and the way it pushes.",
+    "A linear motor.",
     (
         Key(
-            "point_m", Numbers((2,), -FAR_M, FAR_M), "Where the shaft meets the plate at rest "
-            "[x, y].",
+            "point_m", Numbers((2,), -FAR_M, FAR_M), "Point at which the shaft meets the plate at "
+            "rest [x, y].",
         ),
         Key(
-            "direction", Numbers((2,), -1, 1), "The way it pushes when its setpoint is positive "
-            "[x, y]; of any length but 0.",
+            "direction", Numbers((2,), -1, 1), "Direction of force at a positive setpoint [x, y], "
+            "of any length except 0.",
         ),
         Key(
             "drive", Choice(("bridge", "cia402", "odrive")), "A bridge of the board, a "
-            "drive of CiA 402 on CANopen, or an ODrive on CAN; the same for all four.", "bridge",
+            "CiA 402 drive on CANopen, or an ODrive on CAN; the same for all motors.", "bridge",
         ),
         Key(
-            "node", Whole(1, 126), "Number of its drive on the bus; up to 62 for an ODrive.",
+            "node", Whole(1, 126), "Node number of the drive on the bus; up to 62 for an ODrive.",
             None, "needed with a drive",
         ),
         Key(
-            "counts_per_m", Number(1e3, 1e9), "Counts of a cia402 drive's position (6064h).", None,
-            "needed with it",
+            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position (6064h).", None,
+            "needed with cia402",
         ),
         Key(
-            "turns_per_m", Number(0.1, 1e4), "Turns of an ODrive's position, with a linear motor "
-            "pairs of poles.", None, "needed with it",
+            "turns_per_m", Number(0.1, 1e4), "Turns of the drive's position; pole pairs of a "
+            "linear motor.", None, "needed with odrive",
         ),
         Key(
-            "sign", Sign(), "-1 where the drive counts against `direction`, else 1.", 1,
+            "sign", Sign(), "-1 if the drive counts against `direction`.", 1,
         ),
         Key(
-            "home", Choice(("here", "absolute")), "here: home is where the plate hangs at the "
-            "first enable. absolute: the drive's position is 0 at home.", "here",
+            "home", Choice(("here", "absolute")), "here: home is the plate's position at "
+            "the first enable. absolute: home is the drive's position 0.", "here",
         ),
         Key(
-            "serial", Whole(1, 2**32 - 1), "Of a cia402 drive (object 1018h:04), which is then "
-            "looked at.", None, "any",
+            "serial", Whole(1, 2**32 - 1), "Serial number of a cia402 drive (object 1018h:04), "
+            "which is then checked.", None, "any",
         ),
     ),
 )  # fmt: skip
 
 CAMERA = Section(
     "camera",
-    "The camera: its images, where the plate is in them, and its lens.",
+    "Images, position of the plate in them, and lens.",
     (
         Key("width_px", Whole(16, 16384), "Width of an image."),
         Key("height_px", Whole(16, 16384), "Height of an image."),
         Key("exposure_s", Number(0, 0.1), "Exposure time."),
         Key(
-            "readout_s", Number(0, 0.1), "Rolling shutter: the last row is exposed this much later "
-            "than the first.", 0.0,
+            "readout_s", Number(0, 0.1), "Rolling shutter: delay of the last row's exposure after "
+            "the first.", 0.0,
         ),
-        Key("colour", Flag(), "Whether it sees colours.", False),
+        Key("colour", Flag(), "Whether images have colour.", False),
         Key(
             "height_m", Number(0.01, 100), "Height of the lens above the plate. Parts with a "
-            "height need it if `focal_px` is missing.", None, "not known",
+            "height require it or `focal_px`.", None, "unknown",
         ),
         Key(
-            "trigger_phase", Number(0, 0.999), "The motor controller triggers the camera at this "
-            "fraction of each cycle.", None, "the camera runs free",
+            "trigger_phase", Number(0, 0.999), "Fraction of each cycle at which the motor "
+            "controller triggers the camera.", None, "the camera runs free",
         ),
         Key(
-            "trigger_pulse_s", Number(0.001, 0.008), "Length of its pulse, in whole ms.", 0.002,
+            "trigger_pulse_s", Number(0.001, 0.008), "Length of the pulse, in whole ms.", 0.002,
         ),
         Key(
-            "corners_px", Numbers((4, 2), -16384, 32768), "Images of the plate's corners at rest, "
-            "as seen: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
+            "corners_px", Numbers((4, 2), -16384, 32768), "Image points of the plate's corners at "
+            "rest, with distortion: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
         ),
         Key(
-            "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy of the lens: of K in "
-            "camera_info.", None, "a lens that does not bend lines",
+            "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy of K in camera_info.",
+            None, "no distortion",
         ),
         Key(
-            "centre_px", Numbers((2,), -1e6, 1e6), "Principal point cx, cy: of K in camera_info.",
+            "centre_px", Numbers((2,), -1e6, 1e6), "Principal point cx, cy of K in camera_info.",
             None, "needed with `focal_px`",
         ),
         Key(
@@ -112,27 +112,27 @@ DICTIONARIES = (
 """Sets of markers, with OpenCV's names without DICT_. Older OpenCV versions lack the last one."""
 
 FIDUCIALS = Section(
-    "fiducials (may be left out)",
-    "Markers on the plate: the camera finds plate_home by them; `corners_px` may then be a guess.",
+    "fiducials (optional)",
+    "Markers that define plate_home in the image; `corners_px` may then be a guess.",
     (
-        Key("dictionary", Choice(DICTIONARIES), "Set of ArUco markers, by OpenCV's name."),
-        Key("side_m", Number(0.001, 1), "Side of a marker's black square."),
+        Key("dictionary", Choice(DICTIONARIES), "OpenCV's name of a set of ArUco markers."),
+        Key("side_m", Number(0.001, 1), "Side of the black square."),
         Key(
             "centre_m", Table("for each of 4 to 16 markers [x, y], as marker_0: [0.1, 0.1]"),
-            "Centres of the markers on the plate, their upper sides towards +y.",
+            "Centres of the markers on the plate. Their upper sides point towards +y.",
         ),
     ),
 )  # fmt: skip
 
 SUSPENSION = Section(
-    "suspension (may be left out: the plate is rigid and does as commanded)",
-    "How the plate hangs, and how its motors push.",
+    "suspension (optional)",
+    "Flexures and motors. Without it, the plate moves exactly as commanded.",
     (
         Key(
             "frequency_hz", Numbers((3,), 0, 1e3), "Natural frequencies of x, y and theta, each "
-            "with the others held.", None, "or `stiffness`",
+            "with the others fixed.", None, "or `stiffness`",
         ),
-        Key("damping_ratio", Numbers((3,), 0, 2), "And their damping.", None, "or `damping`"),
+        Key("damping_ratio", Numbers((3,), 0, 2), "Their damping.", None, "or `damping`"),
         Key(
             "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "Stiffness matrix of x, y "
             "and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
@@ -142,25 +142,26 @@ SUSPENSION = Section(
             "N m s/rad].", None, "or `damping_ratio`",
         ),
         Key(
-            "inertia_kgm2", Number(1e-9, 1e6), "Of the plate about its centre of mass.",
+            "inertia_kgm2", Number(1e-9, 1e6), "Inertia of the plate about its centre of mass.",
             None, "that of a uniform plate",
         ),
         Key(
-            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "At rest [x, y].", (0.0, 0.0),
+            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "Position at rest [x, y].",
+            (0.0, 0.0),
         ),
-        Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Shares of "
-            "these forces that the drive supplies in advance."),
+        Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Fractions "
+            "of these forces that the drive supplies in advance."),
         Key(
-            "motor_gain", Numbers((4,), 0.1, 3), "Force of each motor over the force asked of it.",
+            "motor_gain", Numbers((4,), 0.1, 3), "Actual over commanded force of each motor.",
             (1.0, 1.0, 1.0, 1.0),
         ),
         Key(
-            "motor_bandwidth_hz", Number(1, 1e4), "Corner of the motors' first-order lag.",
+            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motors' lag.",
             float("inf"), "no lag",
         ),
         Key(
             "servo", Table("stiffness_npm from 0 to 1e7, damping_nspm from 0 to 1e5"), "Stiffness "
-            "[N/m] and damping [N s/m] with which each motor holds its own setpoint.",
+            "[N/m] and damping [N s/m] of each motor's position servo.",
             None, "none",
         ),
     ),

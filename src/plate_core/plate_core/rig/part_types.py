@@ -65,37 +65,36 @@ Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) [m], counter-clockwise."""
 
 PART_TYPE = Section(
-    "types (may be left out), NAME",
-    "A type of part, with a name as `nut`. Either `outline_m` or `radius_m`.",
+    "types (optional), NAME",
+    "A type of part with a name such as `nut`.",
     (
         Key(
-            "outline_m", Numbers((None, 2), -LARGEST_M, LARGEST_M), "Corners [x, y] of its "
-            f"outline, in order, 3 to {MOST_CORNERS}.", None, "a disc of `radius_m`",
+            "outline_m", Numbers((None, 2), -LARGEST_M, LARGEST_M), "3 to "
+            f"{MOST_CORNERS} corners [x, y] of the outline, in order.", None, "or `radius_m`",
         ),
-        Key("radius_m", Number(1e-4, LARGEST_M), "Radius of a disc.", None, "see `outline_m`"),
+        Key("radius_m", Number(1e-4, LARGEST_M), "Radius of a disc.", None, "or `outline_m`"),
         Key(
             "holes_m", Several(Numbers((None, 2), -LARGEST_M, LARGEST_M), MOST_HOLES), "Corners "
-            "[x, y] of each of its holes.", None, "no holes",
+            "[x, y] of each hole.", None, "no holes",
         ),
-        Key("mass_kg", Number(1e-6, 10), "Its mass.", None, "that in `parts`"),
-        Key("mu", Number(0.01, 2), "Friction between it and plate.", None, "that in `friction`"),
+        Key("mass_kg", Number(1e-6, 10), "Mass.", None, "that of `parts`"),
+        Key("mu", Number(0.01, 2), "Friction coefficient.", None, "that of `friction`"),
         Key(
-            "colour_lab", Numbers((3,), -128, 128), "Its colour under the plate's light, CIE L, a, "
-            "b: L from 0, black, to 100.", None, "not known",
-        ),
-        Key(
-            "symmetry", Whole(0, 64), "It looks the same in so many directions: 1 for a bracket, 6 "
-            "for a hexagon, 0 for a disc.", None, "found from the outline",
+            "colour_lab", Numbers((3,), -128, 128), "Colour under the plate's light, CIE L (0 "
+            "to 100), a, b.", None, "unknown",
         ),
         Key(
-            "scatter_m", Number(0, LARGEST_M), "How far outlines of parts of this type are from "
-            "this one, root mean square.", 0.0,
+            "symmetry", Whole(0, 64), "Order of rotational symmetry: 1 for a bracket, 6 for a "
+            "hexagon, 0 for a disc.", None, "computed from the outline",
         ),
         Key(
-            "height_m", Number(0, MAX_HEIGHT_M), "Its height above the plate; 0: flat, or unknown.",
+            "scatter_m", Number(0, LARGEST_M), "RMS deviation of parts from this outline.", 0.0,
+        ),
+        Key(
+            "height_m", Number(0, MAX_HEIGHT_M), "Height above the plate; 0: flat or unknown.",
             0.0,
         ),
-        Key("picture", Text(), "A picture of it, beside the file.", "", "none"),
+        Key("picture", Text(), "Name of a picture in the file's folder.", "", "none"),
     ),
 )  # fmt: skip
 

@@ -37,7 +37,7 @@ class Plate:
     length_m: float = measured("length_m", 0.05, 10, "Side of the plate along x.")
     width_m: float = measured("width_m", 0.05, 10, "Side of the plate along y.")
     mass_kg: float = measured(
-        "mass_kg", 0.001, 1000, "Mass of the plate with all that moves with it."
+        "mass_kg", 0.001, 1000, "Mass of the plate and all that moves with it."
     )
 
     @property
@@ -77,7 +77,7 @@ class PartFacts:
     mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
     radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
     height_m: float = measured(
-        "height_m", 0, MAX_HEIGHT_M, "Height of a part above the plate; 0: flat, or unknown.", 0.0
+        "height_m", 0, MAX_HEIGHT_M, "Height of a part above the plate; 0: flat or unknown.", 0.0
     )
 
 
@@ -106,41 +106,38 @@ class Limits:
     """
 
     stroke_m: float = measured(
-        "stroke_m", 1e-5, 1, "How far each motor can go from home, to either side."
+        "stroke_m", 1e-5, 1, "Stroke of each motor from home to either side."
     )
-    speed: float = measured("speed_mps", 1e-3, 100, "Greatest speed of each motor.")
+    speed: float = measured("speed_mps", 1e-3, 100, "Maximum speed of each motor.")
     accel: float = measured(
         "accel_mps2",
         0.1,
         1e4,
-        "Greatest acceleration of any point of the plate; less where motors lack the force.",
+        "Maximum acceleration of any point of the plate. Motor forces can limit it further.",
     )
-    force: float = measured(
-        "force_n", 1e-3, 1e6, "Greatest force of each motor, for a moment.", 200.0
-    )
+    force: float = measured("force_n", 1e-3, 1e6, "Peak force of each motor.", 200.0)
     continuous_force: float = measured(
         "continuous_force_n",
         1e-3,
         1e6,
-        "Root mean square force that each motor bears continuously; half of `force_n` where only "
-        "that is given.",
+        "Maximum continuous RMS force of each motor; half of `force_n` if only that is given.",
         100.0,
     )
     thermal_time_s: float = measured(
-        "thermal_time_s", 0.1, 1e5, "Time constant of the heat of a motor's winding.", 60.0
+        "thermal_time_s", 0.1, 1e5, "Thermal time constant of a motor's winding.", 60.0
     )
     heat_rise_k: float = measured(
         "heat_rise_k",
         0.1,
         1e3,
-        "How much warmer than the air a winding is at the continuous force.",
+        "Temperature of a winding above the air at the continuous force.",
         80.0,
     )
     following_error_m: float = measured(
         "following_error_m",
         0,
         1,
-        "Distance of a motor from its setpoint that is a fault; 0: not watched.",
+        "Maximum distance of a motor from its setpoint; 0: not checked.",
         0.0,
     )
 
@@ -504,8 +501,8 @@ def _lens(fields: Fields, corners: np.ndarray) -> Lens | None:
 SECTIONS = (
     Section("plate", "The plate.", keys_of(Plate)),
     Section("friction", "Coulomb friction between parts and plate.", keys_of(Friction)),
-    Section("parts", "Parts of no type in `types`: round, all alike.", keys_of(PartFacts)),
-    Section("limits", "What the motors and the plate can do.", keys_of(Limits)),
+    Section("parts", "Round parts that have no type in `types`.", keys_of(PartFacts)),
+    Section("limits", "Limits of the motors and the plate.", keys_of(Limits)),
     keys.MOTOR,
     keys.CAMERA,
     keys.FIDUCIALS,

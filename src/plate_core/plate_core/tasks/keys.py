@@ -28,71 +28,72 @@ CLASSES = ("black", "grey")
 CURVES = ("waypoints_m", "circle", "spline_m")
 """Alternative keys that define a path."""
 
+OR_ANOTHER = "or another curve"
+
 SLOWEST_MPS, FASTEST_MPS = 1e-5, 10.0
 """Allowed range of the speed along a path [m/s]."""
 
 ALL_DIFFERENT = "each class once"
+ANGLE_ERROR = "Maximum error of a part's angle."
 PLACE = Numbers((2,), -FAR_M, FAR_M)
 PLACES = Numbers((None, 2), -FAR_M, FAR_M)
 TOLERANCE = Key(
-    "tolerance_m", Number(1e-4, 1), "A part is there when its centre is this near its place."
+    "tolerance_m", Number(1e-4, 1), "Maximum distance of a part's centre from its place."
 )
 HOLD = Key(
     "hold_s",
     Number(0, 60),
-    "The task is done when its goal has been met for so long, unbroken; "
-    "shorter than `time_limit_s`.",
+    "Time for which the goal must hold without a break; shorter than `time_limit_s`.",
 )
 
 
 def class_key(*labels: str) -> Key:
     """Return the key `class` of a path or a pose, one of the classes of the scenario."""
     kind = Choice(labels) if labels else Text("a class of `parts`")
-    return Key("class", kind, "Class of the part that is meant.")
+    return Key("class", kind, "Class of the part.")
 
 
 FILE = Section(
     "scenario file",
-    "One task: parts on the plate, and what is to be done with them.",
+    "The parts on the plate, and one task.",
     (
-        Key("description", Text(), "The task, in a sentence."),
+        Key("description", Text(), "The task in a sentence."),
         Key(
-            "marked", Flag(), "Whether each round part has a spot that shows its angle, as `pose` "
-            "needs.", False,
+            "marked", Flag(), "Whether each round part has a spot that shows its angle; `pose` "
+            "requires it.", False,
         ),
         Key(
-            "rig", Text("a name in config/rigs, or the path of a .yaml file"), "The rig that is "
-            "taken where none is chosen. A path begins at the scenario's folder.",
-            "", "any rig will do",
+            "rig", Text("a name in config/rigs, or the path of a .yaml file"), "Rig that "
+            "is used if none is selected. A path is relative to the scenario's folder.",
+            "", "any rig",
         ),
         Key("parts", List(), "One entry for each class."),
-        Key("task", Table(), "`kind`, and the keys of that kind."),
+        Key("task", Table(), "`kind`, and its keys."),
         Key(
-            "time_limit_s", Number(0.1, 1e5), "Longest time from the task's beginning, in which "
-            "all parts were seen, to its end; a task that takes longer has failed.",
-            None, "none; with `until_canceled` there may be no limit",
+            "time_limit_s", Number(0.1, 1e5), "Maximum duration, from the detection of all parts. "
+            "Longer tasks fail. Not allowed with `until_canceled`.", None, "none",
         ),
     ),
 )  # fmt: skip
 
 GROUP = Section(
     "parts[]",
-    "The parts of one class: placed, or scattered at random.",
+    "The parts of one class, placed or random.",
     (
         Key(
             "class", Text("black, grey, or a type of the rig's `types`"), "`black` and `grey` "
-            "are round, as `parts` in the rig file says, and differ in brightness; a rig with "
-            "`types` has these, and no others.",
+            "are round, as `parts` in the rig file defines, and differ in brightness. A rig with "
+            "`types` has only these.",
         ),
         Key(
-            "count", Whole(0, 100), "How many, scattered at random (by `seed`): five radii from "
-            "centre to centre, or less where so many do not fit, and clear of the edges. 0 only in "
-            "a task of `feed`.",
+            "count", Whole(0, 100), "Number of parts at random places (by `seed`), with centres "
+            "five radii apart (less if necessary) and clear of the edges. 0 requires a task of "
+            "`feed`.",
             None, "or `positions_m`",
         ),
         Key(
-            "positions_m", PLACES, "Where the centre of each starts, two radii or more from that "
-            "of any other.",
+            "positions_m", PLACES, "Initial centre of each part, at least two radii from any "
+            "other.",
             None, "or `count`",
         ),
     ),
@@ -100,8 +101,8 @@ GROUP = Section(
 
 TASK = Section(
     "task",
-    "What is to be done.",
-    (Key("kind", Choice(KINDS), "Each kind has keys of its own, below."),),
+    "The task.",
+    (Key("kind", Choice(KINDS), "Each kind has its own keys, below."),),
 )
 
 SORT = Section(
@@ -109,15 +110,15 @@ SORT = Section(
     "Every class to its region. Done when all parts have been in their regions for `hold_s`.",
     (
         Key(
-            "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Where each "
-            f"class belongs: {', '.join(SIDES)}, or a polygon. Regions of two classes have no area "
-            "in common. `sides` is another word for it.",
+            "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Region of "
+            f"each class: {', '.join(SIDES)}, or a polygon. Regions must not overlap. `sides` is "
+            "a synonym.",
         ),
         Key(
-            "goal_fraction", Number(0, 0.8), "Where sides and corners begin, from the plate's "
-            "middle: as a fraction of the half length for left and right, of the half width for "
-            "bottom and top; a corner lies beyond both.",
-            None, "none; for bins alone it is not needed",
+            "goal_fraction", Number(0, 0.8), "Start of sides and corners, measured from the "
+            "middle: a fraction of the half length for left and right, of the half width for "
+            "bottom and top, of both for corners.",
+            None, "not needed if all regions are polygons",
         ),
         HOLD,
     ),
@@ -125,51 +126,50 @@ SORT = Section(
 
 BIN = Section(
     "task, kind: sort, a polygon in regions",
-    "A region with corners of its own.",
+    "A polygonal region.",
     (
         Key(
-            "bin_m", PLACES, "Corners [x, y] in order, three or more, on the plate. There must be "
-            "room for the parts of its class 3.5 radii apart.",
+            "bin_m", PLACES, "Three or more corners [x, y] on the plate, in order. The polygon "
+            "must have space for the parts of its class, 3.5 radii apart.",
         ),
     ),
 )  # fmt: skip
 
 FOLLOW = Section(
     "task, kind: follow",
-    "Every part along its own path, once all were led to the first points of their paths. "
-    "Done when all paths are run.",
+    "Every part along its own path, after all have moved to the starts of their paths. "
+    "Done when all paths are completed.",
     (
-        Key("paths", List(), "One path for each part."),
+        Key("paths", List(), "One path per part."),
         Key(
             "max_error_m",
             Number(1e-4, 10),
-            "A part further from where it should be ends the "
-            "task; from 0.15 of it on all parts are slowed down.",
+            "Maximum distance of a part from its reference; a larger one ends the task. From 0.15 "
+            "of it on, all parts slow down.",
         ),
     ),
 )
 
 PATH = Section(
     "task, kind: follow, paths[]",
-    f"The path of one part, given by one of {', '.join(CURVES)}.",
+    f"The path of one part: one of {', '.join(CURVES)}.",
     (
         class_key(),
-        Key("waypoints_m", PLACES, "Corners [x, y] of a polygon, two or more.", None, "see above"),
-        Key("circle", Table(), "Its keys are below.", None, "see above"),
+        Key("waypoints_m", PLACES, "Two or more corners [x, y] of a polygon.", None, OR_ANOTHER),
+        Key("circle", Table(), "Keys below.", None, OR_ANOTHER),
         Key(
-            "spline_m", PLACES, "Points [x, y] of a cubic spline, three or more.", None, "see above"
+            "spline_m", PLACES, "Three or more points [x, y] of a cubic spline.", None, OR_ANOTHER,
         ),
         Key(
-            "speed_mps", Number(SLOWEST_MPS, FASTEST_MPS), "Speed along the path; or pairs "
-            "[fraction of a lap, m/s] from 0 to 1, linear between them.",
+            "speed_mps", Number(SLOWEST_MPS, FASTEST_MPS), "Speed along the path, or pairs "
+            "[fraction of a lap, m/s] from 0 to 1 with linear interpolation.",
         ),
         Key(
-            "closed", Flag(), "Whether the last corner leads back to the first.", None,
-            "none; a circle is closed",
+            "closed", Flag(), "Whether the last corner connects to the first.", None,
+            "needed except for a circle",
         ),
         Key(
-            "laps", Number(0.01, 1000), "How many times round; 0.5 is half a round.",
-            None, "none; open paths: 1",
+            "laps", Number(0.01, 1000), "Number of laps.", None, "needed; 1 for open paths",
         ),
     ),
 )  # fmt: skip
@@ -178,10 +178,10 @@ CIRCLE = Section(
     "task, kind: follow, paths[], circle",
     "A circle.",
     (
-        Key("centre_m", PLACE, "Its centre [x, y]."),
-        Key("radius_m", Number(1e-4, FAR_M), "Its radius."),
+        Key("centre_m", PLACE, "Centre [x, y]."),
+        Key("radius_m", Number(1e-4, FAR_M), "Radius."),
         Key(
-            "start_deg", Number(-360, 360), "Where the path begins, counter-clockwise from x.", 0.0,
+            "start_deg", Number(-360, 360), "Start of the path, counter-clockwise from x.", 0.0,
         ),
         Key("turn", Choice(("left", "right")), "left: counter-clockwise; right: clockwise."),
     ),
@@ -189,13 +189,12 @@ CIRCLE = Section(
 
 ASSEMBLE = Section(
     "task, kind: assemble",
-    "A pattern of places is filled. Done when every place has had a part of its class for "
+    "Parts to a pattern of places. Done when every place has had a part of its class for "
     "`hold_s`.",
     (
         Key(
-            "places_m", Table("for each class a list of [x, y]"), "As many as there are parts "
-            "of the class, 2.5 radii or more from each other; the planner chooses which part goes "
-            "where.",
+            "places_m", Table("for each class a list of [x, y]"), "One place per part of the "
+            "class, at least 2.5 radii apart. The planner assigns the parts.",
         ),
         TOLERANCE,
         HOLD,
@@ -205,104 +204,104 @@ ASSEMBLE = Section(
 POSE = Section(
     "task, kind: pose",
     "Every part to a place and an angle. Done when all have been there for `hold_s`. "
-    "Round parts need `marked: true`.",
+    "Round parts require `marked: true`.",
     (
-        Key("poses", List(), "One pose for each part."),
+        Key("poses", List(), "One pose per part."),
         Key(
             "anywhere",
             Flag(),
-            "Whether parts without `place_m` may be anywhere; else they stay where they are.",
+            "Whether parts without `place_m` may end anywhere; otherwise they stay in place.",
             False,
         ),
         TOLERANCE,
-        Key("tolerance_deg", Number(0.1, 180), "A part has turned when its angle is this near."),
+        Key("tolerance_deg", Number(0.1, 180), ANGLE_ERROR),
         HOLD,
     ),
 )
 
 POSES = Section(
     "task, kind: pose, poses[]",
-    "Where one part is to be, and which way it, or its mark, is to point.",
+    "Target of one part: its place, and the direction of the part or its mark.",
     (
         class_key(),
         Key("angle_deg", Number(-360, 360), "Counter-clockwise from x."),
-        Key("place_m", PLACE, "Its place [x, y].", None, "it stays where it is"),
+        Key("place_m", PLACE, "Place [x, y].", None, "the present place"),
     ),
 )
 
 MOVE = Section(
     "task, kind: move",
-    "Parts to targets of their own, which topic `targets` may change. A part without one is to "
-    "stay where it is, but gives way. Done when all targets have been reached for `hold_s`.",
+    "Parts to individual targets, which the topic `targets` can change. A part without a target "
+    "stays in place, but makes room. Done when all targets have been reached for `hold_s`.",
     (
-        Key("targets", List(), "One for each part that is to be moved.", None, "none"),
+        Key("targets", List(), "One target per part.", None, "none"),
         TOLERANCE,
         Key(
-            "tolerance_deg", Number(0.1, 180), "A part has turned when its angle is this near.", 5.0
+            "tolerance_deg", Number(0.1, 180), ANGLE_ERROR, 5.0
         ),
         HOLD,
-        Key("until_canceled", Flag(), "It goes on until it is canceled, and is never done.", False),
+        Key("until_canceled", Flag(), "Whether the task runs until it is canceled.", False),
     ),
 )  # fmt: skip
 
 MOVES = Section(
     "task, kind: move, targets[]",
-    "Where one part is to come.",
+    "Target of one part.",
     (
         Key("id", Text("a class of `parts` and a number, such as black_1"), "The part."),
-        Key("place_m", PLACE, "Its place [x, y]."),
+        Key("place_m", PLACE, "Place [x, y]."),
         Key(
-            "angle_deg", Number(-360, 360), "Counter-clockwise from x; of round parts only if they "
-            "are `marked`.", None, "any",
+            "angle_deg", Number(-360, 360), "Counter-clockwise from x. Round parts must be "
+            "`marked`.", None, "any",
         ),
     ),
 )  # fmt: skip
 
 FEED = Section(
     "task, kind: feed",
-    "A feeder: parts lie ready for a robot while parts come and go, until it is canceled. Parts of "
-    "classes without an entry in `picks` are brought to the chute.",
+    "A feeder: keeps parts ready for a robot until it is canceled. Parts of classes that are not "
+    "in `picks` go to the chute.",
     (
-        Key("picks", List(), "One entry for each class that is wanted."),
+        Key("picks", List(), "One entry per requested class."),
         Key(
-            "clearance_m", Number(0, 0.5), "Least distance of a ready part's rim from that of "
-            "any other part.",
+            "clearance_m", Number(0, 0.5), "Minimum gap between a ready part and any other "
+            "part.",
         ),
         Key(
-            "chute", Choice(("left", "right", "bottom", "top")), "Side over which parts leave "
-            "that nobody wants.", None, "none: they stay",
+            "chute", Choice(("left", "right", "bottom", "top")), "Side over which unwanted "
+            "parts leave.", None, "none: they stay",
         ),
-        Key("hopper", Table(), "Where new parts come from.", None, "none"),
-        Key("timeout_s", Number(0.1, 3600), "Longest wait for a part.", 30.0),
-        Key("valid_s", Number(0.1, 3600), "So long a part is reserved for the robot.", 10.0),
+        Key("hopper", Table(), "Source of new parts.", None, "none"),
+        Key("timeout_s", Number(0.1, 3600), "Maximum wait for a part.", 30.0),
+        Key("valid_s", Number(0.1, 3600), "Time for which a part is reserved for the robot.", 10.0),
     ),
 )  # fmt: skip
 
 PICK = Section(
     "task, kind: feed, picks[]",
-    "Parts of one class that are to be ready.",
+    "Ready parts of one class.",
     (
         class_key(),
-        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Corners [x, y] of the pick window, lower "
-            "left and upper right: their centres are to lie in it.", None,
-            "the plate, but for the stroke and 1.25 radii along its edges"),
-        Key("ready", Whole(1, 100), "How many are to be ready at once.", 1),
-        Key("angle_deg", Number(-360, 360), "In which they are to lie.", None, "any"),
-        Key("tolerance_deg", Number(0.1, 180), "How far from that they may lie.", 5.0),
+        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Corners [x, y] of the pick window for the "
+            "centres, lower left and upper right.", None,
+            "the plate without the stroke and 1.25 radii along its edges"),
+        Key("ready", Whole(1, 100), "Number of parts that are ready at the same time.", 1),
+        Key("angle_deg", Number(-360, 360), "Angle of ready parts.", None, "any"),
+        Key("tolerance_deg", Number(0.1, 180), ANGLE_ERROR, 5.0),
     ),
 )  # fmt: skip
 
 HOPPER = Section(
     "task, kind: feed, hopper",
-    "It is opened for as long as the missing parts take when there are too few.",
+    "Opens when parts are missing, for the time that they take.",
     (
-        Key("fill", Whole(1, 100), "How many parts are to be on the plate."),
-        Key("least", Whole(1, 100), "It is opened when there are fewer.", None, "`fill`"),
-        Key("rate_ps", Number(0.1, 1000), "Parts a second that drop while it is open."),
-        Key("place_m", PLACE, "Where they drop [x, y]."),
-        Key("spread_m", Number(0.001, 1), "How far around it they drop."),
-        Key("mix", Table("for each class a fraction, 1 in all"), "Classes of the parts that drop; "
-            "some of each in `picks`.", None, "the classes of `picks`, each as often"),
+        Key("fill", Whole(1, 100), "Number of parts on the plate."),
+        Key("least", Whole(1, 100), "The hopper opens when there are fewer.", None, "`fill`"),
+        Key("rate_ps", Number(0.1, 1000), "Parts per second while it is open."),
+        Key("place_m", PLACE, "Centre of the drop area [x, y]."),
+        Key("spread_m", Number(0.001, 1), "Radius of the drop area."),
+        Key("mix", Table("for each class a fraction, 1 in all"), "Fractions of the classes; those "
+            "in `picks` are required.", None, "the classes of `picks`, equally"),
     ),
 )  # fmt: skip
 
