@@ -65,6 +65,6 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 1.0),
     steps=True,
-    finding="One harmonic serves nobody, two serve five parts.",
-    note=f"{REQUESTS} random requests of {FORCE:g} mu mg at most, solved to {TOLERANCE:g}.",
+    finding="One harmonic moves no part, two move five.",
+    note=f"{REQUESTS} random requests up to {FORCE:g} mu mg, solved to {TOLERANCE:g}.",
 )

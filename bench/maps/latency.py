@@ -172,7 +172,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="latency",
-    title="Late images: latency and error of the friction believed, plain PD loop",
+    title="Late images: latency and error of the assumed friction, plain PD loop",
     x_label="true friction over the friction believed [-]",
     y_label="latency of the image [cycles]",
     z_label="RMS error of a part to be held [mm]",
@@ -181,9 +181,9 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 6.0),
     log="x",
-    finding="A loop that takes late images for new swings up from about half a cycle on, sooner "
-    "if parts are less slippery than believed. Theory's growth where they are more slippery, some "
-    "per cent a cycle, does not show within the runs.",
-    note=f"One part, {CYCLES} cycles of 0.1 s, mean of {len(SEEDS)} runs; kp = {KP:g}, no "
-    "estimate of friction or age, which the planner makes.",
+    finding="A loop that treats late images as new is unstable from a latency of about half a "
+    "cycle on, or less if the friction is higher than assumed. If it is lower, the predicted "
+    "growth of some per cent per cycle is not visible within the runs.",
+    note=f"One part, {CYCLES} cycles of 0.1 s, mean of {len(SEEDS)} runs; kp = {KP:g}. "
+    "Unlike in the planner, friction and age are not estimated.",
 )

@@ -81,7 +81,7 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 0.4),
     log="xy",
-    finding="The force that is guaranteed to push two parts apart falls with their distance. A "
-    "denser library helps.",
-    note=f"Median of {PAIRS} random pairs. A unit of force has a mean square over parts of one.",
+    finding="The guaranteed force that separates two parts decreases with their distance. A denser "
+    "library increases it.",
+    note=f"Median of {PAIRS} random pairs. Forces have a mean square of 1 over the parts.",
 )

@@ -103,7 +103,7 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 1.0),
     log="y",
-    finding="The average force holds where the part never rests: the more is asked, the harder "
-    "the plate must shake.",
-    note=f"In its rhythm, after {CYCLES} cycles; border: {100 * LEVEL:g} % of the cycle.",
+    finding="The average force is exact if the part never rests. Larger requests need a higher "
+    "shaking ratio.",
+    note=f"Periodic state, after {CYCLES} cycles; border: {100 * LEVEL:g} % of the cycle.",
 )

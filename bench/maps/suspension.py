@@ -113,8 +113,8 @@ MAP = StabilityMap(
     bounds=(0.0, 2.0),
     log="y",
     steps=True,
-    finding="A plate that hangs softer than the line has to be learned first. Rotations, with "
-    "their quick ramps, need one that is 1.6 to 3.3 times as fast as sinusoids do.",
-    note=f"Root mean squares; median of {REQUESTS} random requests, in the plate's rhythm; "
+    finding="A plate with a lower natural frequency than the line must be learned first. Because "
+    "of their fast ramps, rotations need a frequency 1.6 to 3.3 times that of sinusoids.",
+    note=f"Root mean squares; median of {REQUESTS} random requests, periodic state; "
     f"damping {100 * DAMPING:g} %, motors 15 % apart, with a lag of 200 Hz.",
 )

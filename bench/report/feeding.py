@@ -51,8 +51,8 @@ def feeding(rows: list[Row]) -> Drawn:
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
     return Drawn(
         panels,
-        f"Parts a minute with a robot of 2 s, 30 at most: {told}. Ours lost {lost or 'none'} over "
-        "an edge.",
+        f"Parts a minute with a robot cycle of 2 s (maximum 30): {told}. "
+        f"Ours lost {lost or 'none'} over an edge.",
     )
 
 

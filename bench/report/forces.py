@@ -44,12 +44,12 @@ def force_map(rows: list[Row]) -> Drawn:
     )
     return Drawn(
         panels,
-        f"The error of the worst 1 % is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
-        f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad; equal steps are "
-        f"faster but miss {WANTED:g} by a factor of a hundred and more where the surface almost "
-        "stands still, as where a search ends.",
-        "average_force for judging, forces inside the search: the fastest that keep the worst "
-        f"1 % below {WANTED:g} mu mg.",
+        f"The 99th percentile of the error is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
+        f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad. Equal steps are faster, "
+        f"but exceed {WANTED:g} a hundredfold if the surface is almost at rest, as at the end of "
+        "a search.",
+        "average_force for evaluation, forces inside the search. They are the fastest with a 99th "
+        f"percentile below {WANTED:g} mu mg.",
     )
 
 
@@ -71,8 +71,8 @@ def rotations(rows: list[Row]) -> Drawn:
     ours, svd = value["library, least time"], value["24 on a grid, SVD"]
     return Drawn(
         panels,
-        f"A library of centres with least time guarantees {ours:.3f} mu mg for ten parts, the "
-        f"paper's SVD weights on 24 centres {svd:.4f}; ours takes "
+        f"For ten parts, a library of centres with minimum time guarantees {ours:.3f} mu mg, the "
+        f"paper's SVD weights on 24 centres {svd:.4f}. The project's solver takes "
         f"{shown(value['ours, cold'])} ms, HiGHS {shown(value['scipy linprog (HiGHS)'])} ms.",
     )
 
@@ -100,8 +100,8 @@ def inversion(rows: list[Row]) -> Drawn:
     told = ", ".join(f"{r['solved']:.0f} % of {r['parts']} parts" for r in free)
     return Drawn(
         panels,
-        f"Met with as many harmonics as the solver chooses: {told}; of "
-        f"the rest at least a share of {least:.2f} in the median.",
+        f"Solved with the default number of harmonics: {told}. For the rest, the median feasible "
+        f"fraction is at least {least:.2f}.",
     )
 
 

@@ -49,11 +49,11 @@ def tracking(rows: list[Row]) -> Drawn:
     most = ", ".join(f"{fastest(rows, n)} by {parts(n)}" for n in counts)
     return Drawn(
         panels,
-        f"Fastest speed kept [mm/s]: {most}; bound aT/16 = {min(column(rows, 'bound_mm_s')):.0f} "
+        f"Maximum speed [mm/s]: {most}. The bound aT/16 is {min(column(rows, 'bound_mm_s')):.0f} "
         f"to {max(column(rows, 'bound_mm_s')):.0f}.",
-        "Method B: never slower than Method A, where both were tried."
+        "Method B, never slower than Method A in the same case."
         if leads
-        else "Method B; where Method A keeps a higher speed the last panel shows it.",
+        else "Method B. The last panel shows where Method A keeps a higher speed.",
     )
 
 
@@ -99,7 +99,7 @@ def control(rows: list[Row]) -> Drawn:
     )
     return Drawn(
         panels,
-        f"Per cycle, our default: {told}.",
+        f"The default per cycle: {told}.",
     )
 
 
@@ -140,7 +140,7 @@ def cameras(rows: list[Row]) -> Drawn:
     return Drawn(
         panels,
         f"{shown(usual['rms_mm'])} mm at 30 images a second, {shown(triggered['rms_mm'])} mm with "
-        f"a triggered camera. Good for it, of what was tried: {'; '.join(borders)}.",
+        f"a triggered camera. Good enough, in the tested ranges: {'; '.join(borders)}.",
     )
 
 
@@ -203,8 +203,8 @@ def rigs(rows: list[Row]) -> Drawn:
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Drawn(
         panels,
-        f"Not all runs ended well on {told or 'none'}. feasible was right (likely: more than half "
-        f"of the runs end well) in {right} of {len(rows)} cases.",
+        f"Not all runs ended well: {told or 'none'}. `feasible` was right in {right} of "
+        f"{len(rows)} cases (likely: more than half of the runs end well).",
     )
 
 
@@ -236,9 +236,8 @@ def bound(rows: list[Row]) -> Drawn:
     gain = ", ".join(f"{r['free_mm_s'] / r['rest_mm_s']:.1f} by {parts(r['parts'])}" for r in best)
     return Drawn(
         panels,
-        f"Best cycle found with rest [mm/s]: {listed(best, 'rest_mm_s')}; closed loop: "
-        f"{listed(own, 'loop_mm_s')}. Without rest cycles are found that are faster by a factor of "
-        f"{gain}.",
+        f"Best cycle with rest [mm/s]: {listed(best, 'rest_mm_s')}; closed loop: "
+        f"{listed(own, 'loop_mm_s')}. Cycles without rest are faster by a factor of {gain}.",
     )
 
 
@@ -262,13 +261,15 @@ def horizon(rows: list[Row]) -> Drawn:
         f"{trial}: " + ", ".join(changed(r) for r in these)
         for trial, these in by(trials, "trial").items()
     )
-    return Drawn(panels, f"Change of the time of a task [%]: {told}.")
+    return Drawn(
+        panels, f"Change of the task time [%], and relative computing time in brackets: {told}."
+    )
 
 
 def changed(row: Row) -> str:
     """Return the change of a task's time by a trial, and the ratio of the computing."""
     change = f"{row['change']:+.0f} ± {row['error']:.0f}"
-    return f"{row['scenario']} {change} at {row['answer']:.2f} times the computing"
+    return f"{row['scenario']} {change} ({row['answer']:.2f})"
 
 
 def listed(rows: Iterable[Row], key: str) -> str:
@@ -289,8 +290,7 @@ def crowds(rows: list[Row]) -> Drawn:
     return Drawn(
         panels,
         f"{' / '.join(shown(n) for n in by(rows, 'parts'))} parts are sorted in "
-        f"{medians(rows, 'time_s')} s, "
-        f"{dropped or 'none'} dropped.",
+        f"{medians(rows, 'time_s')} s; {dropped or 'none'} are dropped.",
     )
 
 

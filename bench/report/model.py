@@ -37,5 +37,5 @@ def model(rows: list[Row]) -> Drawn:
     told = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in most)
     return Drawn(
         panels,
-        f"One model, {most[0]['parts']} parts, core time of a cycle [ms]: {told}.",
+        f"CPU time of a cycle with {most[0]['parts']} parts [ms]: {told}.",
     )

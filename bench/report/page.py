@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -105,6 +106,12 @@ def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
     commit, load = facts.get("commit") or "unknown", facts["machine"]["load"]
     told = "" if commit == common else f"commit {commit}, "
     return f" ({facts['seconds']:.0f} s, {told}load {load:g})"
+
+
+def usual_commit(facts: Data) -> str:
+    """Return the commit of most measurements; empty if there are none."""
+    commits = Counter(item.get("commit") or "unknown" for item in facts.values())
+    return commits.most_common(1)[0][0] if commits else ""
 
 
 def common_commit(facts: Data) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from report.chart import Chart, Data
-from report.page import common_commit, machines, measured
+from report.page import machines, measured, usual_commit
 
 FOLDER = "results"
 """Beside the text: pictures and CSV files."""
@@ -17,15 +17,18 @@ FOLDER = "results"
 FACTS = "measured.json"
 """There too: when and on what machine the CSV files were measured, and their headings."""
 
-WITHIN_LIMITS = re.compile(r"; all \d+ motor tables within limits( \(\d+ % used\))?")
-"""In the outcome of a demo; said once for all."""
+AS_USUAL = re.compile(
+    r"^Success: |, none dropped|; all \d+ motor tables within limits( \(\d+ % used\))?"
+)
+"""Parts of the outcome of a demo that `demos` states once for all."""
 
 ABOUT = """# Results: speed against accuracy
 
-Written by `make charts` from its measurements; do not edit. The same with charts to point at and to
-zoom, and with all rows: `out/report/index.html`. Forces are in mu mg, the sliding friction of one
-part. A black line joins what is not beaten in both time and error, our default has a ring, a hollow
-mark says that not all runs ended well. Times are of the cores; on a busy machine (its load is
+This page compares each stage with baselines in speed and accuracy, and shows where methods fail.
+`make charts` writes it from its measurements; do not edit it. `out/report/index.html` has the same
+charts with zoom and all rows. Forces are in mu mg, the sliding friction of one part. A black line
+connects results that none beats in both time and error. A ring marks the default. A hollow mark
+means that not all runs ended well. Times are CPU times without ROS; on a busy machine (the load is
 given) they are up to twice as long.
 """
 
@@ -63,13 +66,11 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     quick = ", ".join(name for name, item in used.items() if item["quick"])
     lines += [f"**Quick measurements with few cases: {quick}.**"] if quick else []
     minutes = sum(item["seconds"] for item in used.values()) / 60
-    commit = common_commit(used)
-    figures = "All measurements here (demos apart) and those in the tables of README, graph.md, "
-    figures += "hardware.md, feeder.md and trust.md"
-    lines += [f"{figures}: commit {commit}." if commit else "Each section names its commit."]
+    commit = usual_commit(used)
+    lines += [f"Commit: {commit}, unless another is given."]
     parts = [
         ABOUT,
-        "\n".join([*lines, f"All measurements behind the charts: {minutes:.0f} minutes."]) + "\n",
+        "\n".join([*lines, f"Total time: {minutes:.0f} minutes."]) + "\n",
         *(section(one, facts, commit) for one in charts),
         demos(folder),
     ]
@@ -85,7 +86,7 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
         f"*{chart.reading}*\n",
     ]
     if chart.default:
-        lines.append(f"Our default: {chart.default}\n")
+        lines.append(f"Default: {chart.default}\n")
     told = [
         f"`make bench ARGS={name}`{measured(facts.get(name), commit)}" for name in chart.sources
     ]
@@ -102,20 +103,19 @@ def demos(folder: Path) -> str:
     runs: Mapping[str, Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     lines = [
         "## Demos\n",
-        "Each is one run of the real graph, five nodes in five processes, by "
-        "`make demo SCENARIO=NAME ARGS=--lockstep` where no other command is named; "
-        "`python tools/demos.py` makes all. With `--lockstep` simulated time waits for the "
-        "answers, and a seed repeats the film; without it is real time. All motor tables were "
-        "within the limits, where nothing else is said. A cross shows where a part fell off. "
-        "Arrows are the mean friction force of the cycle that runs: in films on each part, in "
-        "picture strips on a part anywhere on the plate.\n",
+        "Each demo is one run of the real graph in five processes. The command is `make demo "
+        "SCENARIO=NAME ARGS=--lockstep`, unless another is given; `python tools/demos.py` runs "
+        "all. With `--lockstep`, simulated time waits for the results, and a seed repeats the "
+        "film. Unless stated otherwise, the task succeeded, no part was dropped, and all motor "
+        "tables were within the limits. Arrows show the mean friction force of the running cycle. "
+        "A click on a film opens a picture strip with the forces on the whole plate.\n",
     ]
     for name, run in runs.items():
-        told = f"{run['description']} {WITHIN_LIMITS.sub('', run['outcome'])}"
+        told = f"{run['description']} {AS_USUAL.sub('', run['outcome'])}"
         if run["command"] != f"make demo SCENARIO={name} ARGS=--lockstep":
             told += f" `{run['command']}`"
         lines.append(f"### {name}\n\n{told}\n")
         if (folder / f"{name}.webp").exists():
             film, strip = f"{FOLDER}/{name}.webp", f"{FOLDER}/{name}.png"
-            lines.append(f"![{name}]({film})\n\n[Picture strip]({strip})\n")
+            lines.append(f"[![{name}]({film})]({strip})\n")
     return "\n".join(lines)

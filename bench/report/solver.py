@@ -58,7 +58,7 @@ def solver(rows: list[Row]) -> Drawn:
     )
     return Drawn(
         panels,
-        f"Within 1e-4 mu mg, Method B: {lead}.",
+        f"Requests solved within 1e-4 mu mg by Method B: {lead}.",
     )
 
 
@@ -92,8 +92,8 @@ def options(rows: list[Row]) -> Drawn:
     counts = " / ".join(str(n) for n in by(rows, "parts"))
     return Drawn(
         panels,
-        f"With {counts} parts Method B misses {told('B', '3 restarts')}, Method A "
-        f"{told('A', '1 restarts')}, scipy by its own differences "
+        f"Error with {counts} parts: Method B {told('B', '3 restarts')}, Method A "
+        f"{told('A', '1 restarts')}, scipy with finite differences "
         f"{told('scipy, own differences', '3 restarts')}.",
     )
 
@@ -119,7 +119,7 @@ def steering(rows: list[Row]) -> Drawn:
     cold = {r["parts"]: r["cold_percent"] for r in groups["sinusoids"]}
     return Drawn(
         panels,
-        f"From a cold start {' / '.join(str(n) for n in counts)} parts miss "
-        f"{' / '.join(f'{cold[n]:.1f}' for n in counts)} % by Method B.",
-        f"Method B: it misses less with {less} parts.",
+        f"Error of Method B from a cold start: {' / '.join(f'{cold[n]:.1f}' for n in counts)} % "
+        f"with {' / '.join(str(n) for n in counts)} parts.",
+        f"Method B has the smaller error with {less} parts.",
     )

@@ -27,7 +27,7 @@ def rows_of(data: Data, one: StabilityMap) -> Sheet:
 
 def words_of(one: StabilityMap) -> dict[str, str]:
     """Return the words of one map's chart."""
-    reading = f"Colour: {one.z_label}. Black: where it passes {one.level:g}. "
+    reading = f"Colour: {one.z_label}. Black: border at {one.level:g}. "
     return {"title": one.title, "reading": f"{reading}Dashed: {one.line_label}. {one.note}"}
 
 

@@ -68,11 +68,10 @@ def sim(rows: list[Row]) -> Drawn:
     counts = ", ".join(str(r["parts"]) for r in cases["lead"])
     return Drawn(
         panels,
-        f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
-        f"ways, and to an error of {min(column(cases['travel'], 'error_mm')):.0e} mm where that is "
-        "wanted.",
-        f"Points by events at a tolerance of {DEFAULT_TOLERANCE}; the world's model of parts in "
-        f"steps of {1e3 * STEP:g} ms, at an overlap that no camera sees.",
+        f"At the same error, {lead} times as fast as pymunk with {counts} parts that move in all "
+        f"directions. The minimum error is {min(column(cases['travel'], 'error_mm')):.0e} mm.",
+        f"Points by events with a tolerance of {DEFAULT_TOLERANCE}, finite parts in steps of "
+        f"{1e3 * STEP:g} ms. No camera detects their overlap.",
     )
 
 
@@ -129,8 +128,8 @@ def cost(rows: list[Row]) -> Drawn:
     return Drawn(
         panels,
         f"{last['parts']} parts: {last['answer']:.1f} ms from image to setpoints, "
-        f"{100 * last['answer'] / last['period']:.0f} % of a cycle of {last['period']:.0f} ms; "
-        f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.",
+        f"{100 * last['answer'] / last['period']:.0f} % of a cycle of {last['period']:.0f} ms. "
+        f"The solver takes {100 * last['solver'] / last['answer']:.0f} % of this time.",
     )
 
 
@@ -158,9 +157,9 @@ def vision(rows: list[Row]) -> Drawn:
     ours = [r for r in rows if r["method"] == methods[0]]
     return Drawn(
         panels,
-        f"Ours: {span(ours, 'rms_px')} px in {span(ours, 'loop_ms')} ms in a loop of its own, in "
-        f"{span(ours, 'turns_ms')} ms in turns with the peers; no disc missed or invented, also "
-        "where they touch.",
+        f"This project: {span(ours, 'rms_px')} px in {span(ours, 'loop_ms')} ms in a separate "
+        f"loop, {span(ours, 'turns_ms')} ms in turns with the peers. No disc is missed or "
+        "invented.",
     )
 
 
