@@ -48,7 +48,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
             | {"seed": seed, "success": seed < successes, "time_s": time_s, "error_mm": 2.5}
             for seed in range(20)
         ]
-        head = {"world": "nominal", "commit": "", "sources": "", "versions": {}}
+        head = {"world": "nominal", "commit": "1a3f93", "sources": "", "versions": {}}
         return head | {"agent": agent, "tasks": {"Sort4-v1": summary(rows)}}
 
     for agent, successes, time_s in (("slow", 20, 9.0), ("bad", 1, 1.0), ("fast", 20, 5.0)):
@@ -57,7 +57,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
     lines = [line for line in leaderboard.tables(tmp_path).splitlines() if line.startswith("| [")]
     assert [line.split("]")[0] for line in lines] == ["| [fast", "| [slow", "| [bad"]
     assert lines[0] == (
-        "| [fast](../../benchmarks/fast.json) | 0:20 | 100 (84-100) | 5.0 | 2.5 | 0 | 0 |"
+        "| [fast](../../benchmarks/fast.json) | 0:20 | 100 (84-100) | 5.0 | 2.5 | 0 | 0 | 1a3f93 |"
     )
     assert "| 5 (1-24) | 1.0 |" in lines[2]
     forged = result("slow", 20, 9.0)

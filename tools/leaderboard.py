@@ -61,8 +61,8 @@ def tables(folder: Path) -> str:
         there = {name: result for name, result in results.items() if task in result["tasks"]}
         every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
         errors = [key for key in ERRORS if any(own[key] for own in every)]
-        told = [ERRORS[key] for key in errors]
-        columns = ["agent", "seeds", "done [%]", "plate time [s]", *told, "lost", "decision [ms]"]
+        columns = ["agent", "seeds", "done [%]", "plate time [s]", *(ERRORS[key] for key in errors)]
+        columns += ["lost", "decision [ms]", "commit"]
         rows = sorted(row(name, result, task, errors) for name, result in there.items())
         text += f"\n## {task}\n\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n"
         text += "".join(f"| {line} |\n" for _, line in rows)
@@ -90,6 +90,7 @@ def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tupl
         *(f"{np.median([own[key] for own in found['rows']]):.3g}" for key in errors),
         str(found["dropped"]),
         f"{found['decision_ms']:.3g}",
+        result["commit"],
     ]
     return (world != "nominal", world, -share, took), " | ".join(cells)
 
