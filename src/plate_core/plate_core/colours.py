@@ -1,4 +1,8 @@
-"""Common colour palette (red, green, blue; 0 to 255) of pictures, films and RViz markers."""
+"""Common colour palette (red, green, blue; 0 to 255) of pictures, films and RViz markers.
+
+`part_colour` and `class_colour` return the colours of a class. `lab_to_srgb` converts measured CIE
+L, a, b colours for display.
+"""
 
 from __future__ import annotations
 

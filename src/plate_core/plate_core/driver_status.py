@@ -1,4 +1,8 @@
-"""Status of the motors, as the driver reports it: a state, a reason, and a text for people."""
+"""Status of the motors, as the driver reports it: a state, a reason, and a text for people.
+
+The values of state and reason are those of plate_interfaces/DriverStatus. `ros.convert` converts
+between `DriverStatus` and the message.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The state of the parts on the plate, as the stages exchange it, and the special part classes."""
+"""The state of the parts on the plate, as the stages exchange it, and the special part classes.
+
+`Parts` contains ids, positions, velocities and angles at one instant, in plate_home. The class of a
+part is the part of its id before the number (`part_class`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The planner's request for the next cycle: a mean force or a target for each part."""
+"""The planner's request for the next cycle: a mean force or a target for each part.
+
+`Wanted` is the input of the solver. It contains either `Forces` or `Targets`, the parts, and if
+known the predicted state of parts and plate at the start of the cycle.
+"""
 
 from __future__ import annotations
 

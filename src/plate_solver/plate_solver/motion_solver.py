@@ -1,4 +1,8 @@
-"""Base class of the solvers of both methods, and the validation of their options."""
+"""Base class of the solvers of both methods, and the validation of their options.
+
+`MotionSolver.steer` finds a cycle for a `Goal` on the cycle map. The last solution is kept as a
+start for the next search.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The predicted state of parts and plate at the start of the requested cycle."""
+"""Prediction of the state of parts and plate at the start of the requested cycle.
+
+Inputs are the parts in the image, their velocities from the last prediction (`Memory`), and the
+running cycle. The stick-slip motion is integrated to the end of the running cycle.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Pictures for people: the detected parts in an image, and the errors of a lens fit."""
+"""Pictures for people, drawn with OpenCV. `draw_detections` draws outlines, names and velocities of
+the detected parts into an image. `draw_errors` draws the errors of a lens fit."""
 
 from __future__ import annotations
 

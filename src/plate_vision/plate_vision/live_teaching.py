@@ -1,4 +1,8 @@
-"""Part types that are taught to the running detector, one picture per call of ~/teach."""
+"""Part types that are taught to the running detector, one picture per call of ~/teach.
+
+`Teaching` collects the pictures of one type. `learn_shown` learns the type from them, writes it to
+a file, and returns a `Vision` that recognises it.
+"""
 
 from __future__ import annotations
 

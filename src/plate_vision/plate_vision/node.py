@@ -1,4 +1,6 @@
-"""The detector node: subscribes `image_raw`, publishes `parts`."""
+"""ROS node of the detector. It detects and tracks the parts in each image of `image_raw` by
+`vision`, and publishes them as `parts`. It also offers services for teaching and for aiming the
+camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Changing values in a rig file while all other text, including comments, is kept."""
+"""Change of values in a rig file. All other text, including comments, is kept.
+
+The YAML parser gives the position of each value, and only these characters are replaced. The
+changed file is read and checked before it replaces the old one.
+"""
 
 from __future__ import annotations
 

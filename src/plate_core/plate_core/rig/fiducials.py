@@ -1,4 +1,5 @@
-"""Markers on the plate by which vision measures the pose of the plate."""
+"""Markers on the plate by which vision measures the pose of the plate. This module reads and checks
+the section `fiducials` of a rig file and computes the corners of the markers."""
 
 from __future__ import annotations
 

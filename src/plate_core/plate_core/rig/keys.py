@@ -1,5 +1,8 @@
-"""Definitions of the keys of a rig file, except the plain numbers of `rig.py`: type, range and
-meaning (docs/reference.md)."""
+"""Definitions of the keys of a rig file, except the plain numbers of `rig.py`.
+
+Each key has a type, a range and a meaning. The readers check values by these definitions, and
+docs/reference.md is generated from them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The QoS profiles of all topics and services, and the reason for each."""
+"""The QoS profiles of all topics and services, and the reason for each. Publishers and subscribers
+of a topic use the same profile, so that they are compatible."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 

@@ -1,5 +1,8 @@
-"""The `--help` text of a node: its purpose, topics and services (from its docstring), and its
-parameters."""
+"""The `--help` text of a node.
+
+It contains the node's docstring (purpose, topics and services) and its parameters with defaults and
+ranges. This module also refuses wrong command lines and parameter files.
+"""
 
 from __future__ import annotations
 

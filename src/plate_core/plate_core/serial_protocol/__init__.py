@@ -1,5 +1,8 @@
-"""The serial protocol between driver and motor controller (docs/protocol.md): frames and
-messages."""
+"""The serial protocol between driver and motor controller (docs/protocol.md).
+
+`framing` marks and checks the frames in the stream of bytes. `messages` encodes and decodes their
+content.
+"""
 
 from .framing import Reader, frame, unframe
 from .messages import (

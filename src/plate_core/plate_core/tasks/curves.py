@@ -1,4 +1,8 @@
-"""Conversion of circles and splines of a scenario's paths to polygons with short chords."""
+"""Conversion of circles and splines of a scenario's paths to polygons.
+
+A chord of length c deviates from an arc of radius R by c^2/(8 R). The chords are so short that this
+is at most `SAGITTA_M`.
+"""
 
 from __future__ import annotations
 

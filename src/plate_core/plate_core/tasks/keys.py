@@ -1,4 +1,8 @@
-"""Definitions of the keys of a scenario file: type, range and meaning (docs/reference.md)."""
+"""Definitions of the keys of a scenario file.
+
+Each key has a type, a range and a meaning. The readers check values by these definitions, and
+docs/reference.md is generated from them.
+"""
 
 from __future__ import annotations
 

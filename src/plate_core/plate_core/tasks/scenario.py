@@ -1,4 +1,9 @@
-"""Reading of scenario files, check of a scenario against a rig, and placement of its parts."""
+"""Reading of scenario files, check of a scenario against a rig, and placement of its parts.
+
+`load_scenario` returns a `Scenario`. `check_scenario` refuses one that is impossible on a rig, such
+as targets beyond the edges. `start_positions` returns the given start positions, and random ones
+for the other parts.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Data classes of a scenario: groups of parts, the kinds of task, and the scenario itself."""
+"""Data classes of a scenario: groups of parts, the kinds of task, and the scenario itself. They
+contain only data. `scenario` and `feed` read and check them, and the planner implements the
+tasks."""
 
 from __future__ import annotations
 

@@ -270,10 +270,15 @@ def kalman_update(
 
     `of_type` (K,) is the friction of the parts' types divided by the rig's [log].
 
-    The stamp has a normally distributed error of standard deviation `jitter` [s], common to all
-    parts. With their velocities v_i, it adds v_i v_j^T jitter^2 to the covariance of the
-    innovations. The posterior of the error is normal too (a rank-one update). Its mean is removed
-    from the innovations.
+    The stamp has an error T, common to all parts and normally distributed with the standard
+    deviation s = `jitter` [s]. A part with the velocity v_i, the position covariance P_i and the
+    innovation z_i obeys z_i = T v_i + noise with the covariance S_i = P_i + r^2 1. The posterior of
+    T is normal with
+
+        variance q = s^2 / (1 + s^2 sum v_i' S_i^-1 v_i),    mean T = q sum v_i' S_i^-1 z_i,
+
+    and each part's update is gain_i (z_i - T v_i) with the gain P S_i^-1. A part farther than
+    `PUSHED_SIGMA` from its prediction is not used for T, and is reset to its measured position.
     """
     innovation, velocity = seen - mean[..., :2], mean[..., 2:4]
     spread = covariance[..., :2, :2] + CAMERA_M**2 * np.eye(2)

@@ -138,7 +138,10 @@ class FrameClock:
 
         The image belongs to the frame after the last one, or to a later frame if images were
         dropped. A single late stamp is ambiguous. Therefore each hypothesis of the frame number has
-        its own filter. If two hypotheses have the same number, the likelier one is kept (Viterbi).
+        its own filter. With the time t and the interval h of its last frame, n frames later the
+        innovation of a stamp is e = stamp - t - n h with a variance q, and the log-likelihood
+        changes by (n - 1) log(DROPPED) - (e^2/q + log q)/2. If two hypotheses have the same number,
+        the likelier one is kept (Viterbi).
         """
         if not math.isfinite(self.interval):
             return FrameClock.at(stamp)

@@ -148,6 +148,9 @@ class LatencyHypotheses:
     ) -> LatencyHypotheses:
         """Update with the parts of an image with stamp t [s].
 
+        The log-likelihood L of each hypothesis becomes exp(-dt/MEMORY_S) L + log p(parts), with the
+        time dt since the last image and the likelihood p of the measured positions.
+
         `unsure` is the minimum standard deviation of the stamp [s]. `delay` (P,) is the time from
         the middle of the image to the exposure of each part [s]. The other parameters are as in
         `StateEstimate.update`.

@@ -1,4 +1,8 @@
-"""Texts for failed tasks: cause, measured values and remedy."""
+"""Texts for failed tasks: cause, measured values and remedy.
+
+`loss_of` explains a lost part by its last position and by objects near it. `shortfall_text`
+compares requested and actual drift. `outlook` warns of a low shaking ratio before the start.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Progress of a task, as published in progress and diagnostics."""
+"""Progress of a task, as published in task_status, action feedback and diagnostics. It is computed
+once per image or cycle."""
 
 from __future__ import annotations
 

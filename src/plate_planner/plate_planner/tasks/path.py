@@ -1,4 +1,8 @@
-"""Polygonal paths with a speed profile: reference position of a part as a function of time."""
+"""Polygonal paths with a speed profile: reference position of a part as a function of time.
+
+Input is a `PathTask` with corners, laps and speeds at fractions of the length. Between two entries
+the speed is linear in the arc length, so time and arc length are related in closed form.
+"""
 
 from __future__ import annotations
 

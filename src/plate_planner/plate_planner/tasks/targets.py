@@ -1,4 +1,9 @@
-"""Assignment of parts to targets, and weights of their distances."""
+"""Assignment of parts to targets, and weights of their distances.
+
+The assignment minimises the sum of squared distances (scipy's linear_sum_assignment), with parts of
+the correct class only. `way_weight` scales the longest distance to a fixed length, so that it
+dominates the squared errors.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Interface between the planner and the rules of a task: `Situation` is the input at each image,
-`Assessment` the output."""
+"""Interface between the planner and the rules of a task. `Situation` is the input at each image or
+cycle, `Assessment` the output. `TaskRules` is the base class of all rules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
 // Broad phase: a list of near pairs of parts that stays valid for many steps.
+//
+// Parts are sorted by x, and pairs with a gap below a skin are listed. The list is complete until
+// two parts have approached each other by the skin.
 #pragma once
 #include <algorithm>
 #include <cmath>

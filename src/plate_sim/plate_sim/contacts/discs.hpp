@@ -2,7 +2,13 @@
 //
 // The normal impulse passes through a disc's centre, so it does not rotate the disc. Friction
 // between the edges does not change the closing speed. So one normal and one tangential impulse
-// suffice.
+// suffice:
+//
+//     J = (1 + e) c / (1/m1 + 1/m2),
+//     J_t = u / (1/m1 + 1/m2 + r1^2/I1 + r2^2/I2),   limited to mu_c J,
+//
+// with the closing speed c, the tangential speed u at the contact, and its distances r1, r2 from
+// the centres. Both act at the time of the contact, within the step.
 #pragma once
 #include <algorithm>
 #include <cmath>

@@ -116,7 +116,9 @@ inline double speed(const State& state, int i, int j, const Arm& arm, Vec n) {
     return n.x * (a.x - b.x) + n.y * (a.y - b.y);
 }
 
-// Change of that speed at `arm` by an impulse of 1 N s along n at `other` [1/kg].
+// Change of that speed at `arm` by an impulse of 1 N s along n at `other` [1/kg]:
+// 1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2, where a, b are the vectors of `arm` and c, d
+// those of `other`.
 inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia& inertia) {
     const double a = arm.first.x * n.y - arm.first.y * n.x;
     const double b = arm.second.x * n.y - arm.second.y * n.x;
@@ -138,8 +140,9 @@ inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double
     state(row + 2, j) -= impulse * inertia.second_turn * (b.x * n.y - b.y * n.x);
 }
 
-// Minimum non-negative impulses along n at two points after which neither point approaches. v0, v1
-// are the points' speeds [m/s] along n.
+// Minimum non-negative impulses j along n at two points after which neither point approaches: the
+// solution of j >= 0, v + H j >= 0, j . (v + H j) = 0. v = (v0, v1) are the points' speeds [m/s]
+// along n, and H contains the compliances.
 struct Least {
     double at[2] = {0.0, 0.0};
 

@@ -1,5 +1,8 @@
-// Detection of contacts between parts and with walls in a step, and Gauss-Seidel passes of
-// impulses.
+// Contacts between parts and with walls in one step.
+//
+// Input are the near pairs of the broad phase. Gauss-Seidel passes collide each touching pair and
+// each part at a wall, until the maximum overlap is small enough. They change velocities and
+// positions in place.
 #pragma once
 #include <algorithm>
 #include <cmath>

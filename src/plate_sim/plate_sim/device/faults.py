@@ -1,4 +1,5 @@
-"""Faults of the simulated device: errors on the serial line, and a schedule of larger faults."""
+"""Faults of the simulated device: errors on the serial line, and a schedule of periodic
+disconnections, resets and brown-outs. `serial_line` and `emulator` apply them."""
 
 from __future__ import annotations
 

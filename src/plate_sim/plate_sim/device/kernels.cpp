@@ -73,8 +73,7 @@ public:
 
     int room() const { return HAL_INPUT_BYTES - static_cast<int>(came.size()); }
 
-    float hottest() const { return *std::max_element(c.heat, c.heat + MOTORS) /
-    continuous_square(&c); }
+    float hottest() const { return *std::max_element(c.heat, c.heat + MOTORS) / continuous_square(&c); }
 
     int playing() const { return c.state == STATE_PLAYING ? c.tables[c.playing].id : 0; }
 
@@ -96,8 +95,7 @@ public:
                 states.insert(states.end(), row, row + MOTORS);
         }
         return nb::make_tuple(to_numpy<1, uint32_t>(std::move(ticks), {table.count}),
-                              to_numpy<3, float>(std::move(states), {table.count, 3, MOTORS}),
-                              table.splice);
+                              to_numpy<3, float>(std::move(states), {table.count, 3, MOTORS}), table.splice);
     }
 
     // State of the simulated board

@@ -1,5 +1,8 @@
-"""Limits of the device's motors, computed from a rig, and the C header with them for the
-firmware."""
+"""Limits of the device's motors, computed from a rig, and the C header with them for the firmware.
+
+`DeviceLimits` contains stroke, speed, acceleration and force limits, and the matrix from the
+motors' accelerations to their forces. The emulator and a real board use the same values.
+"""
 
 from __future__ import annotations
 

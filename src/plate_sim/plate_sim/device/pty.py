@@ -1,4 +1,5 @@
-"""Pseudo-terminal with a fixed name that acts as a serial port for the driver."""
+"""Pseudo-terminal that acts as a serial port for the driver. A symbolic link gives it a fixed name.
+It can be unplugged and plugged in again, like a USB adapter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Simulated serial line in one direction, with faults."""
+"""Simulated serial line in one direction.
+
+Bytes that are sent arrive later, by the transmission time and the delay of `LineFaults`. Some are
+lost, changed or repeated at random. Time is an argument, so the simulation needs no clock.
+"""
 
 from __future__ import annotations
 

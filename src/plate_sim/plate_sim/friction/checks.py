@@ -1,4 +1,5 @@
-"""Checks of the integrators' arguments."""
+"""Checks of the integrators' arguments. They return arrays of the expected shape and raise errors
+with the name, the value and the allowed range."""
 
 from __future__ import annotations
 

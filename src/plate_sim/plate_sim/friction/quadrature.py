@@ -1,4 +1,8 @@
-"""Quadrature points and weights for convex polygons, exact for polynomials of degree 2 or more."""
+"""Quadrature rules for convex polygons, exact for polynomials of degree 2 or more.
+
+`polygon_rule` returns points and areas for a polygon: Gauss's product rule for a parallelogram, and
+three points per triangle for other polygons. The other functions compute areas and intersections.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
 """Surface effects beyond one friction coefficient: static friction, friction that depends on the
-slip speed, tilt and heave."""
+slip speed, tilt and heave. `Ground` describes them, and `Ground.effect` returns the numbers that
+the kernels use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Simulated hand that places parts on the plate."""
+"""Simulated hand that places parts on the plate.
+
+It checks id, class, position and angle, and returns the new state of all parts. The check for
+overlaps is in `Simulation.place`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Recent motion of parts and plate, for images of a camera with latency."""
+"""Recent motion of parts and plate, for images of a camera with latency.
+
+`History` keeps the motions of the last cycles. `History.ago` interpolates positions, angles and the
+plate's pose at an earlier time.
+"""
 
 from __future__ import annotations
 
@@ -138,11 +142,14 @@ class History:
 def _between(
     time: np.ndarray, place: np.ndarray, rate: np.ndarray, t: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and rates (M, ...) at t [s]. The rate is linear between two samples."""
+    """Return positions and rates (M, ...) at t [s].
+
+    Between two samples the rate is linear, v = v_0 + u (v_1 - v_0) with u from 0 to 1. The position
+    is x = x_0 + u (x_1 - x_0) - h u (1 - u) (v_1 - v_0)/2, with the interval h.
+    """
     k = int(np.clip(np.searchsorted(time, t, "right") - 1, 0, len(time) - 2))
     h = time[k + 1] - time[k]
     share = (t - time[k]) / h
     start, end = rate[k], rate[k + 1]
-    # Linear interpolation of the position plus a quadratic term from the change of the rate
     line = place[k] + share * (place[k + 1] - place[k])
     return line - 0.5 * h * share * (1 - share) * (end - start), start + share * (end - start)

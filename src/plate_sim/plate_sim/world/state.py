@@ -1,4 +1,5 @@
-"""State of all parts of a run at the start of a plate cycle."""
+"""State of all parts of a run at the start of a plate cycle: names, positions, velocities, angles
+and spins. A state is never modified; each change returns a new one."""
 
 from __future__ import annotations
 

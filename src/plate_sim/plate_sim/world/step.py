@@ -1,4 +1,8 @@
-"""Steps of the parts' state from one plate cycle to the next, as pure functions."""
+"""Steps of the parts' state from one plate cycle to the next, as pure functions.
+
+Inputs are the state, the plate's motion, the rig and the contact model. `run_cycle` returns the
+next state, `record_cycle` also the motion, and `run_together` the states on many plates.
+"""
 
 from __future__ import annotations
 

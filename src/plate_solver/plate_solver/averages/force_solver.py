@@ -1,4 +1,8 @@
-"""Base class of the solvers for requested mean forces, common to both methods."""
+"""Base class of the solvers for requested mean forces, common to both methods.
+
+`ForceSolver.solve` checks a request and solves it, or the largest feasible fraction of it, on one
+of three force maps. A subclass solves an exact request on the map `none`.
+"""
 
 from __future__ import annotations
 

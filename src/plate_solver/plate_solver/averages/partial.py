@@ -1,5 +1,8 @@
-"""Feasible part of a request: forces within the tolerance that take the least time, and the largest
-fraction of an infeasible request, by bisection."""
+"""Feasible part of a request.
+
+`easiest_force` selects the forces within the tolerance that take the minimum time, by a linear
+programme. `largest_fraction` finds the largest fraction of an infeasible request by bisection.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A checked request for average forces on parts, and its properties."""
+"""A checked request for average forces on parts, and its properties. `Request.check` refuses wrong
+shapes and values."""
 
 from __future__ import annotations
 

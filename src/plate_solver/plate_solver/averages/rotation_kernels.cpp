@@ -39,8 +39,7 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
 class ForcesRecord {
 public:
     explicit ForcesRecord(const nb::tuple& record)
-        : family(nb::cast<nb::tuple>(field(record, 0))), position(nb::cast<Table>(field(record,
-        1))),
+        : family(nb::cast<nb::tuple>(field(record, 0))), position(nb::cast<Table>(field(record, 1))),
           velocity(nb::cast<Table>(field(record, 2))), wanted(nb::cast<Numbers>(field(record, 4))),
           scale(nb::cast<Numbers>(field(record, 5))) {
         const size_t parts = position.shape(0);

@@ -11,10 +11,11 @@ class RulesRecord {
 public:
     RulesRecord(const nb::tuple& record, size_t rows)
         : waves(nb::cast<Table>(field(record, 0))), taylor(nb::cast<Table>(field(record, 2))) {
-        check("waves", waves, {rows, waves.shape(1)}); check("taylor", taylor, {DEGREE + 1, rows /
-        2}); rules = {view(waves), nb::cast<int>(field(record, 1)), view(taylor),
-        nb::cast<int>(field(record, 3))}; const int few = rules.few, usual = rules.waves.size(1) -
-        few; if (few < EIGHT || usual < EIGHT || few % EIGHT || usual % EIGHT)
+        check("waves", waves, {rows, waves.shape(1)});
+        check("taylor", taylor, {DEGREE + 1, rows / 2});
+        rules = {view(waves), nb::cast<int>(field(record, 1)), view(taylor), nb::cast<int>(field(record, 3))};
+        const int few = rules.few, usual = rules.waves.size(1) - few;
+        if (few < EIGHT || usual < EIGHT || few % EIGHT || usual % EIGHT)
             throw nb::value_error("steps are not a multiple of eight");
         if (rules.pieces < 1) throw nb::value_error("pieces is not at least 1");
     }

@@ -1,4 +1,5 @@
-// Implementation of levenberg_marquardt.hpp.
+// Implementation of levenberg_marquardt.hpp: damped steps by Cholesky's method, and the condition
+// number by tridiagonal reduction and bisection of the eigenvalues.
 #include "fit/levenberg_marquardt.hpp"
 
 #include <algorithm>

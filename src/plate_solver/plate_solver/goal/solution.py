@@ -1,4 +1,5 @@
-"""Result of a solver: the motion found, and the fraction of the request that it meets."""
+"""Result of a solver: the motion found, and the fraction of the request that it meets. `Status`
+tells whether a request was solved, solved partially, or is infeasible."""
 
 from __future__ import annotations
 

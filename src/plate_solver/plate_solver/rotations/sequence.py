@@ -1,9 +1,14 @@
 """A sequence of rotations as one closed motion in time, from rest to rest.
 
-Rotation j has a constant twist for its duration. A smooth ramp, cubic in the twist, connects it to
-the next rotation. The acceleration limit determines the minimum length of the ramp. A smooth
-correction over the whole cycle removes the gap between end and start, so every sequence closes
-exactly. The derivatives are exact and computed by one backward pass over the knots (sequence.hpp).
+Rotation j has a constant twist u_j for its duration. A smooth ramp connects it to the next
+rotation. The acceleration limit a determines its length h. A smooth correction over the whole
+period T removes the gap between end and start, so every sequence closes exactly:
+
+    twist on a ramp   u_j + (u_{j+1} - u_j) x^2 (3 - 2 x),    x from 0 to 1,
+    length            h = 1.5 (velocity change of the fastest corner) / a,
+    pose              integral of the twist - gap y^3 (10 - 15 y + 6 y^2),    y = t/T.
+
+The derivatives are exact and computed by one backward pass over the knots (sequence.hpp).
 
 Knots of J rotations: 0 at rest; 2 j + 1 and 2 j + 2 begin and end rotation j (from 0); 2 J + 1 at
 rest; 2 J + 2 the end of the period.

@@ -1,5 +1,8 @@
-"""Lens files (YAML of ROS's camera_calibration_parsers), and pictures or a video as image
-source."""
+"""Files of a camera: lens files (YAML of ROS's camera_calibration_parsers), pictures and videos.
+
+`load_lens` and `save_lens` read and write lens files. `read_pictures` iterates over the pictures of
+a folder or a video. Sizes are checked before the pixels are unpacked.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
 // Places, radii and darkness of round parts, fitted to their contours: see fit.py.
+//
+// The darkness of a pixel is modelled as the part's darkness times its cover c(u) = 1/2 + 3/4 u -
+// 1/4 u^3, where u is the pixel's depth inside the contour divided by the half width of the edge,
+// -1 to 1. A damped Gauss-Newton step minimises the weighted squared errors of all pixels of a
+// window.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -54,8 +59,9 @@ constexpr double SIDE_RANGE[] = {0.3, 3.0};
 // must not reject a disc.
 constexpr double WORST_FRACTION = 0.4;
 
-// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top and of the side
-// faces. If the part has no height, both darknesses are equal and the last unknown is not fitted.
+// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top and of the
+// side faces. If the part has no height, both darknesses are equal and the last unknown is not
+// fitted.
 enum Unknown { X, Y, RADIUS, EDGE, TOP, SIDE, UNKNOWNS };
 constexpr int FLAT_UNKNOWNS = SIDE;
 using DiscFit = std::array<double, UNKNOWNS>;

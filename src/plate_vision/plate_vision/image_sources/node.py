@@ -1,4 +1,5 @@
-"""The camera node: images of a camera, a pipe, a film or a folder as `image_raw`."""
+"""ROS node that publishes the images of a camera, a pipe, a film or a folder as `image_raw`. A
+thread reads the images, and diagnostics report faults of the stream (`watch`)."""
 
 from __future__ import annotations
 

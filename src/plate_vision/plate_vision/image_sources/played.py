@@ -1,4 +1,5 @@
-"""Image sources without a camera: a film, a picture, a folder of pictures, a pipe of raw frames."""
+"""Image sources without a camera: a film, a picture, a folder of pictures, a pipe of raw frames.
+Files are played at a regular rate. A pipe delivers frames when another program writes them."""
 
 from __future__ import annotations
 

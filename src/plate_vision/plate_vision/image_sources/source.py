@@ -1,4 +1,8 @@
-"""The interface of all image sources: a camera, a pipe, a film, a folder of pictures."""
+"""The interface of all image sources: a camera, a pipe, a film, a folder of pictures.
+
+`Settings` are the inputs, and `Source.read` returns a `Frame`. `Camera` is the base class of
+sources with adjustable exposure and gain.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The image source for a device's name, and the list of devices that `camera --list` prints."""
+"""Selection of the image source for a device's name, and the list of devices that `camera --list`
+prints. The name tells whether it is a V4L2 or GenICam camera, a pipe, or files."""
 
 from __future__ import annotations
 

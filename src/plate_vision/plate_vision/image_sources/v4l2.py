@@ -1,4 +1,5 @@
-"""A V4L2 camera: images by OpenCV, settings and the meaning of stamps by ioctl."""
+"""A V4L2 camera. OpenCV reads the images. Format, exposure and gain are set by ioctl, and the first
+image shows whether its stamp is the start of the exposure, its end, or unusable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Detection of faults in a stream of images: lost, late, black or frozen images."""
+"""Detection of faults in a stream of images: lost, late, black or frozen images.
+
+Lost images are counted by gaps between stamps, late ones by their age at arrival. Black and frozen
+images are detected on a coarse grid of pixels. The output are findings for diagnostics.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Files of part types: write them, and add types to them."""
+"""Files of part types. `save_part_types` writes a file, and `add_type` learns a type from pictures
+and adds it to a file. The other functions load a bare plate and describe what was learned."""
 
 from __future__ import annotations
 

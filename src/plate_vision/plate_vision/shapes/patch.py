@@ -1,4 +1,8 @@
-"""A patch of an image in front of the background: one part, or several that were not separated."""
+"""A patch of an image in front of the background: one part, or several that were not separated.
+
+`Patch` contains the mask and the covered fraction of each pixel. Its outline is the contour at a
+cover of one half, to sub-pixels.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The track of one part: its detections, class and predicted position."""
+"""The track of one part: its last detections, and the class, position, drift and angle computed
+from them. A `Track` is never modified; `extended` returns a new one."""
 
 from __future__ import annotations
 

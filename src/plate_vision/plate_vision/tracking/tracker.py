@@ -1,4 +1,8 @@
-"""The tracker: all tracks, updated with the detections of each image."""
+"""The tracker: all tracks, updated with the detections of each image.
+
+`update` assigns detections to tracks, gives ids to confirmed new parts, and gives up parts that
+were missed for too long. Input are positions, classes and angles; output is a new `Tracker`.
+"""
 
 from __future__ import annotations
 
