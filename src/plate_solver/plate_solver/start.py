@@ -54,7 +54,7 @@ class StartState:
     spin : (M,) or None
         [rad/s]; None if no rotation is requested: parts are modelled as points.
     plate : (3, 3) or None
-        As `PlateCycle.state`; None: at rest at home.
+        State of the plate as in `PlateCycle.state`. None: at rest at home.
     """
 
     ids: tuple[str, ...]

@@ -360,7 +360,7 @@ def size_finding(part_px: tuple[float, float]) -> Finding:
 
 @dataclass(frozen=True)
 class Thing:
-    """A thing in an image: a part, or a thing that is rejected as a part.
+    """An object in an image: a part, or an object that is rejected as a part.
 
     Attributes
     ----------
@@ -391,7 +391,7 @@ class Situation:
     expected : Expected
         Sizes of the rig's parts.
     things : tuple of Thing
-        Things in the last image that was used.
+        Objects in the last image that was used.
     findings : tuple of (str, Finding)
         Name and state of the steps that the detector itself checks.
     lens : Lens or None

@@ -99,6 +99,6 @@ def know_plate(
 
 
 def lying(image: np.ndarray, region: Region) -> str:
-    """Describe the things on a plate that should be bare; empty if it seems to be bare."""
+    """Describe the objects on a plate that should be bare; empty if it seems to be bare."""
     count = len(find_patches(image, model_plate(image, region), region))
     return f"{count} thing{'s lie' if count > 1 else ' lies'} on it" if count else ""

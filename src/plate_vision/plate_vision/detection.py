@@ -105,11 +105,12 @@ SIGMAS = 2.2
 is the mean of four pixels, whose noise is half as large."""
 
 ROUGH = 0.25
-"""Fraction of detected parts above which things that are not, or only roughly, shaped like a part
+"""Fraction of detected parts above which objects that are not, or only roughly, shaped like a part
 start the search for shadows."""
 
 FAINT = 2.0
-"""Minimum contrast of a thing that is not too faint, relative to the minimum contrast of a part."""
+"""Minimum contrast of an object that is not too faint, relative to the minimum contrast of a
+part."""
 
 MIN_ALIKE = 3
 """Minimum number of similar parts for their radius to be used as the known one."""
@@ -139,8 +140,8 @@ class DetectorOptions:
         Minimum brightness of the plate [grey levels], 1 to 255. Below it the light counts as off.
     margin_px : float
         Maximum distance of a part's centre outside the region [px], 0 to 10, for errors of the
-        calibration. Only pixels inside the region are evaluated, so a part that is 2 px farther out
-        shows too little. A plate that is displaced by more needs another region.
+        calibration. Only pixels inside the region are evaluated. If a part is 2 px farther out, too
+        little of it is visible. A plate that is displaced by more needs another region.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -196,7 +197,7 @@ def detect(
 
     With options: round parts of a known radius, darker than the plate. Without options: everything
     that differs from the background, of any outline, size and colour (`plate_vision.shapes`). Round
-    things of one size are then measured again as parts of a known radius.
+    objects of one size are then measured again as parts of a known radius.
 
     Parameters
     ----------
@@ -240,11 +241,11 @@ class Discs(NamedTuple):
     parts : (n,) SILHOUETTE
         Their silhouettes.
     overlooked : (m,) OVERLOOKED
-        Things on the plate that are rejected as parts. Their x and y are not set.
+        Objects on the plate that are rejected as parts. Their x and y are not set.
     shadow : Shadow, optional
         The shadow that every part casts; None if unknown.
     doubtful : bool
-        Whether many things are not, or only roughly, shaped like a part.
+        Whether many objects are not, or only roughly, shaped like a part.
     """
 
     found: np.ndarray
@@ -281,9 +282,9 @@ def find_discs(
 
     The first step finds, in grey levels, parts that are clearly darker than the plate. If anything
     else is on the plate, the second step finds parts by `plate.contrast`: fainter or brighter ones,
-    parts of another colour, or with highlights or holes. If many things are not shaped like a part,
-    the third step searches for a shadow that every part casts. `shadow` is the one of the previous
-    image. `search` permits the search for another one, which takes long.
+    parts of another colour, or with highlights or holes. If many objects are not shaped like a
+    part, the third step searches for a shadow that every part casts. `shadow` is the one of the
+    previous image. `search` permits the search for another one, which takes long.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
@@ -335,7 +336,7 @@ class Scene:
 
 
 def _doubtful(discs: Discs) -> bool:
-    """Whether many things are not, or only roughly, shaped like a part, as parts with unknown
+    """Whether many objects are not, or only roughly, shaped like a part, as parts with unknown
     shadows are."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
     doubtful = np.count_nonzero(discs.found["misfit"] > good)
@@ -346,7 +347,7 @@ def _doubtful(discs: Discs) -> bool:
 
 
 def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
-    """Add the discs found by contrast among the remains, and the overlooked things."""
+    """Add the discs found by contrast among the remains, and the overlooked objects."""
     contrast, radius_px = scene.contrast, scene.options.radius_px
     if contrast is None:
         return discs

@@ -29,7 +29,7 @@ MIN_CONTRAST = 2.0
 """Minimum contrast of a patch [grey levels]. It excludes stripes and spots of the light."""
 
 CLEAR = 3.4
-"""Distance from parts and other things within which patches are ignored [part radii], because of
+"""Distance from parts and other objects within which patches are ignored [part radii], because of
 shadows."""
 
 SPREAD = 0.6
@@ -55,7 +55,7 @@ def faint_patches(
     radius_px : float
         Radius of a part [px].
     taken_px : (m, 2)
-        Centres of detected parts and other things [px].
+        Centres of detected parts and other objects [px].
     margin_px : float
         Distance from the predicted edge of the plate within which patches are ignored [px], because
         the plate may be away from home.

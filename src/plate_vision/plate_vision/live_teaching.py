@@ -52,7 +52,7 @@ def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartTyp
     Raises
     ------
     TeachError
-        As `learn_type` and `check_alike`.
+        If `learn_type` or `check_alike` raises one.
     """
     image = teaching.examples[-1].image
     bare = vision.background or model_plate(image, vision.region)

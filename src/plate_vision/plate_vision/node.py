@@ -180,7 +180,7 @@ class Tally:
     detection_ms : list of float
         Detection times [ms].
     overlooked, overlooked_before : OverlookedTally
-        Things that were rejected as parts: in these images, and in those of the report before.
+        Objects that were rejected as parts: in these images, and in those of the report before.
     """
 
     images: int = 0
@@ -193,7 +193,7 @@ class Tally:
 
     @property
     def overlooked_lately(self) -> OverlookedTally:
-        """Overlooked things of this report and of the previous one. A single image, the first of a
+        """Overlooked objects of this report and of the previous one. A single image, the first of a
         report, must not cause a warning."""
         return self.overlooked_before.joined(self.overlooked)
 
@@ -339,7 +339,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._warn(text)
 
     def _log_photograph(self, name: str) -> None:
-        """Log the parts of a photograph, and the things in it that are rejected as parts."""
+        """Log the parts of a photograph, and the objects in it that are rejected as parts."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
         overlooked.add(*self._counts())
@@ -509,7 +509,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _things(
         self, things: np.ndarray, radius: np.ndarray, expected: Expected
     ) -> tuple[Thing, ...]:
-        """Return the parts of the last image, and the overlooked things (n,) OVERLOOKED with their
+        """Return the parts of the last image, and the overlooked objects (n,) OVERLOOKED with their
         radii (n,) [m]."""
         parts, calibration = self._tracker.parts, self._vision.calibration
         place_px = calibration.to_image(parts.position)
@@ -603,7 +603,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._faint_count, self._faint_at = len(found), stamp
 
     def _note_overlooked(self) -> list[OverlookedThing]:
-        """Count the things that are rejected as parts. Return them in metres."""
+        """Count the objects that are rejected as parts. Return them in metres."""
         taken, things, radius = self._counts()
         self._tally.overlooked.add(taken, things, radius)
         columns = (things["x"], things["y"], radius, things["reason"])
@@ -611,8 +611,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return [OverlookedThing(*row) for row in rows]
 
     def _counts(self) -> tuple[int, np.ndarray, np.ndarray]:
-        """Return the number of parts in the last image, and the things (n,) OVERLOOKED that are not
-        taken for parts, with their radii (n,) [m]. Shadows and edges of round parts do not
+        """Return the number of parts in the last image, and the objects (n,) OVERLOOKED that are
+        not taken for parts, with their radii (n,) [m]. Shadows and edges of round parts do not
         count."""
         things = self._tracker.overlooked
         scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
@@ -659,7 +659,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return scene_to_msg(self._rig, parts, self._trails, HOME if pose is None else pose, stamp)
 
     def _unknown_location(self) -> PlateLocation | None:
-        """Return the unknown location of a plate with markers; None if the plate has none."""
+        """Return the initial location of a plate with markers, without a pose. None if the plate
+        has no markers."""
         has_markers = self._rig.fiducials is not None
         return PlateLocation(self._rig, self._lens) if has_markers else None
 

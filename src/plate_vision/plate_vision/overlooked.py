@@ -1,4 +1,4 @@
-"""Overlooked things: things on the plate that the detector sees but does not take for parts.
+"""Overlooked objects: objects on the plate that the detector rejects as parts.
 
 Each has one of `REASONS`. `OverlookedTally` averages them over images and gives a finding with the
 remedies; `may_be_parts` selects those that the planner must treat as obstacles.
@@ -24,9 +24,10 @@ REASONS = (
     "blurred",
     "unsettled",
 )
-"""Why a thing is not a part, in this order: smaller or larger than the rig's parts; contrast to the
-plate too low; another shape; cut by the plate's edge; centre not on the plate; several parts that
-could not be separated; image too blurred for its type; a part now, but not in earlier images."""
+"""Why an object is not a part, in this order: smaller or larger than the rig's parts; contrast to
+the plate too low; another shape; cut by the plate's edge; centre not on the plate; several parts
+that could not be separated; image too blurred for its type; a part now, but not in earlier
+images."""
 
 OVERLOOKED = np.dtype(
     [
@@ -38,32 +39,32 @@ OVERLOOKED = np.dtype(
         ("reason", "U16"),
     ]
 )
-"""One thing that is rejected as a part: centre and radius [px] of the disc of the same area;
+"""One object that is rejected as a part: centre and radius [px] of the disc of the same area;
 centre [m, plate_home]; one of `REASONS`."""
 
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
-"""No overlooked things, (0,) `OVERLOOKED`."""
+"""No overlooked objects, (0,) `OVERLOOKED`."""
 NONE_OVERLOOKED.setflags(write=False)
 
 APART = 0.9
-"""A thing nearer to a part than this fraction of the sum of their radii [-] belongs to that part,
+"""An object nearer to a part than this fraction of the sum of their radii [-] belongs to that part,
 as its shadow or its side face. Two parts that touch are at 1."""
 
 WARN_FRACTION, WARN_COUNT = 0.1, 2
-"""Overlooked things cause a warning above this fraction of all things [-], and from this number on.
-A single thing may be a tool or a marker that belongs there. If a task misses a part, the planner
-reports it."""
+"""Minimum fraction of all objects [-], and minimum number, of overlooked objects that cause a
+warning. A single object may be a tool or a marker that belongs there. If a task misses a part, the
+planner reports it."""
 
 SPECK_RADIUS = 0.3
-"""Things smaller than this, relative to the smallest part's radius [-], do not count for the
+"""Objects smaller than this, relative to the smallest part's radius [-], do not count for the
 warning while parts are seen: a tenth of a part's area is dust or a reflection."""
 
 EDGE_REASONS = ("at the edge", "beyond the plate")
-"""Things with these reasons do not count either. A plate that is away from home shows its own edge,
-for example in images of a free-running camera."""
+"""Objects with these reasons do not count either. A plate that is away from home shows its own
+edge, for example in images of a free-running camera."""
 
 COVER_RADII = 8.0
-"""Minimum radius of a thing that covers the plate, relative to the largest part's radius [-], for
+"""Minimum radius of an object that covers the plate, relative to the largest part's radius [-], for
 example a hand, a cable, a lamp's reflection. The strip beside a plate 10 mm away from home is
 smaller."""
 
@@ -85,17 +86,18 @@ def may_be_parts(
     inner: np.ndarray,
     centre: np.ndarray,
 ) -> np.ndarray:
-    """Which things (n,) OVERLOOKED may be parts: of a part's size, on the plate, apart from parts.
+    """Return which objects (n,) OVERLOOKED may be parts: those of a part's size that are on the
+    plate and apart from all parts.
 
     Parameters
     ----------
     things : (n,) OVERLOOKED
     radius : (n,)
-        Radii of the things [m].
+        Radii of the objects [m].
     part_radius : float
         Radius of a part [m].
     inner : (2,)
-        Half sides of the plate's area in which things count [m].
+        Half sides of the plate's area in which objects count [m].
     centre : (M, 2)
         Centres of the parts in this image [m, plate_home].
     """
@@ -109,7 +111,8 @@ def may_be_parts(
 def beside_parts(
     things: np.ndarray, radius: np.ndarray, part_radius: float, centre: np.ndarray
 ) -> np.ndarray:
-    """Which things (n,) OVERLOOKED are apart from all parts; parameters as of `may_be_parts`."""
+    """Return which objects (n,) OVERLOOKED are apart from all parts. The parameters are those of
+    `may_be_parts`."""
     place = np.column_stack([things["x"], things["y"]])
     away = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
     return np.asarray(np.all(away >= APART * (radius + part_radius)[:, None], axis=1))
@@ -118,7 +121,7 @@ def beside_parts(
 def unnamed_things(
     seen: np.ndarray, on_plate: np.ndarray, radius: np.ndarray, smallest: float, largest: float
 ) -> np.ndarray:
-    """Return the things (k,) OVERLOOKED among sightings without a type.
+    """Return the objects (k,) OVERLOOKED among sightings without a type.
 
     Parameters
     ----------
@@ -130,7 +133,7 @@ def unnamed_things(
     radius : (n,)
         Radii of the discs of the same area [m].
     smallest, largest : float
-        Radii between which a thing has the size of a part [m].
+        Radii between which an object has the size of a part [m].
     """
     reason = np.full(len(seen), "misfit", OVERLOOKED["reason"])
     reason[radius > largest] = "too large"
@@ -172,16 +175,16 @@ class Expected:
 
 @dataclass
 class OverlookedTally:
-    """Counts of parts and overlooked things over several images.
+    """Counts of parts and overlooked objects over several images.
 
     Attributes
     ----------
     images, taken : int
         Number of images, and number of parts in them.
     things : list of (n,) OVERLOOKED
-        Things that are rejected as parts, image by image.
+        Objects that are rejected as parts, image by image.
     radii : list of (n,)
-        Radii of the things [m], image by image.
+        Radii of the objects [m], image by image.
     """
 
     images: int = 0
@@ -190,7 +193,7 @@ class OverlookedTally:
     radii: list[np.ndarray] = field(default_factory=list)
 
     def add(self, taken: int, things: np.ndarray, radius: np.ndarray) -> None:
-        """Record an image: its number of parts, and things (n,) OVERLOOKED of radii (n,) [m]."""
+        """Record an image: its number of parts, and objects (n,) OVERLOOKED of radii (n,) [m]."""
         self.images += 1
         self.taken += taken
         self.things.append(things)
@@ -206,10 +209,10 @@ class OverlookedTally:
         )
 
     def finding(self, expected: Expected) -> Finding | None:
-        """Describe the things that are rejected as parts, with reasons and remedies; None without
-        such things.
+        """Describe the objects that are rejected as parts, with reasons and remedies; None without
+        such objects.
 
-        All numbers are averages over the images. The level is WARN if the things are many or if no
+        All numbers are averages over the images. The level is WARN if the objects are many or if no
         part is detected, else OK.
         """
         if not self.images:
@@ -245,7 +248,7 @@ class OverlookedTally:
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
 
     def values(self) -> dict[str, str]:
-        """Return the mean number of things per image, in total and by reason."""
+        """Return the mean number of objects per image, in total and by reason."""
         reason = np.concatenate(
             [NONE_OVERLOOKED["reason"], *(one["reason"] for one in self.things)]
         )
@@ -258,7 +261,7 @@ class OverlookedTally:
 
 
 def remedy(reason: str, radius_mm: float, expected: Expected) -> str:
-    """Return the remedy for things of one of `REASONS`, with this median radius [mm]."""
+    """Return the remedy for objects of one of `REASONS`, with this median radius [mm]."""
     if reason in ("too small", "too large"):
         return f"radius {radius_mm:.3g} mm, {expected.size}"
     if reason == "misfit":

@@ -75,7 +75,7 @@ def find_parts(
     Returns
     -------
     (n,) structured array
-        Fields of `DETECTION`. Labels are names of types, `unknown` for a thing that matches no
+        Fields of `DETECTION`. Labels are names of types, `unknown` for an object that matches no
         type, and `group` for touching parts that could not be separated.
 
     Raises

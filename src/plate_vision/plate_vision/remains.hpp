@@ -1,4 +1,4 @@
-// Kernels for remains, the things on the plate other than parts: see remains.py.
+// Kernels for remains, the objects on the plate other than parts: see remains.py.
 #pragma once
 #include <algorithm>
 #include <array>

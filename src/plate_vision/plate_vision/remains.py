@@ -1,7 +1,7 @@
 """Remains: pixels that differ from the bare plate and belong to no detected part, on a coarse grid.
 
 The detector searches them for parts that are not simply darker than the plate. The rest are the
-overlooked things with their reasons (`overlooked_things`).
+overlooked objects with their reasons (`overlooked_things`).
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from .plate.contrast import Channels, find_odd
 
 COARSE_STEP = 2
 """The first check uses every second row and column of the grid. Its smallest hit, four neighbours,
-is smaller than the smallest thing that counts."""
+is smaller than the smallest object that counts."""
 
 LEAST_AREA = 0.1
-"""Minimum area of a thing, relative to a part's area. Smaller things are dust."""
+"""Minimum area of an object, relative to a part's area. Smaller objects are dust."""
 
 HOLE = 0.5
-"""Maximum area enclosed by a thing that belongs to the thing, relative to a part's area: a
+"""Maximum area enclosed by an object that belongs to the object, relative to a part's area: a
 highlight or a hole."""
 
 SMALL, LARGE = 0.6, 1.6
-"""Range of a thing's area relative to a part's area; outside it is too small or too large."""
+"""Range of an object's area relative to a part's area; outside it is too small or too large."""
 
 
 class Remains(NamedTuple):
@@ -99,7 +99,7 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
-    hole[0] = False  # label 0: the things themselves
+    hole[0] = False  # label 0: the objects themselves
     if count > 1 and np.any(hole):
         odd[hole[labels]] = 1
     # Remove specks after filling: otherwise a hole next to the edge would open.
@@ -110,9 +110,9 @@ def solid(remains: Remains, radius_px: float) -> Remains:
 def overlooked_things(
     remains: Remains, region: Region, radius_px: float, faint: float, contrast: LitPlate
 ) -> np.ndarray:
-    """Return the things (n,) OVERLOOKED of the remains. Their x and y are not set.
+    """Return the objects (n,) OVERLOOKED of the remains. Their x and y are not set.
 
-    `radius_px` is a part's radius. Things with a contrast below `faint` are too faint. `contrast`
+    `radius_px` is a part's radius. Objects with a contrast below `faint` are too faint. `contrast`
     is the `contrast_image`.
     """
     x0, y0, stride = remains.grid

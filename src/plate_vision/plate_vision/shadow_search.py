@@ -1,9 +1,9 @@
 """The shadow that all parts of an image cast, estimated from their silhouettes: `find_shadow`.
 
-A part and its shadow form one dark thing: the part's disc swept along the shadow's displacement. If
-many things are longer than a part in one common direction, their moments give the shadow's length
-and direction, up to its sign. The sign, the darkness and the width of the edge are those that
-minimise the misfit of the parts' contours (Nelder-Mead).
+A part and its shadow form one dark object: the part's disc swept along the shadow's displacement.
+If many objects are longer than a part in one common direction, their moments give the shadow's
+length and direction, up to its sign. The sign, the darkness and the width of the edge are those
+that minimise the misfit of the parts' contours (Nelder-Mead).
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from .plate import LitPlate
 from .remains import Remains
 
 FEWEST = 2
-"""Minimum number of elongated things in one direction that indicate shadows. A single one may be a
+"""Minimum number of elongated objects in one direction that indicate shadows. A single one may be a
 part of another shape."""
 
 MOST_THINGS = 10
-"""Maximum number of things used for the fit. More make it slower, and hardly better."""
+"""Maximum number of objects used for the fit. More make it slower, and hardly better."""
 
 PIXELS = 3000.0
-"""Maximum area of the things used, divided by pi [px^2]: of large parts fewer are used."""
+"""Maximum total area of the objects used, divided by pi [px^2]. So fewer large objects are used."""
 
 SIZE = 1.05, 4.0
 """Range of the area of a part with its shadow, relative to the part's area."""
 
 ALIGNED = 0.8
-"""Minimum length of the mean of the things' directions, as unit vectors at twice the angle."""
+"""Minimum length of the mean of the objects' directions, as unit vectors at twice the angle."""
 
 LEAST_LENGTH = 0.1
 """Minimum length of a shadow [part radii]."""
 
 SKIRT_PX = 0.7
-"""Width added to a part's radius, because the blurred edge belongs to the thing [px]."""
+"""Width added to a part's radius, because the blurred edge belongs to the object [px]."""
 
 DARKNESS = np.linspace(0.1, 0.8, 6)
 EDGES_PX = (1.0, 2.5, 4.5)
@@ -74,7 +74,8 @@ EQUAL = 1.05
 or less than this multiple of the other's."""
 
 WORST = 0.4
-"""Maximum misfit of one thing in the mean, so that things that are not parts do not dominate."""
+"""Maximum misfit of an object that enters the mean, so that objects that are not parts do not
+dominate it."""
 
 ROUNDS = 2
 """Number of grid searches over darkness and edge, each followed by a measurement of the length."""
@@ -92,9 +93,9 @@ PROFILE_PX = 0.5
 def find_shadow(
     contrast: LitPlate, remains: Remains, silhouettes: Silhouettes, calibration: Calibration
 ) -> Shadow | None:
-    """Return the shadow that the things of an image cast; None if they show none.
+    """Return the shadow that the objects of an image cast; None if they show none.
 
-    `contrast` is the `contrast_image`; `remains` holds all things on the plate.
+    `contrast` is the `contrast_image`; `remains` holds all objects on the plate.
     """
     found = _capsules(remains, silhouettes)
     if found is None:
@@ -191,7 +192,7 @@ def find_shadow(
 def _capsules(
     remains: Remains, silhouettes: Silhouettes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return things that are elongated in one common direction: centres (n, 2) [px], silhouettes
+    """Return objects that are elongated in one common direction: centres (n, 2) [px], silhouettes
     (n,) of parts there, extra lengths (n,) [px] relative to a part, and unit directions (n, 2) in
     the image. None if there are too few."""
     x0, y0, stride = remains.grid

@@ -48,14 +48,14 @@ SHAPE_PX = 0.04
 `bench/stages/classes.py`."""
 
 UNKNOWN_PX = 0.3
-"""Standard deviation of the centre of a thing without a type [px]: only its outline is known."""
+"""Standard deviation of the centre of an object without a type [px]: only its outline is known."""
 
 UNKNOWN_RADII = 0.3
-"""Standard deviation of the centre of a thing that may be a round part [radii]: its shadow belongs
-to its outline."""
+"""Standard deviation of the centre of an object that may be a round part [radii]: its shadow
+belongs to its outline."""
 
 SPECK = 0.3
-"""A thing without a type, and smaller than this fraction of the smallest type's area, is ignored
+"""An object without a type, and smaller than this fraction of the smallest type's area, is ignored
 [-]."""
 
 RIG_SIZE = ", that of the rig's camera, for which corners_px hold, or of the first picture"
@@ -87,7 +87,7 @@ class Vision:
         The bare plate, for types; None: it is modelled from each image.
     inner : (2,)
         Half sides of the area that the plate covers at every motor position [m]. Farther out, a
-        thing without a type may be the edge of a plate that was not at home.
+        object without a type may be the edge of a plate that was not at home.
     """
 
     calibration: Calibration
@@ -209,7 +209,7 @@ def observe(
         ).T
         scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
         size = things["radius_px"] / scale
-        # These things may be parts, so the planner must not move other parts into them.
+        # These objects may be parts, so the planner must not move other parts into them.
         unknown = may_be_parts(things, size, vision.radius, vision.inner, centre)
         more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
@@ -264,7 +264,7 @@ def _observe_types(
 
 
 def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
-    """Add to the overlooked things the tracks that have no class yet although the newest detection
+    """Add to the overlooked objects the tracks that have no class yet although the newest detection
     has one: earlier images did not show them as parts."""
     tracks = [track for track in tracker.found if track.label in NAMELESS]
     tracks = [track for track in tracks if track.votes[-1] not in NAMELESS]
@@ -290,7 +290,7 @@ def follow_plate(
     Raises
     ------
     PlateError
-        As `locate_plate`, and if the image has another size.
+        If `locate_plate` raises one, or if the image has another size.
     """
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     now, image = locate_plate(location, image)

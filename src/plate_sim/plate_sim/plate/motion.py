@@ -46,7 +46,7 @@ class PlateMotion:
 
     @classmethod
     def of_motors(cls, rig: Rig, times: np.ndarray, motors: np.ndarray) -> PlateMotion:
-        """Return the motion for given motions of the four motors.
+        """Return the plate's motion for given motions of the four motors.
 
         Parameters
         ----------

@@ -246,7 +246,7 @@ def run_plates(
     limit : (N, M)
         mu g of each part [m/s2].
     contacts, half
-        As of `simulate_bodies`.
+        As in `simulate_bodies`.
     every : int
         Number of steps between recorded states. 0 records none.
     names : M

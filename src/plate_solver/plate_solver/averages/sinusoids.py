@@ -44,7 +44,7 @@ class Found(NamedTuple):
     pose, twist, accel : (k + 1, 3)
         The motion at its knots.
     spline : (k, 6, 3)
-        As `PlateCycle.coefficients`.
+        Polynomial coefficients, as in `PlateCycle.coefficients`.
     error : (M, 2)
         Request minus force of this spline [mu m g].
     worst : float

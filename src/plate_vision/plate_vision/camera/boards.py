@@ -292,7 +292,7 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
 def choose(seen: Sequence[Corners], board: Board, most: int = MOST_PICTURES) -> list[int]:
     """Choose the pictures whose board places differ most, and return their indices.
 
-    The first chosen picture shows most corners. Each further one maximises the distance to the
+    The first chosen picture shows the most corners. Each further one maximises the distance to the
     chosen ones, measured by the images of the board's four outer corners (farthest-point sampling).
     The boards then spread over the image, distances and tilts.
     """

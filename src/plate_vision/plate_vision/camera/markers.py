@@ -104,8 +104,8 @@ def draw_marker(dictionary: str, number: int, side_px: int) -> np.ndarray:
     Raises
     ------
     CalibrationError
-        As `find_markers`; if the dictionary has no such number; or if its modules would be smaller
-        than a pixel.
+        If the dictionary is unknown or has no such number, if OpenCV was built without markers, or
+        if a module would be smaller than a pixel.
     """
     known = _dictionary(dictionary)
     count = len(known.bytesList)

@@ -113,7 +113,7 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
         const float wide = sum[RoundWindow::WIDE] / mass - right * right - down * down;
         // Twice the moments of an ellipse with half axes a, b, over `wide`, are
         // (a^2 - b^2) / (a^2 + b^2) in its direction. A deviation from the silhouette's values is a
-        // shadow or another thing.
+        // shadow or another object.
         const float flat = sum[RoundWindow::FLAT] / mass - right * right + down * down;
         const float askew = sum[RoundWindow::ASKEW] / mass - 2 * right * down;
         const auto [expected_flat, expected_askew] = parts[k].flatness();

@@ -16,7 +16,7 @@ DISC = np.dtype(
 )
 """A measured disc: place; radius of a disc of the same darkness and area; mean darkness of its
 inner part; misfit, the deviation from an evenly dark disc (moments) or from its contour (fit): 0 if
-perfect, about 1 for another thing; standard deviation of the place along each axis, caused by the
+perfect, about 1 for another object; standard deviation of the place along each axis, caused by the
 image's noise and the misfit; visible fraction of the contour."""
 
 

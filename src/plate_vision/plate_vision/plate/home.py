@@ -27,7 +27,7 @@ WORST_FIT_M = 1e-3
 of a good print and a sharp picture."""
 
 FOLLOWED_FIT_M = 3e-4
-"""The same limit if markers are tracked by their edges only: stricter, to exclude other things."""
+"""The same limit if markers are tracked by their edges only: stricter, to exclude other objects."""
 
 QUIET = 0.2
 """Width of the bare border around a marker that is painted over with it [sides]."""

@@ -129,8 +129,8 @@ inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int6
         }
     }
     if (*std::min_element(fitted.begin(), fitted.end()) < 0.5 * min_grey) return {};
-    // The noise comes from the lower quartile of the deviations, so things that cover up to half of
-    // the plate have no effect.
+    // The noise comes from the lower quartile of the deviations, so objects that cover up to half
+    // of the plate have no effect.
     double level = 0;
     for (int i = 0; i < count; i++) {
         level += fitted[i] / count;

@@ -7,7 +7,7 @@ and holes, each in standard deviations. A part whose mirror image fits better li
 face, which is not its type.
 
 A nearest neighbour on Hu moments, size and colour names known parts as well and faster. But it
-gives no angle, and it names things without a type.
+gives no angle, and it names objects without a type.
 """
 
 from __future__ import annotations
@@ -298,7 +298,7 @@ def footprints(
     outlines: Sequence[Outline], calibration: Calibration, height: float, lamp: Lamp | None = None
 ) -> list[Outline]:
     """Return the footprints of parts with a height [m]. The given outlines contain all that is
-    visible of the parts and of their shadows from a lamp. Outlines of lower things are
+    visible of the parts and of their shadows from a lamp. Outlines of lower objects are
     unchanged."""
     if height == 0 and lamp is None:
         return list(outlines)

@@ -318,9 +318,9 @@ def _along_edges(
     limit: float,
     work: Work,
 ) -> list[Piece]:
-    """Return the pieces of a piece that is split along inner edges, for example where parts of
-    different colours touch, and the rest; the piece itself if the edges separate nothing
-    compact."""
+    """Split a piece along inner edges, for example where parts of different colours touch. Return
+    the new pieces and the rest. If the edges separate no compact pieces, return the piece
+    itself."""
     if not work.take((len(EDGES_PERCENT) + len(COLOURS)) * piece.inside.size):
         piece.group = True
         return [piece]

@@ -80,7 +80,7 @@ def add_type(
     Raises
     ------
     PlateError
-        As `learn_type` and `check_alike`, or if a file cannot be written.
+        If `learn_type` or `check_alike` raises one, or if a file cannot be written.
     """
     types = dict(load_part_types(path)) if path.exists() else {}
     known = types.get(name)

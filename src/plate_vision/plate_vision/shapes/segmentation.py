@@ -52,7 +52,7 @@ LEFT = 0.25
 """Fraction of its own area that the removed shadow around the rest exceeds."""
 
 FILLED = 0.3
-"""Fraction of the area enclosed by a ring that things inside must fill to be one part with it."""
+"""Fraction of the area enclosed by a ring that objects inside must fill to be one part with it."""
 
 DUST = 0.04
 """Area of dust, relative to that of a typical part."""
@@ -101,7 +101,7 @@ def find_patches(
 
 
 class Segments(NamedTuple):
-    """Segmentation of an image: the things on a background.
+    """Segmentation of an image: the objects on a background.
 
     Attributes
     ----------
@@ -259,7 +259,7 @@ def _largest(windows: list[Window]) -> list[Window]:
 
 
 def _without_inner(windows: list[Window]) -> list[Window]:
-    """Merge each ring with the things that nearly fill it: the contour and the inside of one part
+    """Merge each ring with the objects that nearly fill it: the contour and the inside of one part
     that is like the plate between them."""
     kept = []
     inner: set[int] = set()
@@ -309,7 +309,7 @@ class Window(NamedTuple):
     cover : (h, w) float32
         The same, without the holes.
     enclosed : (h, w) bool
-        Pixels of holes and gaps, and of things inside them.
+        Pixels of holes and gaps, and of objects inside them.
     """
 
     corner: tuple[int, int]

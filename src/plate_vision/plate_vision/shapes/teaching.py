@@ -182,7 +182,7 @@ def teach(
     Raises
     ------
     TeachError
-        As `learn_type`, and if two types look alike.
+        If `learn_type` raises one, or if two types look alike.
     """
     types: dict[str, PartType] = {}
     for name, pictures in examples.items():

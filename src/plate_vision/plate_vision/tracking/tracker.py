@@ -22,8 +22,8 @@ from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
 UNKNOWN_MISSED = 30
-"""Minimum number of consecutive images that a thing of the class `unknown` may be missed. It is at
-the limit of detection, and must not need a new confirmation each time."""
+"""Minimum number of consecutive images that an object of the class `unknown` may be missed. It is
+at the limit of detection, and must not need a new confirmation each time."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,13 @@ class Tracker:
     renamed : tuple of (id before, id now)
         Parts whose class changed with the last image.
     overlooked : (n,) OVERLOOKED
-        Things in the last image that are rejected as parts.
+        Objects in the last image that are rejected as parts.
     shadow : Shadow, optional
         Shadow that every part casts in the last image.
     lamp : Lamp, optional
         Lamp that casts the shadows of parts with types.
     doubtful : int
-        Number of consecutive images in which many things did not look like parts, without a shadow
+        Number of consecutive images in which many objects did not look like parts, without a shadow
         that explains it.
     """
 
@@ -130,7 +130,7 @@ class Tracker:
 
 def found_text(tracker: Tracker) -> str:
     """Return the number of parts in the last image, such as `24 parts: 14 black, 10 grey`, followed
-    by the things without a class, such as `; 2 unknown`."""
+    by the objects without a class, such as `; 2 unknown`."""
     labels = [track.label for track in tracker.found]
     named = [label for label in labels if label not in NAMELESS]
     counts = [f"{labels.count(label)} {label}" for label in sorted(set(named))]
@@ -175,7 +175,7 @@ def update(
         Positions of parts predicted from the plate's motion. Used if its instant is after the last
         image. The positions of other parts are extrapolated from their drift.
     overlooked : (n,) OVERLOOKED, optional
-        Things in the image that are rejected as parts. Default: none.
+        Objects in the image that are rejected as parts. Default: none.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def update(
 
 
 def _max_missed(track: Track, options: TrackerOptions) -> int:
-    """Return the number of consecutive images that a part or thing may be missed."""
+    """Return the number of consecutive images that a part or object may be missed."""
     unknown = track.label == NAMELESS[0]
     return max(options.max_missed, UNKNOWN_MISSED) if unknown else options.max_missed
 
@@ -248,7 +248,7 @@ def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> di
 
 
 def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
-    """Return the overlooked things (n,) OVERLOOKED after a check of their type and reasons."""
+    """Return the overlooked objects (n,) OVERLOOKED after a check of their type and reasons."""
     if overlooked is None:
         return NONE_OVERLOOKED
     if overlooked.dtype != OVERLOOKED or overlooked.ndim != 1:
