@@ -58,10 +58,10 @@ from .shadow_search import FEWEST, GOOD_FIT, find_shadow
 from .shapes import find_outlines
 
 BRIGHT = "white"
-"""The label of parts brighter than what is behind them."""
+"""Label of parts that are brighter than the plate."""
 
 METHODS = ("moments", "fit", "outline", "group")
-"""Methods that measure a part, cheapest first: moments, if it stands alone and is evenly dark; a
+"""Methods that measure a part, cheapest first: moments, if it is isolated and uniformly dark; a
 fit of its contour; its outline, if the parts are not described; a group, if it seems to be several
 parts."""
 

@@ -210,12 +210,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     learns the type `teach_name` from the parts in the last image, which must all be of that type.
     If it is called again with the same name, it learns from all images of the calls so far.
 
-    Publishes aim, measurements to aim, focus and light the camera, while aim has a subscriber. The
-    services for this are ~/find_home, ~/save_home, ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
+    While aim has a subscriber, it publishes there measurements to aim, focus and light the camera.
+    The services for this are ~/find_home, ~/save_home, ~/take_lens_pictures, ~/fit_lens,
+    ~/save_lens.
 
     Each usable image yields one `parts` message with the image's stamp, also if it shows no part.
-    Only the lens of camera_info is used, instead of the rig file's. The place of the plate in the
-    image comes from its markers or from the rig file.
+    The lens of camera_info replaces that of the rig file; its other values are not used. The
+    markers or the rig file determine the location of the plate in the image.
     """
 
     def __init__(self) -> None:
@@ -287,7 +288,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._vision = replace(self._vision, background=bare)
         self._teaching = Teaching()
         self._image: np.ndarray | None = None
-        self._last_image = np.empty(0)  # the last image that was used, as it came
+        self._last_image = np.empty(0)  # the last usable image, unchanged
         self._early: float | None = None
         self._outline: OutlineCheck | None = None
         self._faint: Finding | None = None

@@ -1,7 +1,7 @@
 """Base class and start function of this project's lifecycle nodes.
 
-A `SafeLifecycleNode` brings its hardware to rest before it leaves the active state, however it
-ends, and destroys all that it has created. `start_nodes` configures and activates nodes.
+A `SafeLifecycleNode` brings its hardware to rest before it leaves the active state for any reason,
+and destroys all objects that it has created. `start_nodes` configures and activates nodes.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Hand:
         Raises
         ------
         PlateError
-            If there is no such part or type, no more parts are allowed, or it would not lie on the
+            If there is no such part or type, no more parts are allowed, or it would be off the
             plate.
         """
         label = self._checked(state, part_id, label, position, angle)

@@ -128,7 +128,7 @@ class CameraView:
 
     @property
     def past(self) -> float:
-        """Maximum age of what an image may show [s]."""
+        """Maximum age of the state that an image may show [s]."""
         camera = self._rig.camera
         shown = camera.exposure_s + camera.readout_s
         anytime = self._disturbances.image_rate > 0 or camera.trigger is not None

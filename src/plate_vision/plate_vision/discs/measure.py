@@ -1,7 +1,7 @@
 """The record of a measured disc, common to all methods; and which discs have near neighbours.
 
-Darkness is 1 - grey / bare plate. It is 0 on the plate, and constant over an even part whatever the
-shading of the light.
+Darkness is 1 - grey / bare plate. It is 0 on the plate and constant over a uniform part,
+independent of the shading of the light.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number)
 // edge there. `votes` (h, w) begins at the pixel x0, y0.
 //
 // The weight of a vote is the edge's gradient relative to the darkness at the voted place. The
-// votes of a whole contour then sum up to its length [px], whatever its blur.
+// votes of a whole contour then sum up to its length [px], independent of its blur.
 inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
                  View<float, 2> votes) {
     const int height = plate.height(), width = plate.width();

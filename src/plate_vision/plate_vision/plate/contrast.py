@@ -6,7 +6,7 @@ In each channel the deviation of a pixel from the bare plate is
     (pixel - plate) / max(plate, white - plate)     if it is brighter.
 
 The contrast is the maximum over the channels. The contrast image is 255 (1 - contrast), so parts
-are dark on a white plate, whatever they are in the camera's image.
+are dark on a white plate, independent of their colours in the camera's image.
 """
 
 from __future__ import annotations

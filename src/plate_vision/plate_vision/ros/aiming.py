@@ -158,7 +158,7 @@ class AimingView:
         return taking or self._wants_home or self._publisher.get_subscription_count() > 0
 
     def add_image(self, image: np.ndarray, stamp: Time, refused: str = "") -> None:
-        """Pass an image (H, W) or (H, W, 3) uint8 to the worker, if the view is wanted and the
+        """Pass an image (H, W) or (H, W, 3) uint8 to the worker, if `aim` has a subscriber and the
         worker is free. `refused` is the reason why the detector could not use the image."""
         now = self._image_at = time.monotonic()
         busy = self._job is not None and not self._job.done()

@@ -6,8 +6,8 @@ score of a type is a sum of squares: remaining distance of the outlines, differe
 and holes, each in standard deviations. A part whose mirror image fits better lies on its other
 face, which is not its type.
 
-A nearest neighbour on Hu moments, size and colour names known parts as well and faster. But it
-gives no angle, and it names objects without a type.
+A nearest-neighbour search on Hu moments, size and colour names known parts equally well and faster.
+But it gives no angle, and it also gives names to objects without a type.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ LIMIT = 3.0
 unknown."""
 
 OTHER_SIZE = 0.45
-"""Natural logarithm of the size ratio beyond which a patch is not of a type, whatever the type's
-scatter."""
+"""Natural logarithm of the size ratio beyond which a patch is not of a type, independent of the
+type's scatter."""
 
 OTHER_SIZE_PX = 1.0
 """The same for the difference of the outlines [px]."""

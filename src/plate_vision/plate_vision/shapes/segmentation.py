@@ -375,7 +375,7 @@ def _window(
             (holes if convex or around > ROUND or alone else gaps)[part][one > 0] = 1
         child = family[child][0]
     solid = inside > gaps
-    # Inside its contour a part covers each pixel completely, whatever its colours.
+    # Inside its contour a part covers each pixel completely, also if its colours differ.
     amount = np.where(solid, np.maximum(own, np.float32(HALF)), own)
     amount[cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=1) > gaps] = 1
     true = np.where(holes, own, amount) if np.any(holes) else amount

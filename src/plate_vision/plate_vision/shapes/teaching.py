@@ -541,7 +541,7 @@ def _symmetry(mean: Outline, scale: float) -> int:
 
 def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> PartType:
     """Return a type with the mean outline as a polygon. It is a disc if the outline is round, or if
-    the examples differ by so much (`unlike`, RMS [m]) that the angle could not be measured.
+    the difference of the examples (`unlike`, RMS [m]) is too large to measure an angle.
 
     Raises
     ------
