@@ -82,7 +82,9 @@ class Graph:
         except BaseException:
             self.close()
             raise
-        self.until(lambda: self.states and (not driver or self.planner._inputs.driver_status))
+        self.until(
+            lambda: self.states and (not driver or self.planner._monitor.inputs.driver_status)
+        )
         if self.reporting:
             self.until(self.starts.get_subscription_count)
 
@@ -92,7 +94,7 @@ class Graph:
 
     def driver_text(self):
         """What the planner has heard of the driver."""
-        status = self.planner._inputs.driver_status
+        status = self.planner._monitor.inputs.driver_status
         return None if status is None else status.text
 
     def on_status(self, msg):
@@ -187,7 +189,7 @@ class Graph:
             self.starts.publish(cycle_to_msg(self.cycle, stamp))
         self.parts.publish(parts_to_msg(Parts.make(ids, position), stamp))
         self.until(lambda: len(self.forces) > count)
-        self.until(lambda: not (self.answering and self.planner._open))
+        self.until(lambda: not (self.answering and self.planner._lockstep.unanswered))
         assert self.forces[-1].header.stamp == stamp
         return msg_to_wanted(self.forces[-1])
 

@@ -72,8 +72,8 @@ def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
 
     def refused(msg):
         publisher.publish(msg)
-        graph.until(lambda: graph.planner._refused)
-        text, graph.planner._refused = graph.planner._refused, ""
+        graph.until(lambda: graph.planner._health.refusal)
+        text, graph.planner._health.refusal = graph.planner._health.refusal, ""
         return text
 
     right = Target(id="grey_1", x=0.1, y=0.0, angle=np.nan)
@@ -105,7 +105,7 @@ def test_whatever_is_sent_the_targets_in_force_are_on_the_plate(graph):
             x, y, angle = rng.choice(numbers, 3)
             targets.append(Target(id=str(name), x=x, y=y, angle=angle))
         graph.planner._on_targets(Targets(targets=targets))
-        for target in graph.planner._run.planner.scenario.task.targets:
+        for target in graph.planner._tasks.run.planner.scenario.task.targets:
             assert target.id in IDS
             assert np.all(np.abs(target.place) < half)
         if k % 100 == 0:

@@ -201,7 +201,7 @@ def test_why_no_parts_come_is_what_the_detector_says(graph):
     graph = graph(input_timeout_s=0.3)
     said = DiagnosticStatus(name="/a/detector", message="no image yet: does the camera run?")
     graph.others.publish(DiagnosticArray(status=[said]))
-    graph.until(lambda: "detector" in graph.planner._inputs.reports)
+    graph.until(lambda: "detector" in graph.planner._monitor.inputs.reports)
     text = "idle; no parts yet: the detector runs and says: no image yet: does the camera run?"
     assert graph.report() == (DiagnosticStatus.STALE, text)
 
@@ -237,7 +237,7 @@ def test_a_planner_that_is_deactivated_ends_the_task_and_takes_no_goal(graph):
     assert graph.refused() == (TaskStatus.NOT_READY, "the planner is not active")
     graph.planner.trigger_activate()
     graph.until(lambda: graph.states[-1] == "idle")
-    graph.until(lambda: graph.planner._inputs.driver_status)
+    graph.until(lambda: graph.planner._monitor.inputs.driver_status)
     graph.begin(1.0)
 
 
@@ -262,8 +262,8 @@ def test_what_ended_a_task_is_told_once_beside_what_else_is_wrong(graph):
     other = rclpy.create_node("other_driver")
     other.create_publisher(DriverStatus, graph.drivers.topic_name, LATCHED)
     try:
-        graph.until(lambda: graph.planner._rivals())
-        text = f"{aborted}; {graph.planner._rivals()}"
+        graph.until(lambda: graph.planner._monitor.second_publishers())
+        text = f"{aborted}; {graph.planner._monitor.second_publishers()}"
         graph.until(lambda: graph.report() == (DiagnosticStatus.ERROR, text))
     finally:
         other.destroy_node()
@@ -276,12 +276,12 @@ def test_a_second_driver_is_told_of_and_no_task_begins(graph):
     other.create_publisher(DriverStatus, graph.drivers.topic_name, LATCHED)
     try:
         text = "2 nodes publish driver_status (other_driver, probe), allowed: one"
-        graph.until(lambda: graph.planner._rivals())
+        graph.until(lambda: graph.planner._monitor.second_publishers())
         assert graph.refused() == (TaskStatus.NOT_READY, f"sort is not started: {text}")
         assert text in graph.report()[1]
     finally:
         other.destroy_node()
-    graph.until(lambda: not graph.planner._rivals())
+    graph.until(lambda: not graph.planner._monitor.second_publishers())
     graph.begin(0.1)
 
 
@@ -308,9 +308,9 @@ def test_an_error_of_the_driver_may_pass_but_not_stay(graph):
     graph = graph(input_timeout_s=30.0)  # no images come here
     graph.begin()
     graph.driver = ERROR
-    graph.until(lambda: graph.planner._inputs.error_since is not None)
+    graph.until(lambda: graph.planner._monitor.inputs.error_since is not None)
     graph.driver = READY
-    graph.until(lambda: graph.planner._inputs.error_since is None)
+    graph.until(lambda: graph.planner._monitor.inputs.error_since is None)
     assert graph.states[-1] == "running"
     graph.driver = ERROR
     graph.until(lambda: graph.states[-1].endswith(": driver: error: the device does not answer"))
@@ -426,7 +426,7 @@ def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(g
         graph.image_and_pause(next(images))
     assert graph.states[-1].startswith("running")
     orders.publish(FeedOrder(mode=FeedOrder.REST, hidden=True))
-    graph.until(lambda: graph.planner._run.planner.scenario.task.order.hidden)
+    graph.until(lambda: graph.planner._tasks.run.planner.scenario.task.order.hidden)
     task = graph.until_ended(handle, lambda _: graph.image_and_pause(next(images)))
     assert (task.state, task.reason) == (TaskStatus.ABORTED, TaskStatus.CUT_OFF)
     assert ": no feed_orders for 1." in task.text
@@ -447,18 +447,20 @@ def test_a_planner_that_stood_still_does_not_go_on(silenced):
 def test_a_goal_that_was_sent_while_the_planner_stood_still_is_not_begun(graph):
     graph = graph(input_timeout_s=30.0)
     graph.image(0.0, APART)
-    graph.planner._standstill._looked -= 2.0
+    graph.planner._monitor._standstill._looked -= 2.0
     reason, text = graph.refused()
     assert (reason, text) == (
         TaskStatus.NOT_READY, "the planner itself stood still: send the goal again"
     )  # fmt: skip
-    graph.until(lambda: not graph.planner._standstill.is_late(graph.clock.monotonic()))
+    graph.until(lambda: not graph.planner._monitor._standstill.is_late(graph.clock.monotonic()))
     graph.begin(0.1)
 
 
 def test_an_order_of_a_stranger_is_not_carried_out(graph, monkeypatch):
     graph = graph(input_timeout_s=30.0)
-    monkeypatch.setattr(graph.planner, "_rivals", str)  # it may be gone before it is named
+    monkeypatch.setattr(
+        graph.planner._monitor, "second_publishers", str
+    )  # it may be gone before it is named
     orders = graph.probe.create_publisher(FeedOrder, "feed_orders", DATA)
     graph.until(orders.get_subscription_count)
     graph.begin(scenario=load_scenario("feed"))
@@ -468,7 +470,7 @@ def test_an_order_of_a_stranger_is_not_carried_out(graph, monkeypatch):
     heard = graph.probe.create_subscription(FeedOrder, "feed_orders", came.append, DATA)
 
     def in_force():
-        order = graph.planner._run.planner.scenario.task.order
+        order = graph.planner._tasks.run.planner.scenario.task.order
         modes.add(order.mode)
         return order
 
@@ -527,15 +529,15 @@ def asked_of_the_next_image(graph):
             0.1, 2e-3 * np.outer(np.sin(20 * np.pi * t), [1, 0, 0])
         )
         node.begin(1.0)
-        node.until(lambda: not node.planner._open)
+        node.until(lambda: not node.planner._lockstep.unanswered)
         node.answering = not late
         node.image(1.3, APART)
-        node.until(lambda: node.planner._open is late)
+        node.until(lambda: node.planner._lockstep.unanswered is late)
         count, stamp = len(node.forces), to_time(1_400_000_000)
         node.starts.publish(cycle_to_msg(node.cycle, stamp))
         node.parts.publish(parts_to_msg(Parts.make(IDS, APART + 1e-3), stamp))
         if late:
-            node.until(lambda: node.planner._early is not None)
+            node.until(lambda: node.planner._lockstep.image_waits)
             assert len(node.forces) == count
             node.answer()
         node.until(lambda: len(node.forces) > count)
@@ -576,12 +578,12 @@ def reported(graph):
 
         begin(1.0, node.cycle)
         node.image(1.0, APART)
-        node.until(lambda: not node.planner._open)
+        node.until(lambda: not node.planner._lockstep.unanswered)
         node.send()
         for t in (1.1, 1.2):
             begin(t, node.cycle)
             node.image(t, APART)
-            node.until(lambda: not node.planner._open)
+            node.until(lambda: not node.planner._lockstep.unanswered)
         node.cycle, node.answering = LEAVES, False
         begin(1.3, PlateCycle.rest(0.1))
         asked.append(node.image(1.3, APART))
@@ -668,10 +670,10 @@ def test_in_lockstep_a_player_that_does_not_report_is_not_waited_for_twice(graph
     graph = graph(lockstep=True, input_timeout_s=0.5)
     graph.reporting = False
     graph.image(1.0, APART)
-    assert not graph.planner._waits
-    graph.until(lambda: not graph.planner._open)
+    assert not graph.planner._lockstep.starts_required
+    graph.until(lambda: not graph.planner._lockstep.unanswered)
     graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(1_100_000_000)))
-    graph.until(lambda: graph.planner._early is not None)
+    graph.until(lambda: graph.planner._lockstep.image_waits)
     graph.send()
     graph.until(lambda: len(graph.forces) == 2)
     for k in range(2, 10):
@@ -683,10 +685,10 @@ def test_in_lockstep_the_task_begins_with_the_second_image(graph):
     graph = graph(lockstep=True)
     for _ in range(2):
         assert graph.image(1.0, APART).parts.ids == ()
-    graph.until(lambda: not graph.planner._open)
+    graph.until(lambda: not graph.planner._lockstep.unanswered)
     count = len(graph.forces)
     graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(1_100_000_000)))
-    graph.until(lambda: graph.planner._early is not None)
+    graph.until(lambda: graph.planner._lockstep.image_waits)
     graph.report()
     assert len(graph.forces) == count
     graph.send()
@@ -699,10 +701,10 @@ def test_in_lockstep_an_image_that_comes_again_after_the_goal_is_not_planned(gra
     """Whether one does is chance; the run must be the same."""
     graph = graph(lockstep=True)
     graph.image(1.0, APART)
-    graph.until(lambda: not graph.planner._open)
+    graph.until(lambda: not graph.planner._lockstep.unanswered)
     graph.report()
     graph.send()
-    graph.until(lambda: graph.planner._run is not None)
+    graph.until(lambda: graph.planner._tasks.run is not None)
     assert graph.image(1.0, APART).parts.ids == ()
     assert graph.image(1.1, APART).parts.ids == IDS
 
@@ -713,7 +715,7 @@ def test_in_lockstep_an_image_of_the_task_before_is_answered_by_rest(graph):
     graph.planner.set_parameters([Parameter("preempt", value=True)])
     first = graph.begin()
     assert graph.image(1.0, APART).parts.ids == IDS
-    graph.until(lambda: not graph.planner._open)
+    graph.until(lambda: not graph.planner._lockstep.unanswered)
     graph.report()
     graph.send()
     assert graph.result(first)[1].reason == TaskStatus.PREEMPTED
@@ -724,7 +726,7 @@ def test_in_lockstep_an_image_of_the_task_before_is_answered_by_rest(graph):
 def test_in_lockstep_a_solver_that_does_not_answer_ends_the_task(graph):
     graph = graph(lockstep=True, input_timeout_s=0.5)
     graph.begin()
-    graph.until(lambda: not graph.planner._open)
+    graph.until(lambda: not graph.planner._lockstep.unanswered)
     graph.answering = False
     graph.image(0.3, APART)
     count = len(graph.forces)

@@ -1,5 +1,14 @@
-"""The planner's state as ROS messages."""
+"""The planner's action servers, its reports, and its state as ROS messages."""
 
-from .messages import STATES, feed_to_msg, progress_to_msg
+from .goals import GoalServers
+from .messages import STATES, feed_to_msg, progress_to_msg, run_to_msg
+from .reports import TaskReports
 
-__all__ = ["STATES", "feed_to_msg", "progress_to_msg"]
+__all__ = [
+    "STATES",
+    "GoalServers",
+    "TaskReports",
+    "feed_to_msg",
+    "progress_to_msg",
+    "run_to_msg",
+]

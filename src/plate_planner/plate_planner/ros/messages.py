@@ -11,6 +11,7 @@ from plate_core.ros import FRAME
 from plate_interfaces.msg import FeedStatus, Part, PartCount, TaskProgress, TaskStatus
 
 from ..supervision import Phase, Progress
+from ..task_run import Run
 from ..tasks import FeedReport
 
 STATES = {
@@ -39,12 +40,31 @@ def progress_to_msg(progress: Progress) -> TaskProgress:
     )
 
 
-def feed_to_msg(report: FeedReport, shown: Mapping[str, Part], stamp: Time) -> FeedStatus:
+def run_to_msg(run: Run, answered: Time) -> TaskStatus:
+    """Convert the state of a task to a message. `answered` is its stamp."""
+    status = TaskStatus(
+        header=Header(stamp=answered), task=run.name, state=STATES[run.task.phase],
+        reason=int(run.task.reason), text=run.task.text,
+    )  # fmt: skip
+    if run.progress is None:
+        status.progress.parts_total = run.planner.scenario.count
+    else:
+        status.progress = progress_to_msg(run.progress)
+        if run.progress.phase is run.task.phase:
+            status.text = run.progress.text
+    return status
+
+
+def feed_to_msg(
+    report: FeedReport, moves: bool, shown: Mapping[str, Part], stamp: Time
+) -> FeedStatus:
     """Convert the report of a feed to a message.
 
     Parameters
     ----------
     report : FeedReport
+    moves : bool
+        Whether the plate is requested to move after this image.
     shown : mapping of str to Part
         Parts of the last image, by id. The message omits ready parts that this image does not show.
     stamp : Time
@@ -53,7 +73,7 @@ def feed_to_msg(report: FeedReport, shown: Mapping[str, Part], stamp: Time) -> F
     return FeedStatus(
         header=Header(stamp=stamp, frame_id=FRAME),
         mode=int(report.mode),
-        at_rest=report.at_rest,
+        at_rest=report.at_rest and not moves,
         ready=[shown[name] for name in report.ready.ids if name in shown],
         seen=[PartCount(type=name, count=count) for name, count in report.seen.items()],
         discharged=report.discharged,

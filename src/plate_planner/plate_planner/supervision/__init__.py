@@ -1,11 +1,13 @@
 """Supervision of a task: phase, reason of a failure, progress, and the planner's inputs.
 
-`begin`, `judge` and `stopped` change the phase. `Inputs` monitors the other nodes.
+`begin`, `judge` and `stopped` change the phase. `Inputs` is the state of the planner's inputs,
+and `InputMonitor` decides whether a task can continue with them.
 """
 
 from .bystanders import Overlooked, bystanders_text, is_bystander, without_surplus
 from .failure import LastSeen, loss_of, outlook, shortfall_text
 from .inputs import Inputs
+from .monitor import InputMonitor
 from .phase import (
     STOP,
     Failure,
@@ -26,6 +28,7 @@ __all__ = [
     "STOP",
     "Failure",
     "Findings",
+    "InputMonitor",
     "Inputs",
     "LastSeen",
     "Overlooked",

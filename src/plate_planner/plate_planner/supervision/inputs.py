@@ -313,6 +313,10 @@ class Inputs:
             return None
         return Failure(Reason.STOOD_STILL, f"the planner itself stood still for {away:.1f} s")
 
+    def ran_at(self, now: float) -> Inputs:
+        """Return the inputs with the time of the planner's last activity."""
+        return replace(self, ran=now)
+
     def woken(self, now: float) -> Inputs:
         """Return the inputs after a stall. Arrival times of earlier messages are discarded."""
         parts, driver = (

@@ -1,0 +1,76 @@
+"""Content of the planner's diagnostics, collected from the objects that know it. No ROS."""
+
+from __future__ import annotations
+
+from plate_core.status import Finding, Level, worst
+
+from .supervision import InputMonitor
+from .task_run import TaskRunner
+
+__all__ = ["PlannerDiagnostics"]
+
+
+class PlannerDiagnostics:
+    """Computes level, message and values of the planner's diagnostics.
+
+    Parameters
+    ----------
+    tasks : TaskRunner
+    monitor : InputMonitor
+    triggered : bool
+        Whether images are taken at cycle starts.
+
+    Attributes
+    ----------
+    refusal : str
+        Last refused message since the last diagnostics. Empty if none was refused.
+    """
+
+    def __init__(self, tasks: TaskRunner, monitor: InputMonitor, triggered: bool) -> None:
+        self._tasks, self._monitor, self._triggered = tasks, monitor, triggered
+        self.refusal = ""
+
+    def finding(self, now: float) -> Finding:
+        """Return the severity level of the task and of its inputs at `now` [s, steady clock], and
+        the reason."""
+        findings = self._monitor.findings(now)
+        image_problem = self._tasks.estimator.image_problem
+        if image_problem and self._triggered:
+            image_problem += "; set camera_triggered false"
+        for text in (
+            self.refusal,
+            self._monitor.second_publishers(),
+            image_problem,
+            self._tasks.estimator.answer_problem,
+            self._tasks.others(),
+        ):
+            if text:
+                findings.append(Finding(Level.WARN, text))
+        result, run = worst(findings, ""), self._tasks.run
+        if run is None:
+            return Finding(result.level, "; ".join(filter(None, ("idle", result.message))))
+        level = result.level
+        if run.task.phase.is_failure:
+            failure = Level.ERROR if run.failed else Level.WARN
+            level = max(level, failure, key=lambda each: each.rank)
+        new = [each for each in findings if each is not None and each.message not in run.task.text]
+        return Finding(level, "; ".join(filter(None, (run.task.text, worst(new, "").message))))
+
+    def values(self, now: float) -> dict[str, str]:
+        """Return the values at `now` [s, steady clock] by name."""
+        run, inputs = self._tasks.run, self._monitor.inputs
+        progress = {} if run is None or run.progress is None else run.progress.values()
+        driver = inputs.driver_status
+        return {
+            **progress,
+            "task": "" if run is None else run.name,
+            "task_state": "idle" if run is None else run.task.text,
+            "driver_status": "" if driver is None else driver.text,
+            "parts_silent_s": f"{inputs.parts.silence(now):.2f}",
+            "overlooked": str(self._tasks.overlooked.count),
+            "image_rate_hz": f"{self._tasks.estimator.image_rate:.1f}",
+        }
+
+    def reported(self) -> None:
+        """Forget the refused message after diagnostics were published."""
+        self.refusal = ""

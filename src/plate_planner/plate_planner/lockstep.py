@@ -1,0 +1,122 @@
+"""Order in which messages are processed if a simulator runs in lockstep, without ROS.
+
+The driver and the simulator may receive a cycle, and go on to the next image, before the planner
+receives this cycle, a goal, or the report of the cycle's start. This order of arrival is random,
+and must not change the run.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Generic, TypeVar
+
+__all__ = ["Lockstep"]
+
+Image = TypeVar("Image")
+Start = TypeVar("Start")
+
+STARTS_KEPT = 64
+"""Number of reported cycle starts that are kept until the next image."""
+
+
+class Lockstep(Generic[Image, Start]):
+    """Holds the newest image until it can be planned, and the cycle starts until then.
+
+    In lockstep an image is planned when plate_cycle has answered the request for the image before
+    and the start of the cycle at which it was taken has been reported. The second image also needs
+    a goal. Otherwise each image is planned at once.
+
+    Parameters
+    ----------
+    enabled : bool
+        Whether the simulator runs in lockstep.
+
+    Attributes
+    ----------
+    request_ns : int or None
+        Stamp of the last request [ns].
+    unanswered : bool
+        Whether no plate_cycle has answered the last request yet.
+    starts_required : bool
+        Whether an image waits for the report of a cycle's start.
+    """
+
+    def __init__(self, enabled: bool) -> None:
+        self.enabled = enabled
+        self.request_ns: int | None = None
+        self.unanswered = False
+        self.starts_required = True
+        self._goal_received = False
+        self._request_before_goal_ns: int | None = None
+        self._image: tuple[Image, int] | None = None  # waiting image and its stamp [ns]
+        self._image_time = 0.0  # arrival of the waiting image [s, steady clock]
+        self._starts: deque[Start] = deque(maxlen=STARTS_KEPT)
+        self._start_ns = -1  # stamp of the last start
+
+    @property
+    def image_waits(self) -> bool:
+        """Whether an image waits."""
+        return self._image is not None
+
+    def add_image(self, image: Image, stamp_ns: int, now: float) -> None:
+        """Replace the waiting image by one that arrived at `now` [s, steady clock]."""
+        if self._image is None or self._image[1] != stamp_ns:
+            self._image_time = now
+        self._image = image, stamp_ns
+
+    def add_start(self, start: Start, stamp_ns: int) -> None:
+        """Keep the report of a cycle's start until the next image is planned."""
+        self._starts.append(start)
+        self._start_ns = stamp_ns
+
+    def next_image(self) -> tuple[Image, list[Start]] | None:
+        """Return the waiting image, and the cycle starts to record before it. None if no image
+        waits, or if it must wait longer."""
+        if self._image is None:
+            return None
+        image, stamp_ns = self._image
+        starts: list[Start] = []
+        if self.enabled:
+            follows_request = self.request_ns is not None and stamp_ns > self.request_ns
+            if follows_request and (self.unanswered or not self._goal_received):
+                return None
+            if self._lacks_start(stamp_ns):
+                return None
+            starts = list(self._starts)
+            self._starts.clear()
+        self._image = None
+        return image, starts
+
+    def _lacks_start(self, stamp_ns: int) -> bool:
+        """Whether the start of the cycle at which an image was taken has not been reported yet."""
+        reported = self._start_ns == stamp_ns
+        self.starts_required = self.starts_required or reported
+        return self.starts_required and not reported
+
+    def request_sent(self, stamp_ns: int) -> None:
+        """Record a request with this stamp [ns]."""
+        self.request_ns, self.unanswered = stamp_ns, True
+
+    def cycle_received(self, stamp_ns: int) -> bool:
+        """Record a cycle. Return whether it answers the last request."""
+        answers = stamp_ns == self.request_ns
+        if answers:
+            self.unanswered = False
+        return answers
+
+    def goal_accepted(self) -> None:
+        """Record that a task begins."""
+        self._goal_received, self._request_before_goal_ns = True, self.request_ns
+
+    def precedes_goal(self, stamp_ns: int) -> bool:
+        """Whether an image with this stamp was planned before the goal. The driver accepts only
+        rest for such an image."""
+        return stamp_ns == self._request_before_goal_ns
+
+    def stop_waiting(self, now: float, timeout_s: float, answer_overdue: bool) -> None:
+        """Do not wait for an overdue cycle, or for starts that nobody has reported within
+        `timeout_s` [s]."""
+        if answer_overdue:
+            self.unanswered = False
+        if now - self._image_time > timeout_s:
+            self.starts_required = False

@@ -1,0 +1,75 @@
+"""Action servers of the planner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.node import Node
+
+from plate_core.ros import ACTIONS, RESULT_S
+from plate_interfaces.msg import TaskProgress, TaskStatus
+
+
+class GoalServers:
+    """Accepts goals of all actions, and gives each its result.
+
+    Parameters
+    ----------
+    node : Node
+    on_goal : callable
+        Receives the handle of each goal. It must call `finish` then or later.
+    on_cancel : callable
+        Receives the handle of a goal that a client cancels.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        on_goal: Callable[[Any], None],
+        on_cancel: Callable[[Any], CancelResponse],
+    ) -> None:
+        self._results: dict[bytes, TaskStatus] = {}  # not delivered yet, by goal
+        self._servers = [
+            ActionServer(
+                node, action, name, self._result, handle_accepted_callback=on_goal,
+                cancel_callback=on_cancel, result_timeout=RESULT_S,
+            )
+            for name, action in ACTIONS.items()
+        ]  # fmt: skip
+
+    def finish(self, goal: Any, status: TaskStatus) -> None:
+        """Give a goal its result.
+
+        The goal is executed only now, because rclpy polls a coroutine that waits.
+        """
+        self._results[bytes(goal.goal_id.uuid)] = status
+        goal.execute()
+
+    def feed_back(self, goal: Any, progress: TaskProgress) -> None:
+        """Send the progress to the client of a goal."""
+        feedback = ACTIONS[_action_name(goal.request)].Feedback()
+        feedback.progress = progress
+        goal.publish_feedback(feedback)
+
+    def destroy(self) -> None:
+        """Destroy the servers."""
+        for server in self._servers:
+            server.destroy()
+
+    def _result(self, goal: Any) -> Any:
+        status = self._results.pop(bytes(goal.goal_id.uuid))
+        if status.state == TaskStatus.DONE:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        result = ACTIONS[_action_name(goal.request)].Result()
+        result.status = status
+        return result
+
+
+def _action_name(request: Any) -> str:
+    return next(name for name, kind in ACTIONS.items() if isinstance(request, kind.Goal))

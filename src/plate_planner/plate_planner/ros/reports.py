@@ -1,0 +1,84 @@
+"""Topics by which the planner reports on its task."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from std_msgs.msg import Header
+
+from plate_core.ros import DATA, LATCHED, SafeLifecycleNode, targets_to_msg
+from plate_core.tasks import FeedTask, PartTarget
+from plate_interfaces.msg import FeedStatus, Part, Parts, Targets, TaskStatus
+
+from ..supervision import Reason
+from ..task_run import Run, TaskRunner
+from .messages import feed_to_msg, run_to_msg
+
+
+class TaskReports:
+    """Publishes task_status, part_targets and feed_status.
+
+    Parameters
+    ----------
+    node : SafeLifecycleNode
+    """
+
+    def __init__(self, node: SafeLifecycleNode[Any]) -> None:
+        self._statuses = node.managed_publisher(TaskStatus, "task_status", LATCHED)
+        self._targets = node.managed_publisher(Targets, "part_targets", LATCHED)
+        self._feed = node.managed_publisher(FeedStatus, "feed_status", DATA)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was published."""
+        self._published_targets: tuple[PartTarget, ...] | None = None
+        self._shown: dict[str, Part] = {}  # parts of the last image by id
+        self._logged_text = ""
+
+    def record_image(self, msg: Parts) -> None:
+        """Keep the parts of the last image for feed_status."""
+        self._shown = {part.id: part for part in msg.parts}
+
+    def publish_status(
+        self, run: Run | None, answered: Time, reason: Reason = Reason.NONE
+    ) -> TaskStatus:
+        """Publish the status of a task, and return it.
+
+        Parameters
+        ----------
+        run : Run or None
+            None if no task was begun.
+        answered : Time
+            Stamp of the last image, or of the last cycle start, that was answered.
+        reason : Reason
+            Reason in the status if `run` is None.
+        """
+        if run is None:
+            status = TaskStatus(header=Header(stamp=answered), text="idle", reason=int(reason))
+        else:
+            status = run_to_msg(run, answered)
+        self._statuses.publish(status)
+        return status
+
+    def publish_targets(self, tasks: TaskRunner, stamp: Time) -> None:
+        """Publish the targets of a running `move` task if they have changed."""
+        if tasks.targets != self._published_targets:
+            self._published_targets = tasks.targets
+            self._targets.publish(targets_to_msg(tasks.targets, stamp))
+
+    def publish_feed(self, run: Run, moves: bool, stamp: Time) -> None:
+        """Publish the parts that a `feed` task has ready. `moves` states whether the plate is
+        requested to move after the image with this stamp."""
+        memory = run.state.memory
+        if isinstance(run.planner.scenario.task, FeedTask) and memory is not None:
+            self._feed.publish(feed_to_msg(memory.report, moves, self._shown, stamp))
+
+    def is_new(self, text: str) -> bool:
+        """Whether a task's text differs from the last one, which is then logged."""
+        new, self._logged_text = text != self._logged_text, text
+        return new
+
+    def forget_text(self) -> None:
+        """Have the next text logged, even if it is the last one again."""
+        self._logged_text = ""

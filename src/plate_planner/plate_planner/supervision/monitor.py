@@ -1,0 +1,112 @@
+"""Monitor of the planner's inputs: whether a task can start, and whether it can continue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from plate_core.standstill import Standstill
+from plate_core.status import Finding
+
+from .inputs import Inputs
+from .phase import Failure, Reason, TaskState
+
+STILL_S = 1.0
+"""If the planner stalled for longer than this, it refuses goals that may have waited [s]."""
+
+SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
+"""Topics that only one node may publish."""
+
+MARGIN_S = 0.1
+"""Time by which the monitor's wait for all parts exceeds the planner's own [s]."""
+
+
+class InputMonitor:
+    """Keeps the state of the planner's inputs, and decides whether a task can go on.
+
+    Times are on the steady clock [s].
+
+    Parameters
+    ----------
+    inputs : Inputs
+    start_timeout_s : float
+        Maximum time from a goal until all parts are detected.
+    now : float
+    publishers : callable
+        Returns the number of publishers of a topic.
+    second_publisher : callable
+        Returns a message if several nodes publish a topic, otherwise "".
+
+    Attributes
+    ----------
+    inputs : Inputs
+        Inputs received so far. The owner records each message in it.
+    """
+
+    def __init__(
+        self,
+        inputs: Inputs,
+        start_timeout_s: float,
+        now: float,
+        publishers: Callable[[str], int],
+        second_publisher: Callable[[str], str],
+    ) -> None:
+        self.inputs, self._start_timeout_s = inputs, start_timeout_s
+        self._standstill = Standstill(STILL_S, now)
+        self._publishers, self._second_publisher = publishers, second_publisher
+
+    def wake(self, now: float, period: float) -> Failure | None:
+        """Record that the planner runs. Return a failure if its process stalled before.
+
+        Call this first in each callback. `period` is the length of a cycle [s].
+        """
+        self._standstill.is_late(now)
+        failure = self.inputs.stood_still(now, period)
+        self.inputs = self.inputs.ran_at(now) if failure is None else self.inputs.woken(now)
+        return failure
+
+    def goal_may_be_old(self, now: float) -> bool:
+        """Whether a goal received at `now` may have waited during a stall."""
+        return self._standstill.is_late(now)
+
+    def second_publishers(self) -> str:
+        """Return a message if several nodes publish a topic that only one may publish, otherwise
+        ""."""
+        return next(filter(None, map(self._second_publisher, SINGLE)), "")
+
+    def findings(self, now: float) -> list[Finding | None]:
+        """Return findings on missing inputs for the diagnostics."""
+        return self.inputs.findings(now, self._publishers)
+
+    def start_problem(self, now: float) -> str:
+        """Return why a task cannot start, otherwise ""."""
+        return (
+            self.second_publishers()
+            or self.inputs.driver_problem(now)
+            or self.inputs.parts_problem(now, self._publishers)
+            or self.inputs.starts_problem(now)
+        )
+
+    def task_problem(
+        self, now: float, goal_time: float, task: TaskState, period: float
+    ) -> Failure | None:
+        """Return why a running task cannot continue, otherwise None.
+
+        Parameters
+        ----------
+        now : float
+        goal_time : float
+            Arrival of the goal.
+        task : TaskState
+        period : float
+            Length of a cycle.
+        """
+        failure = self.inputs.problem(now, goal_time, period, self._publishers)
+        waited = now - goal_time > self._start_timeout_s + MARGIN_S
+        if failure is None and task.began is None and waited:
+            # If stamps stand still, the planner's own wait for all parts never ends.
+            text = f"not all parts seen within {self._start_timeout_s:g} s of the goal"
+            failure = Failure(Reason.PARTS_MISSING, text)
+        if several := self.second_publishers():
+            text = "; ".join(filter(None, (failure and failure.text, several)))
+            failure = Failure(failure.reason if failure else Reason.RIVAL, text)
+        return failure

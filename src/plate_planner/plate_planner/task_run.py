@@ -1,0 +1,211 @@
+"""The running task, or the last one, and the parts on the plate with or without a task. No ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from plate_core import OverlookedThing, Parts, PlateCycle, PlateError, Rig, Wanted
+from plate_core.tasks import FeedOrder, MoveTask, PartTarget
+
+from .estimation import Estimator
+from .planner import Planner, PlannerOptions, PlannerState
+from .supervision import Failure, Overlooked, Phase, Progress, Reason, TaskState
+
+__all__ = ["Run", "TaskRunner"]
+
+BY_PERSON = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)
+"""Reasons of tasks that a person ended. They are not failures."""
+
+
+@dataclass
+class Run:
+    """The task that runs, or ran last.
+
+    Attributes
+    ----------
+    planner : Planner
+    state : PlannerState
+    began : float
+        Time of the goal [s, steady clock].
+    goal
+        Handle of the goal.
+    finished : bool
+        Whether the goal has its result.
+    progress : Progress or None
+        Progress after the last answer.
+    """
+
+    planner: Planner
+    state: PlannerState
+    began: float
+    goal: Any
+    finished: bool = False
+    progress: Progress | None = None
+
+    @property
+    def name(self) -> str:
+        """Kind of the task."""
+        return self.planner.scenario.name
+
+    @property
+    def task(self) -> TaskState:
+        """State of the task."""
+        return self.state.task
+
+    @property
+    def running(self) -> bool:
+        """Whether the task runs."""
+        return self.task.phase is Phase.RUNNING
+
+    @property
+    def failed(self) -> bool:
+        """Whether the task ended without success, and no person ended it."""
+        return self.task.phase.is_failure and self.task.reason not in BY_PERSON
+
+
+class TaskRunner:
+    """Runs one task at a time, and tracks the parts also without a task.
+
+    Parameters
+    ----------
+    rig : Rig
+    options : PlannerOptions
+
+    Attributes
+    ----------
+    run : Run or None
+        The task that runs, or ran last.
+    overlooked : Overlooked
+        Objects in the images that vision does not publish as parts.
+    """
+
+    def __init__(self, rig: Rig, options: PlannerOptions) -> None:
+        self.run: Run | None = None
+        self._idle = Estimator.of(rig, options.default_period, options.image_age_s)
+        self.overlooked = Overlooked(rig)
+        self._others_reported = False
+
+    @property
+    def estimator(self) -> Estimator:
+        """State of the parts."""
+        return self._idle if self.run is None else self.run.state.estimator
+
+    @property
+    def running(self) -> Run | None:
+        """The running task."""
+        return self.run if self.run is not None and self.run.running else None
+
+    def seen_without_task(self, stamp: float) -> bool:
+        """Whether the last image before the task has this stamp [s]."""
+        return stamp == self._idle.stamp
+
+    def begin(self, planner: Planner, goal: Any, now: float) -> None:
+        """Begin a task at `now` [s, steady clock]. `goal` is the handle of its goal."""
+        state = planner.start(planner.initial(self.estimator))
+        self.run, self._others_reported = Run(planner, state, now, goal), False
+
+    def end(self, why: Failure) -> bool:
+        """End the running task. Return whether one ran."""
+        run = self.running
+        if run is not None:
+            run.state = run.planner.stop(run.state, why)
+        return run is not None
+
+    def forget(self) -> None:
+        """Forget the last task, but not the parts."""
+        self._idle, self.run = self.estimator, None
+
+    def set_options(self, options: PlannerOptions) -> None:
+        """Change the options of the task."""
+        if self.run is not None:
+            self.run.planner = replace(self.run.planner, options=options)
+
+    # Events
+
+    def record_image(self, things: tuple[OverlookedThing, ...], parts: Parts) -> str:
+        """Record the other objects of an image. Return a warning, at most once per task. Otherwise
+        the text is empty."""
+        self.overlooked.add(things, parts)
+        text = "" if self._others_reported else self.others()
+        self._others_reported = self._others_reported or bool(text)
+        return text
+
+    def see(self, parts: Parts, stamp: float) -> None:
+        """Record the parts of an image with this stamp [s] that needs no answer of the task."""
+        if self.run is None:
+            self._idle = self._idle.update(parts, stamp)
+        else:
+            self.run.state = self.run.planner.see(self.run.state, parts, stamp)
+
+    def record_start(self, cycle: PlateCycle, begin: float, triggered: bool) -> None:
+        """Record that the plate began a cycle at `begin` [s, the time of the stamps]. `triggered`
+        states whether images are taken at cycle starts."""
+        if self.run is None:
+            self._idle = self._idle.started(cycle, begin, triggered)
+        else:
+            self.run.state = self.run.planner.started(self.run.state, cycle, begin, triggered)
+
+    def record_cycle(self, cycle: PlateCycle, arrival: float, requested: float) -> None:
+        """Record a cycle from the solver that arrived at `arrival`. It answers the request with the
+        stamp `requested` [s]."""
+        if self.run is None:
+            self._idle = self._idle.hear(cycle, arrival, requested)
+        else:
+            self.run.state = self.run.planner.hear(self.run.state, cycle, arrival, requested)
+
+    # Results
+
+    def plan(self, run: Run, parts: Parts, stamp: float) -> Wanted:
+        """Return the request for an image that was taken at the start of a cycle."""
+        run.state, wanted, run.progress = run.planner.plan(run.state, parts, stamp)
+        return wanted
+
+    def answer(self, run: Run) -> Wanted:
+        """Return the request for the next cycle, from the images recorded so far."""
+        run.state, wanted, run.progress = run.planner.answer(run.state)
+        return wanted
+
+    def retarget(self, targets: tuple[PartTarget, ...]) -> tuple[str, ...]:
+        """Change targets of a running `move` task. Return the reasons for refused targets.
+
+        Raises
+        ------
+        PlateError
+            If no `move` task runs.
+        """
+        run = self.run
+        if run is None:
+            raise PlateError("targets: no task of move runs, allowed: while one does")
+        run.planner, run.state, refused = run.planner.retarget(run.state, targets)
+        return refused
+
+    def order(self, order: FeedOrder) -> None:
+        """Change the order of a running `feed` task.
+
+        Raises
+        ------
+        PlateError
+            If no `feed` task runs, or the order does not fit.
+        """
+        run = self.run
+        if run is None:
+            raise PlateError("feed_orders: no task of feed runs, allowed: while one does")
+        run.planner = run.planner.order(run.state, order)
+
+    @property
+    def targets(self) -> tuple[PartTarget, ...]:
+        """Targets of a running `move` task, otherwise empty."""
+        task = None if self.running is None else self.running.planner.scenario.task
+        return task.targets if isinstance(task, MoveTask) else ()
+
+    def others(self) -> str:
+        """Return which other objects are on the plate while a task runs, or ""."""
+        run = self.run
+        if run is None or not run.task.active:
+            return ""
+        count = run.planner.scenario.count
+        texts = [run.planner.others(run.state.estimator.seen), self.overlooked.text]
+        text = "; ".join(filter(None, texts))
+        moves = f"{run.name} moves {count} parts" if count else run.name
+        return f"{moves}: {text}" if text else ""
