@@ -219,7 +219,7 @@ def detect(
     Raises
     ------
     ImageError
-        If the image is not uint8, has another shape, or the region is no quadrilateral in it.
+        If the image is not uint8, has another shape, or the region is not a quadrilateral in it.
     """
     grey = grey_levels(image)
     size_px = (grey.shape[1], grey.shape[0])

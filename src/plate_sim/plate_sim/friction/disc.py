@@ -15,6 +15,6 @@ def disc_force(s: float, w: float) -> tuple[float, float]:
     """Return force [mu m g] and torque [mu m g R] on a disc with slip s and rotational slip w
     [m/s].
 
-    Both at least 0, and not both 0.
+    Both are at least 0, and not both are 0.
     """
     return _kernels.disc_force(s, w)
