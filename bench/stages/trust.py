@@ -199,32 +199,32 @@ def left_out(rig: Rig) -> list[dict[str, str]]:
     film, drag = AIR_VISCOSITY * area * s / AIR_GAP_M, 0.5 * AIR_DENSITY * 2 * r * height * s**2
     rows = [
         ("plate moves up and down: weight changes", "r a/g", f"r = {100 * OUT_OF_PLANE:g} %",
-         f"{percent(OUT_OF_PLANE * a / g)} of mu m g, to and fro"),
+         f"{percent(OUT_OF_PLANE * a / g)} of mu m g, alternating"),
         ("part leaves the plate and bounces", "r > g/a", "",
          f"not below r = {percent(g / a)}"),
         ("plate bends: its first mode", "22.4/(2 pi L^2) sqrt(D/(rho h))",
          f"free aluminium plate, h = {1e3 * thick:.1f} mm", f"{bend:.0f} Hz"),
         ("plate bends: tilt at its ends, below that", "M a e L/(2 D W)",
-         f"motors e = {1e3 * OFF_PLANE_M:g} mm beside the middle plane",
+         f"motors e = {1e3 * OFF_PLANE_M:g} mm off the middle plane",
          f"{percent(slope / mu)} of mu m g"),
         ("plate bends: weight at its ends changes", "M a e L^2/(3 D W) w^2/g",
          f"the same, at {shake:.0f} Hz",
-         f"{percent(sag * (2 * pi * shake) ** 2 / g)} of mu m g, to and fro"),
+         f"{percent(sag * (2 * pi * shake) ** 2 / g)} of mu m g, alternating"),
         ("plate stretches", "rho a L^2/(2 E)", "pushed at one end", f"{1e6 * stretch:.1f} um"),
         ("parts push the plate back", "10 mu m g/(M a)", "ten parts",
          f"{percent(10 * push / (rig.plate.mass_kg * a))} of its acceleration"),
         ("friction shifts the pressure", "mu h/2", f"steel part, h = {1e3 * height:.1f} mm",
          f"{1e3 * mu * height / 2:.1f} mm; tips above h = {1e3 * 2 * r / mu:.0f} mm"),
-        ("the same: side force on a part that turns", "(mu h/2) w/s",
-         "w = 1 rad/s more than the plate",
+        ("the same: side force on a rotating part", "(mu h/2) w/s",
+         "w = 1 rad/s above the plate's",
          f"{percent(mu * height / 2 / s)} of mu m g"),
-        ("contact gives before it slides", "sqrt(2 d/a)/(T/4)",
+        ("contact deforms before it slides", "sqrt(2 d/a)/(T/4)",
          f"d = {1e6 * PRESLIDING_M:g} um, T = 0.1 s",
          f"{percent(sqrt(2 * PRESLIDING_M / a) / 0.025)} of the time between reversals"),
         ("air film", "eta A s/d", f"d = {1e6 * AIR_GAP_M:g} um",
          f"{percent(film / push)} of mu m g"),
         ("drag of the air", "rho s^2 R h", "", f"{percent(drag / push)} of mu m g"),
-        ("static charge", "q^2 A/(2 eps)", "as much as air bears",
+        ("static charge", "q^2 A/(2 eps)", "breakdown field of air",
          f"{percent(CHARGE**2 / (2 * VACUUM) * area / (m * g))} of the weight, at most"),
         ("wear of a part", "k m g s t/(H A)", "k = 1e-4, H = 1 GPa, an hour",
          f"{1e6 * WEAR * m * g * s * 3600 / (HARDNESS * area):.2f} um"),
@@ -238,14 +238,17 @@ def percent(share: float) -> str:
 
 
 def world_rows(seeds: int) -> list[dict[str, Any]]:
-    """Run tasks in each world."""
+    """Run tasks in each world. Return one row per world: runs done, median time, parts lost."""
     cases = {}
     for world in WORLDS:
-        name = ", ".join(f"{k} {v:g}" for k, v in world.items()) or "as believed"
+        name = ", ".join(f"{k} {v:g}" for k, v in world.items()) or "as assumed"
         settings = {key: str(value) for key, value in world.items()}
         for task in ("sort_4", "sort_10"):
             cases[name, task] = [(Setup(task, k), settings, load_rig()) for k in range(seeds)]
-    return [
-        {"world": world, "scenario": task} | summed(runs)
-        for (world, task), runs in runs_of(Cache.of(__name__), cases).items()
-    ]
+    rows: dict[str, dict[str, Any]] = {}
+    for (world, task), runs in runs_of(Cache.of(__name__), cases).items():
+        found = summed(runs)
+        time_s = "" if found["time_s"] is None else f", {found['time_s']:.3g} s"
+        lost = f", {found['dropped']} lost" if found["dropped"] else ""
+        rows.setdefault(world, {"world": world})[task] = found["succeeded"] + time_s + lost
+    return list(rows.values())
