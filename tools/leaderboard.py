@@ -61,8 +61,8 @@ def tables(folder: Path) -> str:
         there = {name: result for name, result in results.items() if task in result["tasks"]}
         every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
         errors = [key for key in ERRORS if any(own[key] for own in every)]
-        columns = ["agent", "seeds", "done [%]", "plate time [s]", *(ERRORS[key] for key in errors)]
-        columns += ["lost", "decision [ms]", "commit"]
+        columns = ["agent", "done (interval [%])", "plate time [s]"]
+        columns += [*(ERRORS[key] for key in errors), "lost", "decision [ms]", "commit"]
         rows = sorted(row(name, result, task, errors) for name, result in there.items())
         text += f"\n## {task}\n\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n"
         text += "".join(f"| {line} |\n" for _, line in rows)
@@ -75,17 +75,16 @@ Order = tuple[bool, str, float, float]
 
 def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, str]:
     """Return the row of a result in the table of a task, after its place in the order."""
-    from plate_gym.bench import ranges, summary
+    from plate_gym.bench import summary
 
     world = result["world"]
     found = summary(result["tasks"][task]["rows"])  # the file's own summary may be wrong
     low, high = (100 * share for share in found["success_interval"])
-    share, took = 100 * found["success"], found.get("time_s", np.inf)
+    share, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
     link = f"[{result['agent']}](../../benchmarks/{file})"
     cells = [
         link if world == "nominal" else f"{link}, {world}",
-        ranges(sorted(own["seed"] for own in found["rows"])),
-        f"{share:.0f} ({low:.0f}-{high:.0f})",
+        f"{share * count:.0f}/{count} ({low:.0f}-{high:.0f})",
         f"{took:.1f}" if np.isfinite(took) else "-",
         *(f"{np.median([own[key] for own in found['rows']]):.3g}" for key in errors),
         str(found["dropped"]),

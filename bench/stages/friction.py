@@ -42,7 +42,26 @@ def measure(quick: bool) -> Result:
     worlds, seeds = (WORLDS[:2], 1) if quick else (WORLDS, SEEDS)
     rows = [row(rig, world, range(seeds)) for world in worlds]
     facts = {"parts": len(PLACES), "seeds": seeds, "rest_images": IMAGES}
-    return Result([Table.of("friction", rows, **facts)])
+    return Result([Table.of("friction", rows, **facts)], summary(rows))
+
+
+def summary(rows: list[dict[str, Any]]) -> list[str]:
+    """Return the largest errors over all worlds."""
+    mean, ratio = (max(row[key] for row in rows) for key in ("mean_error", "ratio_error"))
+    flat = [row["part_error"] for row in rows if not row["patchy"]]
+    lines = [
+        f"mean of {len(PLACES)} parts: within {100 * mean:.1f} %, for mu from {rows[0]['exact']:g} "
+        f"to {max(row['exact'] for row in rows):g}",
+        f"mu of each part: within {100 * max(flat):.1f} %",
+        f"static divided by dynamic friction: within {ratio:.2f}",
+    ]
+    patchy = [row for row in rows if row["patchy"]]
+    if patchy:
+        lines[1] += (
+            f", but {100 * max(row['part_error'] for row in patchy):.1f} % if mu varies over the "
+            f"plate by {100 * max(row['patchy'] for row in patchy):.0f} % (standard deviation)"
+        )
+    return lines
 
 
 def parts_at(places: Sequence[tuple[float, float]]) -> Scenario:
@@ -72,6 +91,8 @@ def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, A
         "between": f"{100 * mean[4]:.1f} %", "patches": f"{100 * patches / np.sqrt(3):.1f} %",
         "over": f"{100 * mean[5]:.1f} %", "static": static,
         "ratio": f"{mean[6]:.2f} +- {mean[7]:.2f}",
+        "mean_error": abs(mean[1] / mean[0] - 1), "part_error": most[8],
+        "ratio_error": abs(mean[6] - static), "patchy": patches / np.sqrt(3),
     }  # fmt: skip
 
 
