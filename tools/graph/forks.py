@@ -183,9 +183,13 @@ def serve(modules: Iterable[str]) -> None:
     """Be the server, until there are no more orders."""
     answers = os.dup(1)
     os.dup2(2, 1)  # what code says while it is loaded
-    for module in modules:
+    for name in modules:
         with contextlib.suppress(Exception, SystemExit):  # the node that needs it will tell
-            import_module(module)
+            import_module(name)
+    for module in list(sys.modules.values()):
+        for kind in list(getattr(module, "__dict__", {}).values()):
+            if isinstance(kind, type) and hasattr(kind, "__import_type_support__"):
+                kind.__import_type_support__()  # of a ROS message
     sys.stdout.flush()  # or each node would say it again
     gc.collect()
     gc.freeze()  # or a node's first collection copies all pages

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PPoly, make_interp_spline
 
 from plate_core import CycleError, PlateCycle
+from plate_core.motion import evaluate_pieces
 
 PERIOD = 0.2
 
@@ -283,3 +284,14 @@ def test_a_tail_ends_at_rest_alone():
         PlateCycle.from_knots(times, np.array([0 * state, state, state, state]), still, still)
     almost = np.array([[2.8e-6] * 3, [1e-4] * 3, [1e-3] * 3])
     assert np.all(PlateCycle.stopping(almost, 0.05, 0.1).state(-1) == 0)
+
+
+@pytest.mark.parametrize("order", range(3))
+def test_pieces_have_the_values_of_scipy_to_the_last_bit(order):
+    rng = np.random.default_rng(order)
+    for count in (1, 2, 30):
+        times = np.append(0.0, np.cumsum(rng.uniform(1e-4, 0.1, count)))
+        pieces = rng.normal(size=(count, 6, 3))
+        t = np.concatenate([times, rng.uniform(-0.1, times[-1] + 0.1, 50)])
+        spline = PPoly(pieces.transpose(1, 0, 2)[::-1], times).derivative(order)
+        assert evaluate_pieces(times, pieces, t, order).tobytes() == spline(t).tobytes()

@@ -140,7 +140,9 @@ def _outside(tmp_path, monkeypatch):
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(str(tmp_path))
+    installed.cache_clear()
     yield
+    installed.cache_clear()
     sys.modules.pop("foreign_drives", None)
 
 

@@ -5,7 +5,14 @@ A `PlateCycle` consists of knots and quintic splines. `usage` compares one with 
 cycle runs and which one follows.
 """
 
-from .cycle import PIECES, PlateCycle, control_points, is_rest, quintic_pieces
+from .cycle import (
+    PIECES,
+    PlateCycle,
+    control_points,
+    evaluate_pieces,
+    is_rest,
+    quintic_pieces,
+)
 from .kinematics import motor_state, plate_state
 from .limits import CycleUsage, corner_accel, derivative, polynomial_peaks, usage
 from .timeline import HANDOVER_S, HOLD_CYCLES, IDLE_S, Timeline, in_time, next_cycle
@@ -21,6 +28,7 @@ __all__ = [
     "control_points",
     "corner_accel",
     "derivative",
+    "evaluate_pieces",
     "in_time",
     "is_rest",
     "motor_state",

@@ -8,20 +8,19 @@ cycle follows. `control_points` bounds the spline and its derivatives by Bezier 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from math import comb
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from math import comb, perm
 
 import numpy as np
 
 from ..errors import CycleError
 
-if TYPE_CHECKING:
-    from scipy.interpolate import PPoly
-
 REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
 """Tolerance of rest at home: pose [m, m, rad]. The tolerances of twist [1/s] and acceleration
 [1/s2] are 100 and 10 000 times as large."""
+
+FACTORS = [np.array([[perm(k, n)] for k in range(n, 6)], dtype=float) for n in range(3)]
+"""Factors of a quintic's coefficients in its n-th derivative."""
 
 PIECES = 4
 """Number of pieces into which a knot interval is cut to bound its peaks. With 6 knots per sine
@@ -127,16 +126,7 @@ class PlateCycle:
                 f"time {t[(t < -slack) | (t > self.period + slack) | ~np.isfinite(t)][0]:g} s, "
                 f"allowed: 0 to the period, {self.period:g} s"
             )
-        return np.asarray(self._splines[order](np.clip(t, 0, self.period)))
-
-    @cached_property
-    def _splines(self) -> tuple[PPoly, PPoly, PPoly]:
-        """Pose, twist and acceleration as piecewise polynomials."""
-        # imported here, because the stop command must not wait for this import
-        from scipy.interpolate import PPoly
-
-        pose = PPoly(self._coefficients.transpose(1, 0, 2)[::-1], self.times)
-        return pose, pose.derivative(), pose.derivative(2)
+        return evaluate_pieces(self.times, self._coefficients, np.clip(t, 0, self.period), order)
 
     def control_points(self, order: int, pieces: int = PIECES) -> np.ndarray:
         """Return the Bezier control points of the cycle without its tail. See `control_points`."""
@@ -357,6 +347,30 @@ def quintic_pieces(
     c4 = (-15 * dp + 7 * dv - da) / h**4
     c5 = (6 * dp - 3 * dv + 0.5 * da) / h**5
     return np.stack([p, v, 0.5 * a, c3, c4, c5], axis=1)
+
+
+def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
+    """Value or derivative (n, 3) of a piecewise polynomial at times t (n,).
+
+    scipy's PPoly returns the same to the last bit, but every node would load half of scipy for it.
+
+    Parameters
+    ----------
+    times : (k + 1,) array
+        Knots, increasing.
+    pieces : (k, 6, 3) array
+        See `quintic_pieces`.
+    t : (n,) array
+        A time beyond the knots continues the nearest piece.
+    order : int
+        Of the derivative; 0: the value itself.
+    """
+    at = np.searchsorted(times[1:-1], t, "right")
+    pieces = pieces[at, order:] * FACTORS[order]
+    powers = np.ones(pieces.shape[:2])
+    powers[:, 1:] = (t - times[at])[:, None]
+    pieces *= np.multiply.accumulate(powers, axis=1, out=powers)[..., None]
+    return np.asarray(np.add.reduce(pieces, axis=1, initial=0.0))
 
 
 def _periodic_derivatives(period: float, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

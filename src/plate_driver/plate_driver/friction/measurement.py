@@ -18,7 +18,6 @@ from enum import Enum
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from plate_core import Parts, PlateError, Rig, part_class
 
@@ -516,6 +515,8 @@ class FrictionMeasurement:
 
     def _dynamic(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
+        from scipy.optimize import least_squares  # the driver starts in half the time without it
+
         trials = self._of(name, Stage.DISTANCE)
 
         def misses(mu: np.ndarray) -> np.ndarray:

@@ -7,10 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from plate_core import CycleError
-from plate_core.motion import quintic_pieces
+from plate_core.motion import evaluate_pieces, quintic_pieces
 from plate_core.serial_protocol import TICK_S, Knot
 
 from .motor_table import MotorTable
@@ -144,8 +143,7 @@ def refined(table: MotorTable) -> tuple[Knot, ...]:
     part = np.concatenate([np.arange(n) / n for n in counts]) * np.repeat(steps, counts)
     t = np.append(np.repeat(times[:-1], counts) + part, times[-1])
     pieces = quintic_pieces(times, *own)
-    spline = PPoly(pieces.transpose(1, 0, 2)[::-1], times)
-    states = [spline(t, order) for order in range(3)]
+    states = [evaluate_pieces(times, pieces, t, order) for order in range(3)]
     for state, exact in zip(states, own, strict=True):
         state[-1] = exact[-1]
     return _rounded(t, *states)

@@ -10,7 +10,6 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from plate_core import PlateError, Rig
 from plate_core.colours import lab_to_srgb
@@ -350,6 +349,8 @@ class Camera:
             if robot is not None:
                 draw_parts(canvas, self._light, self._places, robot, _robot_outlines())
             if self._defocus_px:
+                from scipy.ndimage import gaussian_filter  # takes 0.2 s, and most images are sharp
+
                 gaussian_filter(canvas, self._defocus_px, output=canvas)
             if lighting.level != 1:
                 canvas *= np.float32(lighting.level)

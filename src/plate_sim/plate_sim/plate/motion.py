@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.motion import plate_state, quintic_pieces
+from plate_core.motion import evaluate_pieces, plate_state, quintic_pieces
 
 ROUNDING_S = 1e-12
 """Maximum difference of equal times [s]."""
@@ -101,9 +99,5 @@ class PlateMotion:
         return self._evaluate(t, 2)
 
     def _evaluate(self, t: np.ndarray | float, order: int) -> np.ndarray:
-        return np.asarray(self._splines[order](np.clip(np.atleast_1d(t), 0, self.period)))
-
-    @cached_property
-    def _splines(self) -> tuple[PPoly, PPoly, PPoly]:
-        pose = PPoly(self.coefficients.transpose(1, 0, 2)[::-1], self.times)
-        return pose, pose.derivative(), pose.derivative(2)
+        inside = np.clip(np.atleast_1d(t), 0, self.period)
+        return evaluate_pieces(self.times, self.coefficients, inside, order)

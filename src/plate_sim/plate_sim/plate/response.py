@@ -14,7 +14,6 @@ from functools import lru_cache
 from math import factorial
 
 import numpy as np
-from scipy.linalg import expm
 
 from plate_core import PlateCycle, Rig
 from plate_core.motion import motor_state, quintic_pieces
@@ -155,6 +154,8 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
     (u, n, (DEGREE + 2) n)
         Matrices that map the stacked state and input derivatives to the state one step later.
     """
+    from scipy.linalg import expm  # few plates have a suspension, and its import takes 0.2 s
+
     size = len(system)
     whole = np.kron(np.eye(DEGREE + 2, k=1), np.eye(size))
     whole[:size, :size] = system

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from scipy.special import erf
 
 from plate_core.rig import to_plate
 
@@ -83,6 +82,8 @@ class FrictionField:
         """
         if self.share == 0:
             return np.asarray(mu * self.part)
+        from scipy.special import erf  # uneven friction is rare, and the import takes 0.2 s
+
         place = to_plate(pose, position)
         # The sum of many waves is normal with variance 1. erf makes it uniform from -1 to 1.
         height = np.sqrt(2 / len(self.phase)) * np.cos(place @ self.wave.T + self.phase).sum(1)
