@@ -1,4 +1,8 @@
-"""Time of the planner's answer if the camera is free-running, without ROS."""
+"""Time of the planner's request if the camera is free-running. Does not use ROS.
+
+One request is due per cycle, `answer_s` before the cycle ends. The schedule gets the cycle starts
+that the driver reports, and returns the time to wait.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +16,14 @@ __all__ = ["AnswerSchedule"]
 
 
 class AnswerSchedule:
-    """Derives from the reported cycle starts when to answer: some time before the cycle ends.
+    """Derives the time of the next request from the reported cycle starts.
 
     Parameters
     ----------
     answer_s : float
-        Time before the end of a cycle at which it is answered [s].
+        Time from a request to the end of the running cycle [s].
     period : float
-        Assumed length of a cycle until the first one is reported [s].
+        Length of a cycle until the first one is reported [s].
     """
 
     def __init__(self, answer_s: float, period: float) -> None:
@@ -28,8 +32,11 @@ class AnswerSchedule:
         self._due = False
 
     def is_new(self, cycle: PlateCycle, begin: float) -> bool:
-        """Record that the plate began a cycle at `begin` [s, the time of the stamps]. Return False
-        if this start was recorded before: a repeated report must not delay the answer."""
+        """Record that the plate began a cycle at `begin` [s, the time of the stamps].
+
+        Return False for a repeated report, which must not delay the request: it has the same knots,
+        and 0 <= begin - last begin < SNAP T with the cycle's length T.
+        """
         repeats = 0 <= begin - self._begin < SNAP * cycle.period
         if repeats and np.array_equal(cycle.knot_pose, self._cycle.knot_pose):
             return False
@@ -37,15 +44,16 @@ class AnswerSchedule:
         return True
 
     def wait_s(self, arrival: float) -> float:
-        """Return the time from now until the answer [s], and expect this answer.
+        """Mark a request as due, and return the time until it [s], not positive if it is late.
 
-        `arrival` is the time at which the last start was reported [s, the time of the stamps].
+        With the cycle's length T, wait = max(T - answer_s, 0) - max(arrival - begin, 0). `arrival`
+        is the arrival time of the last start's report [s, the time of the stamps].
         """
         self._due = True
         wait = max(self._cycle.period - self._answer_s, 0.0)
         return wait - max(arrival - self._begin, 0.0)
 
     def take_due(self) -> bool:
-        """Return whether an answer was due, and expect no further one."""
+        """Return whether a request is due, and clear this mark."""
         due, self._due = self._due, False
         return due

@@ -1,4 +1,8 @@
-"""Content of the planner's diagnostics, collected from the objects that know it. No ROS."""
+"""Content of the planner's diagnostics: level, message and values. Does not use ROS.
+
+The level is the most severe one of the task, its inputs and the estimator. The message joins their
+texts, most severe first.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +27,8 @@ class PlannerDiagnostics:
     Attributes
     ----------
     refusal : str
-        Last refused message since the last diagnostics. Empty if none was refused.
+        Reason why the last invalid message was refused. Empty if none was since the last
+        diagnostics.
     """
 
     def __init__(self, tasks: TaskRunner, monitor: InputMonitor, triggered: bool) -> None:
@@ -31,8 +36,7 @@ class PlannerDiagnostics:
         self.refusal = ""
 
     def finding(self, now: float) -> Finding:
-        """Return the severity level of the task and of its inputs at `now` [s, steady clock], and
-        the reason."""
+        """Return level and message at `now` [s, steady clock]."""
         findings = self._monitor.findings(now)
         image_problem = self._tasks.estimator.image_problem
         if image_problem and self._triggered:
@@ -72,5 +76,5 @@ class PlannerDiagnostics:
         }
 
     def reported(self) -> None:
-        """Forget the refused message after diagnostics were published."""
+        """Clear `refusal` after diagnostics were published."""
         self.refusal = ""

@@ -1,8 +1,8 @@
-"""Order in which messages are processed if a simulator runs in lockstep, without ROS.
+"""Order in which messages are processed if a simulator runs in lockstep. Does not use ROS.
 
-The driver and the simulator may receive a cycle, and go on to the next image, before the planner
-receives this cycle, a goal, or the report of the cycle's start. This order of arrival is random,
-and must not change the run.
+The planner may receive the next image before the cycle that led to it, before the report of this
+cycle's start, or before a goal. This order of arrival is random. To make runs repeatable,
+`Lockstep` holds an image until these messages have arrived.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ Image = TypeVar("Image")
 Start = TypeVar("Start")
 
 STARTS_KEPT = 64
-"""Number of reported cycle starts that are kept until the next image."""
+"""Maximum number of reported cycle starts that are kept until the next image is planned. Older ones
+are dropped."""
 
 
 class Lockstep(Generic[Image, Start]):
-    """Holds the newest image until it can be planned, and the cycle starts until then.
+    """Holds the newest image until it can be planned, and the reported cycle starts until then.
 
-    In lockstep an image is planned when plate_cycle has answered the request for the image before
-    and the start of the cycle at which it was taken has been reported. The second image also needs
-    a goal. Otherwise each image is planned at once.
+    In lockstep an image waits for the start of the cycle at which it was taken. If a request was
+    published before, the image also waits for the plate_cycle that answers this request, and for
+    the first goal. Without lockstep each image is planned at once.
 
     Parameters
     ----------
@@ -36,9 +37,10 @@ class Lockstep(Generic[Image, Start]):
     request_ns : int or None
         Stamp of the last request [ns].
     unanswered : bool
-        Whether no plate_cycle has answered the last request yet.
+        Whether the plate_cycle for the last request has not arrived yet.
     starts_required : bool
-        Whether an image waits for the report of a cycle's start.
+        Whether an image waits for the report of a cycle's start. False after no start was reported
+        within the timeout, until the start of an image's cycle is reported again.
     """
 
     def __init__(self, enabled: bool) -> None:
@@ -70,8 +72,8 @@ class Lockstep(Generic[Image, Start]):
         self._start_ns = stamp_ns
 
     def next_image(self) -> tuple[Image, list[Start]] | None:
-        """Return the waiting image, and the cycle starts to record before it. None if no image
-        waits, or if it must wait longer."""
+        """Return the waiting image and the cycle starts to record before it. Forget both. Return
+        None if no image waits, or if it must wait longer."""
         if self._image is None:
             return None
         image, stamp_ns = self._image
@@ -105,17 +107,26 @@ class Lockstep(Generic[Image, Start]):
         return answers
 
     def goal_accepted(self) -> None:
-        """Record that a task begins."""
+        """Record a goal whose task begins."""
         self._goal_received, self._request_before_goal_ns = True, self.request_ns
 
     def precedes_goal(self, stamp_ns: int) -> bool:
-        """Whether an image with this stamp was planned before the goal. The driver accepts only
-        rest for such an image."""
+        """Whether the last request before the last goal had this stamp [ns]. The driver then
+        accepts only rest for this stamp."""
         return stamp_ns == self._request_before_goal_ns
 
     def stop_waiting(self, now: float, timeout_s: float, answer_overdue: bool) -> None:
-        """Do not wait for an overdue cycle, or for starts that nobody has reported within
-        `timeout_s` [s]."""
+        """Stop waiting for missing messages.
+
+        Parameters
+        ----------
+        now : float
+            Time of the steady clock [s].
+        timeout_s : float
+            If the image has waited longer [s], stop waiting for starts.
+        answer_overdue : bool
+            Whether to stop waiting for the plate_cycle of the last request.
+        """
         if answer_overdue:
             self.unanswered = False
         if now - self._image_time > timeout_s:

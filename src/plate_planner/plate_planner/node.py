@@ -1,14 +1,11 @@
-"""Planner node. It receives detected parts, and publishes the requested forces on them. Goals of
-its actions start tasks.
+"""ROS node of the planner.
 
-It also receives plate_cycle and cycle_started: the motion of the plate moves the parts between
-images, and the next cycle continues from it. It ends a task, with the reason, if an input is
-missing: parts, the solver's cycles, the driver, or an input that another node reports as missing in
-its diagnostics.
-
-The node connects topics, services, actions and timers with the objects that do the work:
-`TaskRunner` runs a task, `InputMonitor` checks the inputs, `Lockstep` and `AnswerSchedule` decide
-when to plan."""
+It receives detected parts, and publishes the mean force that the next cycle should exert on each
+part. Goals of its actions start tasks. It also receives plate_cycle and cycle_started, because the
+plate moves the parts between images and the next cycle continues this motion. `TaskRunner` runs a
+task, `InputMonitor` ends it if an input is missing, and `Lockstep` and `AnswerSchedule` decide when
+to plan.
+"""
 
 from __future__ import annotations
 
@@ -174,7 +171,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._reports = TaskReports(self)
-        # A triggered camera needs an answer to the newest image. Otherwise all images are used.
+        # If the camera is triggered, only the newest image is answered. Otherwise the estimator
+        # uses all images.
         newest = NEWEST if options.camera_triggered else DATA
         self.managed_subscription(Parts, "parts", self._on_parts, newest)
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
@@ -196,7 +194,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.keep(GoalServers.destroy, self._goals)
 
     def begin(self) -> None:
-        """Start without any knowledge of earlier inputs and tasks."""
+        """Create new objects for tasks and inputs, so that nothing of an earlier activation
+        remains."""
         options, now = self.options, time.monotonic()
         core = options.planner()
         self._tasks = TaskRunner(self._rig, core)
@@ -237,7 +236,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._see(msg)
 
     def _plan_next(self) -> None:
-        """Plan the waiting image, unless it must wait longer."""
+        """Plan the waiting image, unless `Lockstep` still holds it."""
         following = self._lockstep.next_image()
         if following is not None:
             msg, starts = following
@@ -249,11 +248,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Answer an image that was taken at the start of a cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
-        if parts is None:  # answer nevertheless, so that the loop continues while the plate rests
+        if parts is None:  # request rest, so that the loop continues
             self._request(NOTHING, stamp)
             return
-        # In lockstep an image may arrive again, also after a goal. The task begins with the next
-        # image, because the driver accepts only rest for an image that preceded the goal.
+        # In lockstep the same image may arrive twice, before and after a goal. The task begins with
+        # the next image, because the driver accepts only rest for an image before the goal.
         again = self._lockstep.enabled and (
             self._tasks.seen_without_task(seconds(stamp))
             or self._lockstep.precedes_goal(nanoseconds(stamp))
@@ -273,7 +272,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._tasks.see(parts, seconds(msg.header.stamp))
         idle = self._tasks.run is None
         if idle and self._monitor.inputs.starts_problem(time.monotonic()):
-            self._request(NOTHING, msg.header.stamp)  # the loop continues without the motors
+            # If no cycle starts arrive, `_on_due` does not request. This keeps the loop running.
+            self._request(NOTHING, msg.header.stamp)
 
     def _record_image(self, msg: Parts) -> CoreParts | None:
         """Return the parts of an image, and record its other objects. None if it is invalid."""
@@ -290,7 +290,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Cycles
 
     def _on_started(self, msg: JointTrajectory) -> None:
-        """Record that the plate began a cycle. In lockstep this waits for the cycle's image."""
+        """Record that the plate began a cycle. In lockstep the report is kept until the image of
+        this cycle is planned."""
         self._wake()
         if self.options.lockstep and self.options.camera_triggered:
             self._lockstep.add_start(msg, nanoseconds(msg.header.stamp))
@@ -318,7 +319,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._alarm.reset()
 
     def _on_due(self) -> None:
-        """Answer the running cycle."""
+        """Publish the request for the cycle after the running one, if it is due."""
         assert self._alarm is not None
         self._alarm.timer_period_ns = round(1e9 * IDLE_S)
         if not self._schedule.take_due():
@@ -343,22 +344,26 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._plan_next()
 
     def _arrival(self, stamp: float) -> float:
-        """Return the arrival time of a message with this stamp [s, the time of the stamps]."""
+        """Return the arrival time of a message [s, the time of the stamps].
+
+        This is the stamp itself in lockstep, or if the stamp is from another clock.
+        """
         now = 1e-9 * self.get_clock().now().nanoseconds
-        # In lockstep no message is late, even if the clock has been received before it.
+        # In lockstep simulated time stops until the message is answered, so it cannot be late. The
+        # new time may be received before the message.
         same = abs(now - stamp) < SAME_CLOCK_S and not self.options.lockstep
         return now if same else stamp
 
     # Requests
 
     def _answer(self, run: Run, stamp: Time, compute: Callable[[Run], Wanted]) -> None:
-        """Compute and publish the request of a task for the next cycle, and report the progress."""
+        """Compute and publish a task's request for the next cycle, and report the progress."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         wanted = compute(run)
-        age = seconds(stamp) - seconds(self._stamp)  # cycles may begin without new images
+        age = seconds(stamp) - seconds(self._stamp)  # a cycle may begin without a new image
         old = age > age_limit(self._tasks.estimator.period)
         if self._has_stalled() or self._monitor.second_publishers() or old:
-            wanted = NOTHING  # these parts have moved since, or are on another plate
+            wanted = NOTHING  # the parts have moved since the image, or are on another plate
         self._request(wanted, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
         self._reports.publish_feed(run, bool(wanted.parts.ids), self._stamp)
         if self._markers.get_subscription_count():
@@ -366,7 +371,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._report_progress()
         assert run.progress is not None
         if run.progress.parts_sorted != sorted_before:
-            self._diagnostics.publish()  # in lockstep a task may end within a report's period
+            # In lockstep a task may end before the next periodic diagnostics.
+            self._diagnostics.publish()
 
     def _request(self, wanted: Wanted, stamp: Time, start: Time | None = None) -> None:
         msg = wanted_to_msg(wanted, stamp, start)
@@ -396,7 +402,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         self._check_task(now)
         run = self._tasks.running
-        if run is not None:  # also without images, to show that the planner runs
+        if run is not None:  # send feedback also without images, to show that the planner runs
             self._goals.feed_back(run.goal, run_to_msg(run, self._answered()).progress)
         if self._lockstep.image_waits:
             inputs, period = self._monitor.inputs, self._tasks.estimator.period
@@ -405,8 +411,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._plan_next()
 
     def _wake(self) -> float:
-        """Return the time [s, steady clock], and end the task if this process has stalled. Call
-        this first in each callback."""
+        """Record that the planner runs, and end the task if its process has stalled. Return the
+        time [s, steady clock]. Call this first in each callback."""
         self._has_stalled()
         return self._monitor.inputs.ran
 
@@ -417,7 +423,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return failure is not None
 
     def _check_task(self, now: float) -> None:
-        """End a running task that cannot continue."""
+        """End the running task if it cannot continue."""
         run = self._tasks.running
         if run is not None:
             period = self._tasks.estimator.period
@@ -426,15 +432,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
                 self._end(failure)
 
     def _end(self, why: Failure) -> None:
-        """End the running task, if there is one."""
+        """End the running task for this reason. Without a running task, do nothing."""
         if self._tasks.end(why):
             self._report_progress()
 
     # Goals
 
     def _on_goal(self, goal: Any) -> None:
-        """Begin a task. An invalid goal is accepted and aborted at once, because a refused goal has
-        no field for the reason."""
+        """Begin the task of a goal. If it cannot begin, the goal is accepted and aborted at once,
+        because ROS has no field for the reason of a refusal."""
         failure = self._begin_task(goal, self._wake() if self.active else 0.0)
         if failure is not None:
             self.get_logger().warning(f"goal refused: {failure.text}")
@@ -445,7 +451,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._goals.finish(goal, status)
 
     def _begin_task(self, goal: Any, now: float) -> Failure | None:
-        """Begin a task. Return the reason if it cannot begin."""
+        """Begin a task, and return None. If it cannot begin, return the reason."""
         if not self.active:
             return Failure(Reason.NOT_READY, "the planner is not active")
         if self._monitor.goal_may_be_old(time.monotonic()):
@@ -471,7 +477,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return None
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        """End the task of a goal."""
+        """End the task of a goal. Reject if this task is not running."""
         run = self._tasks.run if self.active else None
         if run is None or run.goal is not goal or run.finished:
             return CancelResponse.REJECT
@@ -485,14 +491,14 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         response.message = f"stopped, was {before}"
         if self._tasks.running is not None:
             self._end(STOP)
-        else:  # the end of the last task is acknowledged
+        else:  # the user acknowledges the end of the last task
             self._tasks.forget()
             self._reports.forget_text()
             self._publish_status(Reason.STOPPED)
             response.message = "no task runs"
             if before:
                 response.message += f"; the last one: {before}"
-        # A measurement of friction is no task of the planner, but a stop must end it too.
+        # The planner does not run a friction measurement, but a stop must end it too.
         if self._friction.service_is_ready():
             self._friction.call_async(MeasureFriction.Request(start=False))
         driver = self._monitor.inputs.driver_status
@@ -533,7 +539,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._reports.publish_targets(self._tasks, self._stamp)
         if self._reports.is_new(run.task.text):
             line = f"task {run.name}: {run.task.text}"
-            if run.failed:  # two lines of code: rclpy accepts only one severity from each
+            if run.failed:  # rclpy raises if one line of code logs with different severities
                 self.get_logger().error(line)
             else:
                 self.get_logger().info(line)
@@ -548,7 +554,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return self._reports.publish_status(self._tasks.run, self._answered(), reason)
 
     def _answered(self) -> Time:
-        """Return the stamp of the last image, or of the last cycle start, that was answered."""
+        """Return the stamp of the last request, or of the last image if nothing was requested."""
         request_ns = self._lockstep.request_ns
         return self._stamp if request_ns is None else to_time(request_ns)
 

@@ -1,4 +1,8 @@
-"""The running task, or the last one, and the parts on the plate with or without a task. No ROS."""
+"""The running or last task, and the state of the parts with or without a task. Does not use ROS.
+
+`TaskRunner` passes each event (image, cycle start, cycle, targets, order) to the pure functions of
+`Planner` and keeps the state that they return. Without a task it updates only the estimator.
+"""
 
 from __future__ import annotations
 
@@ -15,25 +19,25 @@ from .supervision import Failure, Overlooked, Phase, Progress, Reason, TaskState
 __all__ = ["Run", "TaskRunner"]
 
 BY_PERSON = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)
-"""Reasons of tasks that a person ended. They are not failures."""
+"""Reasons for which a user ends a task. Such an end is not a failure."""
 
 
 @dataclass
 class Run:
-    """The task that runs, or ran last.
+    """The task that runs or ran last.
 
     Attributes
     ----------
     planner : Planner
     state : PlannerState
     began : float
-        Time of the goal [s, steady clock].
+        Arrival time of the goal [s, steady clock].
     goal
-        Handle of the goal.
+        Goal handle of the action server.
     finished : bool
-        Whether the goal has its result.
+        Whether the result was sent to the goal's client.
     progress : Progress or None
-        Progress after the last answer.
+        Progress at the last request. None before the first one.
     """
 
     planner: Planner
@@ -60,12 +64,12 @@ class Run:
 
     @property
     def failed(self) -> bool:
-        """Whether the task ended without success, and no person ended it."""
+        """Whether the task ended without success, for a reason that is not in `BY_PERSON`."""
         return self.task.phase.is_failure and self.task.reason not in BY_PERSON
 
 
 class TaskRunner:
-    """Runs one task at a time, and tracks the parts also without a task.
+    """Runs one task at a time, and estimates the state of the parts also without a task.
 
     Parameters
     ----------
@@ -75,7 +79,7 @@ class TaskRunner:
     Attributes
     ----------
     run : Run or None
-        The task that runs, or ran last.
+        The task that runs or ran last. None if there was none, or after `forget`.
     overlooked : Overlooked
         Objects in the images that vision does not publish as parts.
     """
@@ -88,12 +92,12 @@ class TaskRunner:
 
     @property
     def estimator(self) -> Estimator:
-        """State of the parts."""
+        """Estimated state of the parts."""
         return self._idle if self.run is None else self.run.state.estimator
 
     @property
     def running(self) -> Run | None:
-        """The running task."""
+        """The running task. None if no task runs."""
         return self.run if self.run is not None and self.run.running else None
 
     def seen_without_task(self, stamp: float) -> bool:
@@ -101,7 +105,7 @@ class TaskRunner:
         return stamp == self._idle.stamp
 
     def begin(self, planner: Planner, goal: Any, now: float) -> None:
-        """Begin a task at `now` [s, steady clock]. `goal` is the handle of its goal."""
+        """Begin a task at `now` [s, steady clock]. `goal` is its goal handle."""
         state = planner.start(planner.initial(self.estimator))
         self.run, self._others_reported = Run(planner, state, now, goal), False
 
@@ -113,19 +117,19 @@ class TaskRunner:
         return run is not None
 
     def forget(self) -> None:
-        """Forget the last task, but not the parts."""
+        """Forget the last task, but keep the estimated state of the parts."""
         self._idle, self.run = self.estimator, None
 
     def set_options(self, options: PlannerOptions) -> None:
-        """Change the options of the task."""
+        """Change the options of the running or last task."""
         if self.run is not None:
             self.run.planner = replace(self.run.planner, options=options)
 
     # Events
 
     def record_image(self, things: tuple[OverlookedThing, ...], parts: Parts) -> str:
-        """Record the other objects of an image. Return a warning, at most once per task. Otherwise
-        the text is empty."""
+        """Record the objects of an image that vision does not publish as parts. Return a warning
+        about objects that do not belong to the task, at most once per task, otherwise ""."""
         self.overlooked.add(things, parts)
         text = "" if self._others_reported else self.others()
         self._others_reported = self._others_reported or bool(text)
@@ -162,7 +166,7 @@ class TaskRunner:
         return wanted
 
     def answer(self, run: Run) -> Wanted:
-        """Return the request for the next cycle, from the images recorded so far."""
+        """Return the request for the next cycle, computed from the images recorded so far."""
         run.state, wanted, run.progress = run.planner.answer(run.state)
         return wanted
 
@@ -200,7 +204,8 @@ class TaskRunner:
         return task.targets if isinstance(task, MoveTask) else ()
 
     def others(self) -> str:
-        """Return which other objects are on the plate while a task runs, or ""."""
+        """Return a text on objects that do not belong to the task. "" if there are none, or while
+        no task moves parts."""
         run = self.run
         if run is None or not run.task.active:
             return ""

@@ -1,4 +1,8 @@
-"""Action servers of the planner."""
+"""Action servers of the planner.
+
+One server per action passes each goal to the node. A goal stays accepted while its task runs, and
+is executed when the task ends.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +17,15 @@ from plate_interfaces.msg import TaskProgress, TaskStatus
 
 
 class GoalServers:
-    """Accepts goals of all actions, and gives each its result.
+    """Accepts goals of all actions, and sends each client its result.
 
     Parameters
     ----------
     node : Node
     on_goal : callable
-        Receives the handle of each goal. It must call `finish` then or later.
+        Receives each goal handle. The owner must call `finish` for it, at once or later.
     on_cancel : callable
-        Receives the handle of a goal that a client cancels.
+        Receives the goal handle that a client cancels, and returns whether this is accepted.
     """
 
     def __init__(
@@ -40,9 +44,9 @@ class GoalServers:
         ]  # fmt: skip
 
     def finish(self, goal: Any, status: TaskStatus) -> None:
-        """Give a goal its result.
+        """Send the result to the client of a goal.
 
-        The goal is executed only now, because rclpy polls a coroutine that waits.
+        The goal is executed only now: rclpy would poll a coroutine that waits for the task.
         """
         self._results[bytes(goal.goal_id.uuid)] = status
         goal.execute()

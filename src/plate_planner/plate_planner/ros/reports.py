@@ -1,4 +1,8 @@
-"""Topics by which the planner reports on its task."""
+"""Publishers of the planner's task_status, part_targets and feed_status.
+
+`TaskReports` keeps what was published last, so that unchanged targets are not published again and
+an unchanged text is not logged again.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,7 @@ class TaskReports:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was published."""
+        """Forget the published targets, the last image and the logged text."""
         self._published_targets: tuple[PartTarget, ...] | None = None
         self._shown: dict[str, Part] = {}  # parts of the last image by id
         self._logged_text = ""
@@ -48,7 +52,7 @@ class TaskReports:
         Parameters
         ----------
         run : Run or None
-            None if no task was begun.
+            None if there is no task to report.
         answered : Time
             Stamp of the last image, or of the last cycle start, that was answered.
         reason : Reason
@@ -68,17 +72,18 @@ class TaskReports:
             self._targets.publish(targets_to_msg(tasks.targets, stamp))
 
     def publish_feed(self, run: Run, moves: bool, stamp: Time) -> None:
-        """Publish the parts that a `feed` task has ready. `moves` states whether the plate is
-        requested to move after the image with this stamp."""
+        """Publish the state of a `feed` task, and nothing for other tasks. `moves` states whether
+        the task requests motion after the image with this stamp."""
         memory = run.state.memory
         if isinstance(run.planner.scenario.task, FeedTask) and memory is not None:
             self._feed.publish(feed_to_msg(memory.report, moves, self._shown, stamp))
 
     def is_new(self, text: str) -> bool:
-        """Whether a task's text differs from the last one, which is then logged."""
+        """Return whether a text differs from the text of the last call. If so, it should be
+        logged."""
         new, self._logged_text = text != self._logged_text, text
         return new
 
     def forget_text(self) -> None:
-        """Have the next text logged, even if it is the last one again."""
+        """Forget the last text, so that `is_new` accepts it once more."""
         self._logged_text = ""

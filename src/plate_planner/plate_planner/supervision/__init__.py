@@ -1,4 +1,4 @@
-"""Supervision of a task: phase, reason of a failure, progress, and the planner's inputs.
+"""Supervision of a task: its phase, the reason of its end, its progress, and the planner's inputs.
 
 `begin`, `judge` and `stopped` change the phase. `Inputs` is the state of the planner's inputs,
 and `InputMonitor` decides whether a task can continue with them.

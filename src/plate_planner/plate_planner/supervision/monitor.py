@@ -1,4 +1,8 @@
-"""Monitor of the planner's inputs: whether a task can start, and whether it can continue."""
+"""Monitor of the planner's inputs: whether a task can start, and whether it can continue.
+
+`InputMonitor` combines four checks: timeouts of inputs, the driver's state, a second publisher of a
+topic, and stalls of the planner's own process. The caller passes the time [s, steady clock].
+"""
 
 from __future__ import annotations
 
@@ -11,17 +15,19 @@ from .inputs import Inputs
 from .phase import Failure, Reason, TaskState
 
 STILL_S = 1.0
-"""If the planner stalled for longer than this, it refuses goals that may have waited [s]."""
+"""If the planner stalled for longer than this, it refuses goals that may have waited meanwhile
+[s]."""
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""
 
 MARGIN_S = 0.1
-"""Time by which the monitor's wait for all parts exceeds the planner's own [s]."""
+"""Additional time that the monitor waits for all parts, so that the planner itself ends the task
+first [s]."""
 
 
 class InputMonitor:
-    """Keeps the state of the planner's inputs, and decides whether a task can go on.
+    """Keeps the state of the planner's inputs, and decides whether a task can start or continue.
 
     Times are on the steady clock [s].
 
@@ -55,7 +61,8 @@ class InputMonitor:
         self._publishers, self._second_publisher = publishers, second_publisher
 
     def wake(self, now: float, period: float) -> Failure | None:
-        """Record that the planner runs. Return a failure if its process stalled before.
+        """Record that the planner runs. Return a failure if its process has stalled since the last
+        call, for longer than the input timeout.
 
         Call this first in each callback. `period` is the length of a cycle [s].
         """
@@ -74,11 +81,11 @@ class InputMonitor:
         return next(filter(None, map(self._second_publisher, SINGLE)), "")
 
     def findings(self, now: float) -> list[Finding | None]:
-        """Return findings on missing inputs for the diagnostics."""
+        """Return findings on missing inputs at `now`, for the diagnostics."""
         return self.inputs.findings(now, self._publishers)
 
     def start_problem(self, now: float) -> str:
-        """Return why a task cannot start, otherwise ""."""
+        """Return the reason why a task cannot start. "" if it can."""
         return (
             self.second_publishers()
             or self.inputs.driver_problem(now)
@@ -89,7 +96,7 @@ class InputMonitor:
     def task_problem(
         self, now: float, goal_time: float, task: TaskState, period: float
     ) -> Failure | None:
-        """Return why a running task cannot continue, otherwise None.
+        """Return the reason why a running task cannot continue. None if it can.
 
         Parameters
         ----------
@@ -103,7 +110,7 @@ class InputMonitor:
         failure = self.inputs.problem(now, goal_time, period, self._publishers)
         waited = now - goal_time > self._start_timeout_s + MARGIN_S
         if failure is None and task.began is None and waited:
-            # If stamps stand still, the planner's own wait for all parts never ends.
+            # The planner's own wait uses stamps, so it never ends if the stamps do not advance.
             text = f"not all parts seen within {self._start_timeout_s:g} s of the goal"
             failure = Failure(Reason.PARTS_MISSING, text)
         if several := self.second_publishers():
