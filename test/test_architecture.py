@@ -139,6 +139,17 @@ def test_only_nodes_import_ros():
     )
 
 
+def test_nodes_of_driver_and_planner_only_connect():
+    """Topics, services, timers and parameters with objects that need no ROS. These compute."""
+    offenders = [
+        f"{label(path)}: numpy"
+        for package in ("plate_driver", "plate_planner")
+        for path in sources(package)
+        if may_use_ros(path) and "numpy" in roots(path)
+    ]
+    assert not offenders, "\n".join(offenders)
+
+
 def test_stages_import_no_other_stage():
     offenders = [
         f"{label(path)}: {root}"
