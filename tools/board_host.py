@@ -1,4 +1,8 @@
-"""A host by hand for the emulated board: honest, in a hurry, or hostile."""
+"""A test host for the emulated board, written on top of `plate_core.serial_protocol`.
+
+`Host` sends commands and tables over an emulated serial line of limited baud rate. `committed` and
+`attacked` measure the length of the board's ticks, with a valid table and with hostile packets.
+"""
 
 from __future__ import annotations
 
@@ -35,37 +39,49 @@ from plate_core.serial_protocol import (  # fmt: skip
 )
 
 TICK_INSTRUCTIONS = 125_000
-"""Of a tick's period, 1 ms at 8 ns an instruction."""
+"""Number of instructions in a tick of 1 ms, at 8 ns per instruction."""
 
 LINE_BYTES = 92
-"""Of a line of 921,600 baud in a tick."""
+"""Number of bytes that a line of 921,600 baud carries per tick."""
 
 FLOOD_BYTES = 3500
-"""Of one flood: as many as the board's ring holds, or nearly."""
+"""Size of one flood [bytes]. It nearly fills the board's receive ring (`RING_BYTES`)."""
 
 BEAT_TICKS = 25
-"""Between heartbeats, if nothing else is sent."""
+"""Time between heartbeats while nothing else is sent [ticks]."""
 
 WAIT_TICKS = 12_000
-"""Longest wait for anything: longer than a table may be played again."""
+"""Maximum wait for a condition [ticks]. It exceeds the time for which a table may be repeated."""
 
 FEW_PIECES = 24
-"""Fewer cannot follow the wave: a table of them only twitches."""
+"""Minimum number of pieces that can represent the wave. With fewer, `committed` uses a tiny
+amplitude."""
 
 PLAYED_TICKS = 300
-"""Of a new table that are measured."""
+"""Number of ticks for which a new table is measured."""
 
 HOSTS = itertools.count(1)
-"""Hosts so far."""
+"""Counter of hosts, for separate sequence numbers."""
 
 STROKE_M, SPEED, ACCEL = 0.010, 1.0, 100.0
-"""Of config/rig.yaml."""
+"""Limits of config/rig.yaml: stroke [m], speed [m/s], acceleration [m/s2]."""
 
 
 @dataclass(frozen=True)
 class Ticks:
-    """What ticks took in a part of a measurement [instructions]; setpoints since the reset: longest
-    step [m], most of travel [m], speed [m/s] and acceleration [m/s2]; ticks that ended too late."""
+    """Tick lengths in a part of a measurement, and extremes since the board's reset.
+
+    Attributes
+    ----------
+    median, worst
+        Length of the ticks in this part [instructions].
+    step_m : float
+        Maximum step between successive setpoints since the reset [m].
+    most : tuple of float
+        Maximum travel [m], speed [m/s] and acceleration [m/s2] since the reset.
+    late : int
+        Number of ticks since the reset that ended after the next tick was due.
+    """
 
     median: float
     worst: int
@@ -75,20 +91,21 @@ class Ticks:
 
 
 class Host:
-    """Speaks to an emulated board; time is the board's, in ticks.
+    """Communicates with an emulated board. Times are the board's ticks.
 
     Parameters
     ----------
     board : EmulatedBoard
     pace : int
-        Bytes that the line brings in a tick: 92 are 921,600 baud.
+        Number of bytes that the line carries to the board per tick; 92 for 921,600 baud.
     """
 
     def __init__(self, board: EmulatedBoard, pace: int = LINE_BYTES) -> None:
         self.board, self._pace = board, pace
         self._reader = Reader()
         self.waiting = b""
-        # Numbers of its own: what the line delivers late from a host before this one must not fit.
+        # Each host has separate sequence numbers, so that late bytes of an earlier host on the same
+        # board do not match.
         self._sequence = self._session = 1000 * next(HOSTS)
         self._ticks = self._beat_at = 0
         self.telemetry: list[Telemetry] = []
@@ -97,11 +114,12 @@ class Host:
 
     @property
     def refused(self) -> int:
-        """Damaged frames from the board."""
+        """Number of damaged frames received from the board."""
         return self._reader.refused
 
     def tick(self) -> None:
-        """Let a tick pass: the line brings what waits, at its pace, and takes what is said."""
+        """Simulate one tick: the line carries waiting bytes to the board, `pace` at most, and the
+        board's packets are received."""
         size = min(self._pace, self.board.room()) if self.waiting else 0
         now, self.waiting = self.waiting[:size], self.waiting[size:]
         self._ticks += 1
@@ -115,12 +133,12 @@ class Host:
             self.send(b"")
 
     def send(self, frames: bytes) -> None:
-        """Have the line bring whole frames, and a heartbeat after them."""
+        """Queue whole frames for the line, with a heartbeat after them."""
         self.waiting += frames + frame(pack(Packet(0, Heartbeat(1))))
         self._beat_at = self._ticks + BEAT_TICKS
 
     def sent_all(self) -> None:
-        """Let time pass until all has been brought and read."""
+        """Simulate until the board has received and read all queued bytes."""
         while self.waiting:
             self.tick()
         self.until(lambda: self.board.room() == RING_BYTES)
@@ -131,13 +149,19 @@ class Host:
         return frame(pack(Packet(self._sequence, message)))
 
     def framed(self, table: int, knots: tuple[Knot, ...], splice_ticks: int = 0) -> Iterator[bytes]:
-        """Yield the frames of a table but for its Commit."""
+        """Yield the frames of a table, except its Commit."""
         yield self.numbered(Begin(table, len(knots), table_crc(knots), splice_ticks))
         for first in range(0, len(knots), 4):
             yield self.numbered(Knots(table, first, knots[first : first + 4]))
 
     def until(self, reached: Callable[[], object]) -> None:
-        """Let time pass until something is so."""
+        """Simulate until a condition is true.
+
+        Raises
+        ------
+        TimeoutError
+            If it is not true within `WAIT_TICKS`.
+        """
         end = self._ticks + WAIT_TICKS
         while not reached():
             if self._ticks >= end:
@@ -147,18 +171,18 @@ class Host:
             self.tick()
 
     def rest(self, ticks: int) -> None:
-        """Let time pass at the board."""
+        """Simulate a number of ticks."""
         for _ in range(ticks):
             self.tick()
 
     def now(self) -> Telemetry:
-        """Return the next telemetry that comes."""
+        """Simulate until the next telemetry arrives, and return it."""
         count = len(self.telemetry)
         self.until(lambda: len(self.telemetry) > count)
         return self.telemetry[-1]
 
     def ask(self, message: Message) -> Status:
-        """Send a command and return its answer."""
+        """Send a command, and return the status in the board's acknowledgement."""
         data, sequence = self.numbered(message), self._sequence
         self.answers.pop(sequence, None)
         self.send(data)
@@ -166,12 +190,12 @@ class Host:
         return self.answers[sequence]
 
     def begin(self) -> None:
-        """Say hello with a new session."""
+        """Send a Hello with a new session number."""
         self._session += 1
         self.send(b"\0" + self.numbered(Hello(VERSION, self._session)))
 
     def enable(self) -> Status:
-        """Clear the present stop, as a person would have it, and wait until home is held."""
+        """Enable after the current stop, as an operator does, and wait until homing has ended."""
         self.until(lambda: self.now().state is not State.BRAKING)
         status = self.ask(Enable(self.now().stop))
         self.until(lambda: self.now().state is not State.HOMING)
@@ -180,16 +204,17 @@ class Host:
     def upload(
         self, table: int, knots: tuple[Knot, ...], repeats: int = 1, splice_ticks: int = 0
     ) -> Status:
-        """Send a whole table; returns the answer to its Commit."""
+        """Send a whole table. Return the status of its Commit."""
         self.send(b"".join(self.framed(table, knots, splice_ticks)))
         return self.ask(Commit(table, repeats))
 
     def again(self) -> bytes:
-        """Return the present Hello once more."""
+        """Return the frame of another Hello of the current session."""
         return frame(pack(Packet(self._sequence, Hello(VERSION, self._session))))
 
     def ticks_since(self, before: np.record, first: int) -> Ticks:
-        """Sum up the ticks since an earlier record and number of telemetries."""
+        """Return the tick lengths since an earlier record. `first` is the index of the first
+        telemetry to include."""
         record = self.board.record()
         worst = max(m.load for m in self.telemetry[first:]) * TICK_INSTRUCTIONS
         seen = float(record.step_m), tuple(record.most.tolist()), int(record.late)
@@ -200,15 +225,17 @@ def wave(
     pieces: int, share: float = 0.98, period_s: float = 1.2, jitter: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> tuple[Knot, ...]:  # fmt: skip
-    """Return a table that swings up to `share` of stroke, speed and acceleration at once.
+    """Return a table whose motion reaches the fraction `share` of all three limits: stroke, speed
+    and acceleration.
 
-    At 100 rad/s all three limits of config/rig.yaml are met together. Between knots the hulls of
-    such a spline pass the limits where the spline does not, so that looking at it takes halvings.
+    The motion is q = s(t) sin(w t + phase) with the envelope s. With w = 100 rad/s a sine reaches
+    all three limits of config/rig.yaml. The convex hulls of the spline exceed the limits where the
+    spline itself does not, so the board's check must bisect the pieces.
 
     Parameters
     ----------
     jitter : float
-        Knots are moved in time by up to this share of a piece.
+        Random shift of the knots in time, full width in lengths of a piece.
     """
     rate = ACCEL / SPEED
     t = np.linspace(0, period_s, pieces + 1)
@@ -234,7 +261,8 @@ def wave(
 
 
 def committed(host: Host, pieces: int, table: int) -> tuple[Status, Ticks]:
-    """While a table plays send another one of so many pieces, commit it, and see it play."""
+    """Upload a second table of `pieces` pieces while a table plays, and let it play for
+    `PLAYED_TICKS`. Return the status of its Commit and the tick lengths meanwhile."""
     if host.now().state is State.READY:
         host.upload(table, wave(48, 0.9), 8)
         host.until(lambda: host.now().state is State.PLAYING)
@@ -249,7 +277,7 @@ def committed(host: Host, pieces: int, table: int) -> tuple[Status, Ticks]:
 
 @dataclass
 class Attack:
-    """Hostile packets, all with the right CRC, from a seed."""
+    """Random hostile packets. All have a valid CRC."""
 
     rng: np.random.Generator
     host: Host
@@ -257,7 +285,7 @@ class Attack:
     table: int = 100
 
     def batch(self) -> bytes:
-        """Return some packets of one kind, all framed."""
+        """Return framed packets of one randomly chosen kind."""
         kinds = (
             self.floods, self.nonsense, self.mutated, self.near, self.near, self.repeated,
             self.streams, self.wild,
@@ -268,12 +296,12 @@ class Attack:
         return b"".join(packets)
 
     def another(self) -> int:
-        """Return a number for a table that was not used of late."""
+        """Return a table number that was not used recently."""
         self.table = self.table % 60_000 + 1
         return self.table
 
     def floods(self) -> Iterator[bytes]:
-        """The smallest frames, as many as the ring takes."""
+        """Yield copies of one of the smallest frames, as many as nearly fill the board's ring."""
         smallest = [frame(bytes([kind])) for kind in (1, 2, 3, 0x10, 0x11, 0x12, 0x55)]
         smallest += [frame(pack(Packet(0, Heartbeat(0)))), self.host.numbered(Home())]
         chosen = smallest[int(self.rng.integers(len(smallest)))]
@@ -281,13 +309,13 @@ class Attack:
             yield chosen
 
     def nonsense(self) -> Iterator[bytes]:
-        """Any type, any bytes."""
+        """Yield packets of random type, length and content."""
         for _ in range(20):
             size = int(self.rng.integers(240))
             yield frame(bytes([int(self.rng.integers(0, 0x14))]) + self.rng.bytes(size))
 
     def mutated(self) -> Iterator[bytes]:
-        """A table in which some bytes are others."""
+        """Yield the frames of a table, with a random byte changed in about half of them."""
         for framed in self.host.framed(self.another(), wave(24)):
             packet = bytearray(unframe(framed[:-1]))
             if self.rng.random() < 0.5:
@@ -296,7 +324,7 @@ class Attack:
         yield self.host.numbered(Commit(self.table, int(self.rng.integers(1, 4))))
 
     def near(self) -> Iterator[bytes]:
-        """A table that goes to the limits, and a little beyond, in large and small pieces."""
+        """Yield the frames of a table whose motion just keeps or slightly exceeds the limits."""
         pieces = int(self.rng.choice([30, 48, 60, 96, 150, 300, 511]))
         share = float(self.rng.choice([0.99, 1.0, 1.0015, 1.0019, 1.003]))
         knots = wave(pieces, share, jitter=0.3, rng=self.rng)
@@ -304,14 +332,15 @@ class Attack:
         yield self.host.numbered(Commit(self.table, int(self.rng.integers(1, 8))))
 
     def repeated(self) -> Iterator[bytes]:
-        """The same again and again: Hello, Begin, Commit."""
+        """Yield repeated Hello, Begin and Commit."""
         for _ in range(30):
             yield self.host.again()
             yield self.host.numbered(Begin(self.another(), 512, 1))
             yield self.host.numbered(Commit(self.table, 1))
 
     def streams(self) -> Iterator[bytes]:
-        """A stream that goes to the limits, begun, filled beyond its room and committed."""
+        """Yield the frames of a stream near the limits. It has more knots than the board can store,
+        and a Commit in the middle."""
         table, knots = self.another(), wave(200, 1.0015)
         yield self.host.numbered(Begin(table, 0, 0))
         for first in range(0, 200, 4):
@@ -321,7 +350,8 @@ class Attack:
                 yield self.host.numbered(Commit(table, 1))
 
     def wild(self) -> Iterator[bytes]:
-        """Tables of any finite numbers, of periods of nothing and of minutes."""
+        """Yield the frames of a table with random finite numbers of any size. Its length is between
+        0 s and minutes."""
         count = int(self.rng.integers(2, 40))
         size = 10.0 ** self.rng.integers(-9, 9)
         ticks = np.cumsum(self.rng.integers(0, 10 ** int(self.rng.integers(1, 8)), count))
@@ -341,7 +371,8 @@ class Attack:
 
 
 def attacked(host: Host, packets: int, seed: int) -> tuple[Attack, Ticks]:
-    """Send so many hostile packets to a board that plays whenever it can."""
+    """Send at least `packets` hostile packets to a board. Between batches, make the board play a
+    valid table if it is at rest. Return the attack and the tick lengths."""
     attack = Attack(np.random.default_rng(seed), host)
     before, first = host.board.record(), len(host.telemetry)
     while sum(attack.kinds.values()) < packets:

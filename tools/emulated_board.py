@@ -1,8 +1,9 @@
-"""The board of firmware/boards/stm32f405 in an emulator: built, started, its line and its record.
+"""Firmware of firmware/boards/stm32f405 in the emulator QEMU: builds it, starts it, exchanges
+bytes.
 
-QEMU's `netduinoplus2` is an STM32F405. It runs with `-icount shift=3`: each instruction takes 8 ns
-of virtual time, so that a tick's length, which the firmware measures by its timer, counts its
-instructions. A byte takes no time on that line: a host that is to be real must keep its pace.
+QEMU's machine `netduinoplus2` has an STM32F405. With `-icount shift=3` each instruction takes 8 ns
+of virtual time. So the length of a tick, which the firmware measures by its timer, counts
+instructions. The emulated line has no baud rate: a realistic host must limit its own rate.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ BOARD = Path(__file__).resolve().parents[1] / "firmware" / "boards" / "stm32f405
 ICOUNT_SHIFT = 3
 INSTRUCTION_NS = 2**ICOUNT_SHIFT
 RING_BYTES = 4096
-"""`ROOM` of usart.c."""
+"""Size of the board's receive ring [bytes], `ROOM` in usart.c."""
 
 RECORD = np.dtype(
     (
@@ -35,23 +36,29 @@ RECORD = np.dtype(
         ],
     )
 )  # fmt: skip
-"""`Record` of board.h, what the board has seen since its reset: ticks, those that lasted into the
-next one's time, the longest, and how many took so many microseconds; setpoints, the longest step of
-a motor between two that are a tick apart [m], and most travel [m], speed [m/s] and acceleration
-[m/s2] of all motors; bytes that came, times that the line ran over, frames that found no room."""
+"""`Record` of board.h: the board's counts and extremes since its reset.
+
+ticks, late, longest_ns, by_us: Number of ticks, number of ticks that lasted beyond the start of the
+    next one, longest tick [ns], histogram of tick lengths [us].
+setpoints, step_m, most: Number of setpoints, maximum step of a motor between setpoints of
+    successive ticks [m], maximum travel [m], speed [m/s] and acceleration [m/s2] of all motors.
+received, overruns, dropped: Number of received bytes, of receiver overruns, and of frames that did
+    not fit into the send buffer.
+"""
 
 ANSWER_S = 60.0
-"""The machine may be busy: longest wait for an answer of QEMU [s]."""
+"""Maximum wait for a reply of QEMU [s]. It is long because the computer may be busy."""
 
 MOST_BYTES = 1024
-"""Of memory that are asked for at once: QEMU takes twice as many."""
+"""Maximum number of bytes per memory request, half of QEMU's limit."""
 
 NEEDS = ("arm-none-eabi-gcc", "qemu-system-arm")
-"""Of tools/needs.py."""
+"""Required programs, by their names in tools/needs.py."""
 
 
 def built(out: Path, **options: str | Path) -> Path:
-    """Build the firmware into a folder, with variables of its Makefile; returns plate.elf."""
+    """Build the firmware into a folder, with these Makefile variables. Return the path of
+    plate.elf."""
     values = [f"{name}={value}" for name, value in options.items()] + [f"PYTHON={sys.executable}"]
     command = ["make", "-C", str(BOARD), f"BUILD={out}", *values]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
@@ -61,7 +68,8 @@ def built(out: Path, **options: str | Path) -> Path:
 
 
 def unfollowed(rig: Path, folder: Path) -> Path:
-    """Write a rig file without watch over the following error, for a plate that is not there."""
+    """Write a rig file without supervision of the following error, because the emulated board has
+    no plate. Return its path."""
     facts = yaml.safe_load(rig.read_text(encoding="utf-8"))
     facts["limits"]["following_error_m"] = 0
     path = folder / rig.name
@@ -70,7 +78,7 @@ def unfollowed(rig: Path, folder: Path) -> Path:
 
 
 def symbols(elf: Path) -> dict[str, int]:
-    """Return name and address of all that is linked."""
+    """Return the addresses of all symbols in a linked program, by name."""
     listed = subprocess.run(
         ["arm-none-eabi-nm", str(elf)], capture_output=True, text=True, check=True
     )
@@ -79,30 +87,30 @@ def symbols(elf: Path) -> dict[str, int]:
 
 
 def median_ticks(record: np.record, before: np.record) -> float:
-    """Median of the ticks since an earlier record [instructions, to 125]."""
+    """Return the median tick length since an earlier record [instructions], to 125 instructions."""
     count = record.by_us - before.by_us
     middle = int(np.searchsorted(np.cumsum(count), np.sum(count) / 2))
     return (middle + 0.5) * 1e3 / INSTRUCTION_NS
 
 
 class EmulatedBoard:
-    """The board in QEMU, tick by tick: nothing depends on how busy the machine is.
+    """The board in QEMU, simulated tick by tick. The result does not depend on the computer's load.
 
-    A debugger stops it when it has nothing to do until the next tick: QEMU then lets time jump to
-    that, wherever it stands. It stops at data, for after a breakpoint or a step QEMU translates the
-    whole program anew; at each tick's own, for it would not leave the place where it has stopped.
-    Bytes are put into the ring of those that came, as if the line had brought them since the
-    tick before: QEMU's own line has no pace. Use it as a context.
+    A debugger stops the board when it is idle until the next tick. QEMU's virtual time then jumps
+    to this tick. A read watchpoint is used, because after a breakpoint or a single step QEMU
+    translates the whole program again. The watched word alternates from tick to tick, because the
+    board would stop at the same word again at once. Received bytes are written into the board's
+    receive ring, as if they had arrived during the tick. Use it as a context manager.
 
     Parameters
     ----------
     elf : Path
-        What it runs.
+        Program to run.
     idle : str
-        Name of two words, of which the board reads one when it has nothing to do: the first and the
-        second one in turn, another one after each tick.
+        Name of an array of two words. The idle board reads one of them, the other one after the
+        next tick.
     more : sequence of str
-        Words for QEMU.
+        Additional arguments of QEMU.
     """
 
     def __init__(self, elf: Path, idle: str = "waits", more: Sequence[str] = ()) -> None:
@@ -136,17 +144,18 @@ class EmulatedBoard:
         return self._debugger.read(self.names[name], size)
 
     def record(self) -> np.record:
-        """Return what the board has seen so far, as `RECORD`."""
+        """Return the board's `RECORD`."""
         found: np.record = np.frombuffer(self.memory("record", RECORD.itemsize), RECORD)[0]
         return found
 
     def _rest(self, word: int) -> None:
-        """Let it run until it has nothing to do, and reads one of the two words."""
+        """Run until the board is idle and reads word 0 or 1 of the idle words."""
         self._word = word
         self._debugger.go_to_read(self._idle + 4 * word)
 
     def tick(self, data: bytes = b"") -> bytes:
-        """Let one tick pass, which finds these bytes come, `room` at most; returns answers."""
+        """Simulate one tick in which the board has received these bytes, `room` at most. Return the
+        bytes that it has sent."""
         if data:
             self._come(data)
         self._rest(1 - self._word)
@@ -157,7 +166,7 @@ class EmulatedBoard:
         return said
 
     def room(self) -> int:
-        """How many bytes the board can be brought before it has read."""
+        """Return the free space in the board's receive ring [bytes]."""
         came, read = self._counts()
         return RING_BYTES - (came - read) % 2**32
 
@@ -171,17 +180,17 @@ class EmulatedBoard:
         self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
 
     def _counts(self) -> tuple[int, int]:
-        """Return how many bytes have come, and were read."""
+        """Return the number of bytes that the board has received, and that it has read."""
         return struct.unpack("<2I", self.memory("received", 8))
 
 
 class Debugger:
-    """As much of GDB's remote protocol as it takes to stop a machine and to change its memory.
+    """Client for the part of GDB's remote protocol that stops a machine and accesses its memory.
 
     Parameters
     ----------
     line : socket
-        To QEMU's server; the machine stands still.
+        Socket connected to QEMU's GDB server. The machine is halted.
     """
 
     def __init__(self, line: socket.socket) -> None:
@@ -190,17 +199,17 @@ class Debugger:
         self.ask(b"QStartNoAckMode")
 
     def close(self) -> None:
-        """Hang up; the machine stays as it is."""
+        """Close the connection. The machine keeps its state."""
         self._line.close()
 
     def go_to_read(self, address: int) -> None:
-        """Let the machine run until it is about to read a word."""
+        """Run the machine until it reads the word at an address."""
         self.order(f"Z3,{address:x},4")
         self.run(b"c")
         self.order(f"z3,{address:x},4")
 
     def run(self, order: bytes) -> None:
-        """Let the machine run, or step, until it stops."""
+        """Send an order that runs the machine, and wait until it stops."""
         self._send(order)
         answer = self._answer()
         if answer[:3] not in (b"T05", b"S05"):
@@ -215,11 +224,11 @@ class Debugger:
         return data
 
     def write(self, address: int, data: bytes) -> None:
-        """Change bytes of memory."""
+        """Write bytes to memory."""
         self.order(f"M{address:x},{len(data):x}:{data.hex()}")
 
     def order(self, order: str) -> None:
-        """Give an order that is answered OK."""
+        """Send an order that must be answered with OK."""
         answer = self.ask(order.encode())
         if answer != b"OK":
             raise RuntimeError(f"debugger: {order[:20]}: {answer!r}")
@@ -231,7 +240,7 @@ class Debugger:
         """Send an order and return its answer."""
         self._send(order)
         while (answer := self._answer())[:1] == b"T":
-            pass  # some versions tell at once that the machine has stopped, others only when asked
+            pass  # some versions of QEMU also report unasked that the machine has stopped
         return answer
 
     def _answer(self) -> bytes:

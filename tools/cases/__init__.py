@@ -1,5 +1,7 @@
-"""Cases of `tools/robustness.py`. Each has `run(logs, ...)`, which yields an `Outcome` after every
-step; its other arguments are the case's options.
+"""Cases of `tools/robustness.py`.
+
+Each module has a function `run(logs, ...)`, which yields an `Outcome` after every step. Its other
+arguments are the case's options.
 """
 
 from __future__ import annotations
@@ -13,18 +15,19 @@ from plate_core import PlateError
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a case up to the present step.
+    """Result of a case up to the current step.
 
     Attributes
     ----------
     result : object
-        For JSON.
+        Content of the JSON file.
     line : str
-        Printed at once; empty: nothing.
+        Line that is printed at once. If empty, nothing is printed.
     well : bool
         Whether the case has passed, if this outcome is the last one.
     text : str
-        Printed at the end if this outcome is the last one; empty: the result as JSON.
+        Text that is printed at the end if this outcome is the last one. If empty, the result is
+        printed as JSON.
     """
 
     result: Any

@@ -1,11 +1,11 @@
-"""Kill, freeze and cut off each node of the graph in mid-task, and see who says what, and when.
+"""Kill, freeze and cut off each node of the graph during a task, and record the reactions.
 
-For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
-started again after 4 s; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
-its main input through to the node for 4 s. Told is what driver_status, task_status and the
-diagnostics said and how long after the fault; when the plate rested; whether it moved again before
-anybody asked; and which services had to be called to go on. With --transport serial a simulated
-motor controller is in between, and the plate's motion is what that has played.
+For each fault the parts are put down again and a new task starts. `kill` sends SIGKILL and starts
+the node again after 4 s. `freeze` sends SIGSTOP, and SIGCONT after 3 s. `cut` blocks the node's
+main input for 4 s. A row of the result lists the messages in task_status, driver_status and the
+diagnostics with their delays after the fault, when the plate came to rest, whether it moved again
+without a request, and which calls were needed to continue. With --transport serial the plate's
+motion is the one that a simulated motor controller plays.
 """
 
 from __future__ import annotations
@@ -37,32 +37,34 @@ from plate_core.status import Level
 from plate_interfaces.msg import Parts, TaskStatus
 
 MOVE_S = 30.0
-"""Longest wait until the plate moves [s]."""
+"""Maximum wait until the plate moves [s]."""
 
 BACK_S = 30.0
-"""Longest wait until a node that came back speaks [s]."""
+"""Maximum wait until a restarted node publishes diagnostics [s]."""
 
 STILL_S = 0.6
-"""A plate that has not moved for so long rests [s]: three of its cycles."""
+"""Time without motion after which the plate counts as at rest [s], three cycles."""
 
 STILL_SPEED = 2e-3
-"""A motor that is slower is at rest [m/s]: without current it is only slowed by friction."""
+"""Speed below which a motor counts as at rest [m/s]. Without current only friction slows it."""
 
 MOST_S = 2.0
-"""Time within which a task must have ended [s]."""
+"""Maximum time from a fault to the end of the task [s]."""
 
 FRESH_S = 1.5
-"""A node that has said nothing for longer is not back [s]: it says something each second."""
+"""Maximum age of the diagnostics of a node that runs again [s]. They are published once per
+second."""
 
 TRIES = 3
-"""Of a task to get going: on a busy machine one may end at once."""
+"""Number of attempts to start a task. On a busy computer a task may end at once."""
 
 
 class Plate:
-    """Whether and until when the plate moved; times of the system clock [s].
+    """Records until when the plate moved [s, system clock].
 
-    Over a serial line it is what the device has played (`motor_motion`), else how the parts move
-    (`ground_truth`); where the simulator is what fails, the tables that the driver sends.
+    With a serial line this follows from the motion that the device has played (`motor_motion`).
+    Otherwise it follows from the parts' velocities (`ground_truth`), or from the driver's tables
+    while the simulator is the node with the fault.
     """
 
     def __init__(self, observer: Observer, transport: str) -> None:
@@ -94,30 +96,32 @@ class Plate:
 
     @property
     def moving(self) -> bool:
-        """Whether it has moved a moment ago."""
+        """Whether the plate moved within the last `STILL_S`."""
         return time.time() - self.moved_until < STILL_S
 
 
 def between(said: Iterable[Said], since: float, until: float) -> list[Said]:
-    """Return what was said between two times [s, monotonic]."""
+    """Return the messages between two times [s, monotonic]."""
     return [each for each in said if since < each.at < until]
 
 
 def before(said: Iterable[Said], when: float) -> Said:
-    """Return what was said last before a time [s, monotonic]."""
+    """Return the last message up to a time [s, monotonic]. It is empty if there is none."""
     return [Said(0.0, 0, ""), *(each for each in said if each.at <= when)][-1]
 
 
 WORK_S, UNASKED_S = 3.0, 3.0
-"""The plate moves for so long before a fault, and nothing may for so long after it [s]."""
+"""Time for which the plate moves before a fault, and time after it in which the plate must not move
+without a request [s]."""
 
 WATCH_S, FREEZE_S = 4.0, 3.0
-"""What was killed or cut comes back after that, what was frozen goes on [s]."""
+"""Duration of a kill or a cut, and of a freeze [s]."""
 
 
 @dataclass
 class Row:
-    """What came of one fault. Times are since the fault [s]; None: it did not happen."""
+    """Result of one fault. Times are measured from the fault [s]; None if the event did not
+    happen."""
 
     fault: str
     node: str
@@ -135,18 +139,19 @@ class Row:
 
     @property
     def well(self) -> bool:
-        """Whether it is as it should be."""
+        """Whether the task ended in time, the plate came to rest, it did not move without a
+        request, and the graph could continue."""
         in_time = self.node == "planner" or (self.task_s is not None and self.task_s <= MOST_S)
         return in_time and self.rest_s is not None and not self.moved_unasked and self.goes_on
 
 
 class Faults:
-    """A running graph into which faults are put.
+    """Injects faults into a running graph.
 
     Parameters
     ----------
     graph : Session
-        Not watched.
+        It must not be watched, so that a node may end.
     """
 
     def __init__(self, graph: Session) -> None:
@@ -155,11 +160,17 @@ class Faults:
         self.plate = Plate(self.observer, graph.options.transport)
 
     def wait(self, seconds: float) -> None:
-        """Listen for a time [s]."""
+        """Receive messages for a time [s]."""
         self.observer.until(lambda: False, seconds)
 
     def work(self) -> None:
-        """Have the plate work on a task."""
+        """Start a task, and wait until the plate has moved for `WORK_S`.
+
+        Raises
+        ------
+        GraphError
+            If no task keeps running.
+        """
         observer = self.observer
         self.plate.tables_only = False
         for _ in range(TRIES):
@@ -176,7 +187,8 @@ class Faults:
 
     @contextmanager
     def gone(self, kind: str, node: str) -> Any:
-        """Take a node or its input away, and bring it back."""
+        """Context in which a node is killed or frozen, or its input is cut. The node is restored
+        afterwards."""
         if kind == "cut":
             self.observer.set_parameter(GATE, "cut", node)
             yield
@@ -192,7 +204,7 @@ class Faults:
             processes.signal(node, signal.SIGCONT)
 
     def put(self, kind: str, node: str) -> Row:
-        """Put one fault into a running task."""
+        """Inject one fault into a running task, and return the reactions."""
         self.work()
         row, plate, said = Row(kind, node), self.plate, self.observer.record.said
         plate.tables_only = node == "simulator" and kind != "cut"
@@ -204,14 +216,14 @@ class Faults:
                 row.rest_s = round(max(0.0, plate.moved_until - at_utc), 1)
             back = time.monotonic()
         self.hear(row, at, back)
-        # It speaks again; nothing moves before somebody asks for it.
+        # Wait until the node publishes diagnostics again. The plate must not move before a request.
         self.observer.until(
             lambda: before(said.get(node, ()), math.inf).at > max(back, time.monotonic() - FRESH_S),
             BACK_S,
         )
         self.wait(UNASKED_S)
         plate.tables_only = False
-        if row.task_s is None:  # told only when the node was back
+        if row.task_s is None:  # the end of the task was published only after the node was back
             self.hear(row, at, time.monotonic())
         row.moved_unasked = (
             row.rest_s is not None and plate.moved_until > at_utc + row.rest_s + 0.25
@@ -220,7 +232,8 @@ class Faults:
         return row
 
     def hear(self, row: Row, since: float, until: float) -> None:
-        """Note what was said between two times."""
+        """Add the messages between two times to a row: the end of the task, the driver's first new
+        status, and the first most severe diagnostics of each node."""
         record = self.observer.record
         for said in between(record.tasks, since, until):
             if said.state != TaskStatus.RUNNING:
@@ -241,13 +254,13 @@ class Faults:
         row.diagnostics.sort(key=lambda item: item[2])
 
     def moves(self) -> bool:
-        """Wait until the plate moves, or the task has ended; return whether it moves."""
+        """Wait until the plate moves or the task has ended. Return whether the plate moved."""
         plate, record, begun = self.plate, self.observer.record, time.time()
         self.observer.until(lambda: plate.moved_until > begun or record.ended, MOVE_S)
         return plate.moved_until > begun
 
     def go_on(self, row: Row) -> None:
-        """Do what a person must do until the plate moves again."""
+        """Make the calls that a user must make until the plate moves again."""
         observer = self.observer
         try:
             observer.start(self.scenario, 0.0)
@@ -267,7 +280,8 @@ class Faults:
 
 
 def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterator[Outcome]:
-    """Put all faults into a running graph one after the other; to cut, with the gate in between."""
+    """Inject all faults into a running graph one after the other. For cuts, a gate relays the
+    nodes' inputs."""
     options = RunOptions(transport=transport, link=str(logs / "device"))
     names = chosen(nodes, [node.name for node in options.nodes(load_graph())])
     rows: list[dict[str, Any]] = []
@@ -279,17 +293,19 @@ def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterat
         "faults": [],
     }
     for kinds in (("kill", "freeze"), ("cut",)):
-        # Without a look at the processes: they are to die.
+        # Do not watch the processes, because the test kills them.
         with session(options, logs, watched=False, gated="cut" in kinds) as graph:
             faults = Faults(graph)
             if transport == "serial":
                 graph.observer.enable()
             for kind, name in product(kinds, names):
                 if name == "device" and kind != "kill":
-                    continue  # its input is the line; a controller that hangs has a watchdog
+                    # Its input is a serial line, which the gate cannot cut. A real controller has a
+                    # watchdog against freezes.
+                    continue
                 try:
                     row = faults.put(kind, name)
-                except GraphError as error:  # the graph could not be got to work, or to go on
+                except GraphError as error:  # no task could be started, or it could not continue
                     row = Row(kind, name, f"not measured: {error}")
                 rows.append(asdict(row) | {"well": row.well})
                 yield Outcome(result, json.dumps(rows[-1]))
@@ -306,7 +322,7 @@ HEADS = ("fault", "node", "task_status", "driver_status", "diagnostics", "plate 
 
 
 def cells(result: dict[str, Any]) -> list[dict[str, str]]:
-    """Return the rows as texts for a reader: what was said after each fault, and when."""
+    """Return the rows as texts by column (`HEADS`), for a table."""
 
     def after(text: str, seconds: float | None) -> str:
         text = re.sub(r"^aborted after [\d.]+ s: ", "", text)

@@ -1,12 +1,12 @@
-"""Freeze nodes of the graph at random, one or two at once, and judge every motor table by its age.
+"""Freeze nodes of the graph at random, one or two at once, and check the age of every motor table.
 
-A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
-emergency stop. A fraction `--kills` of the faults kills it (SIGKILL), and starts it again. Judged
-is what the driver publishes, when it publishes it, by nothing that the driver says: a table that
-moves the plate is wrong if the image that it answers is older than `age_limit`, or than the last
-emergency stop, or if its task had ended before; with `--image_rate`, a camera that runs free, it
-answers the start of a cycle, which may be as much later than the newest `parts`. Exit code 1 if a
-table was wrong.
+A node is frozen (SIGSTOP) for 0.1 to 5 s: during a task, while it is stopped, or after an emergency
+stop. A fraction `--kills` of the faults kills the node (SIGKILL) and starts it again. The check
+uses only the stamps and publication times of the driver's tables. A table that moves the plate is
+wrong if its image is older than `age_limit` or than the last emergency stop, or if its task had
+ended before. With `--image_rate` the camera is free-running: the table's stamp is then the start of
+a cycle, and the newest `parts` may be older by another `age_limit`. Exit code 1 if a table was
+wrong.
 """
 
 from __future__ import annotations
@@ -34,28 +34,30 @@ from plate_core.status import age_limit
 from plate_interfaces.msg import Parts, TaskStatus
 
 FREEZE_S, PAUSE_S = (0.1, 5.0), (0.2, 1.5)
-"""How long a node is frozen, and the time between two freezes [s]."""
+"""Ranges of a freeze's duration, and of the time between two freezes [s]."""
 
 STOPS = 0.1
-"""Fraction of freezes in which a task is stopped, and fraction with an emergency stop."""
+"""Fraction of the freezes during which a task is stopped. In the same fraction an emergency stop is
+called."""
 
 TOLD_S = 0.1
-"""The driver has heard after this time that a task has ended [s], unless it is frozen."""
+"""Maximum delay until the driver has received the end of a task [s], unless it is frozen."""
 
 DEAD_S = (0.5, 3.0)
-"""How long a killed node is away [s]."""
+"""Range of the time until a killed node is started again [s]."""
 
 
 class Judge(Listener):
-    """Listens to tables and to ends of tasks, with the times when they were published [ns]."""
+    """Receives motor tables, ends of tasks and parts with their publication times, and collects the
+    wrong tables."""
 
     def __init__(self) -> None:
         super().__init__("judge")
         self.tables = self.moving = 0
         self.oldest_s = 0.0
         self.wrong: list[str] = []
-        self.away: list[str] = []  # who was frozen last, or still is
-        self.ends: list[tuple[int, int]] = []  # when said, and stamp of the last answer
+        self.away: list[str] = []  # nodes of the last freeze
+        self.ends: list[tuple[int, int]] = []  # publication time [ns], last answered stamp [ns]
         self.stopped_ns = self._seen_ns = 0
         listen: Any = self.node.create_subscription
         listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
@@ -92,7 +94,7 @@ class Judge(Listener):
 
 
 def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) -> None:
-    """Freeze nodes, each for its own time [s]."""
+    """Freeze nodes at the same time. `longest` gives the duration for each [s]."""
     begun = time.monotonic()
     for name in longest:
         processes.signal(name, signal.SIGSTOP)
@@ -109,7 +111,7 @@ def run(
     seed: int = 0,
     image_rate: float = 0.0,
 ) -> Iterator[Outcome]:
-    """Freeze and kill nodes at random."""
+    """Freeze and kill nodes at random, `count` times or for `minutes`."""
     options = RunOptions(image_rate=image_rate)
     rng = np.random.default_rng(seed)
     tasks = trouble = 0
@@ -125,7 +127,7 @@ def run(
                         observer.enable()
                     observer.begin_anew(graph.scenario)
                     tasks += 1
-                except GraphError as error:  # on a busy machine a node may not be back yet
+                except GraphError as error:  # on a busy computer a node may not run again yet
                     trouble += 1
                     print(f"no task: {error}", flush=True)
             observer.until(lambda: False, rng.uniform(*PAUSE_S))

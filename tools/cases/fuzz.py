@@ -1,10 +1,11 @@
-"""Send malformed messages into every topic of the real nodes: no crash, no growth, no wild motion.
+"""Send malformed messages to every topic of the real nodes. None may crash, leak memory or make the
+plate exceed its limits.
 
-Each node's class is made in this process; its subscriptions' callbacks get messages that went
-through the wire format, so whatever any program on the network can send. Most are right ones with
-one to four fields spoiled: not finite, huge, empty, too long, in the wrong order, of another time.
-What the driver sends to the motors, and what the simulated device plays, is judged by samples, not
-by their own code.
+Each node's class is created in this process, and its callbacks receive messages that were
+serialised and deserialised, like any message from the network. Most are valid messages in which up
+to four fields were changed: not finite, huge, empty, too long, in the wrong order, or with another
+stamp. The motion that the driver sends and that the simulated device plays is checked at samples,
+independent of their own limit checks.
 """
 
 from __future__ import annotations
@@ -51,27 +52,29 @@ NODES = {node.name: node.component for node in RunOptions().nodes(load_graph())}
 NUMBERS = (0.0, -0.0, 1e-300, 1.0, -1.0, 1e3, -1e9, 1e200, -1e308, np.nan, np.inf, -np.inf)
 WORDS = ("", "x", "black_1", "motor_1", "ready", "stopped", "mono8", "\u00e9\u00e4", "a" * 5000)
 WARM = 0.2
-"""Share of the messages after which memory is looked at first."""
+"""Fraction of the messages after which memory is measured first."""
 
 POOL = 200
-"""Right messages of each kind."""
+"""Number of valid messages of each type to choose from."""
 
 COUNTS, SHARES = (0, 1, 2, 3, 11), (0.2, 0.5, 0.2, 0.09, 0.01)
-"""Parts of right messages, and how often: many cost the solver a tenth of a second."""
+"""Numbers of parts in valid messages, and their probabilities. Many parts are rare, because they
+cost the solver 0.1 s."""
 
 TICK = 20
-"""Messages between two ticks of the node's timer."""
+"""Number of messages between two calls of the node's timer callback."""
 
 MOST_GROWTH_MB = 20.0
-"""Of a node's memory."""
+"""Maximum growth of a node's memory [MB]."""
 
 ROUNDING = {"driver": 1e-4, "simulator": 0.02}
-"""Excess of a limit that is none: rounding; the device's slack."""
+"""Tolerated relative excess of a limit: rounding of the driver, tolerance of the simulated
+device."""
 
 
 @dataclass
 class Verdict:
-    """What was seen of one node."""
+    """Result of one node."""
 
     node: str
     messages: int = 0
@@ -86,12 +89,12 @@ class Verdict:
 
 
 def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
-    """Return a right message of each kind, as it is on the wire."""
+    """Return a random valid message of each type, serialised."""
     t = np.arange(24) / 24
     size = rng.choice([0.0, 1e-3, 3e-3, 0.01, 1.0])
     wave = size * np.outer(np.sin(np.pi * t) ** 4 * np.sin(4 * np.pi * t), [1, 1, 3])
     cycle = PlateCycle.from_samples(float(rng.choice([0.02, 0.1, 0.2])), wave)
-    stamp = to_time(0)  # `message` says when
+    stamp = to_time(0)  # `message` sets the stamp
     count = int(rng.choice(COUNTS, p=SHARES))
     ids = tuple(f"{'black' if k % 2 else 'grey'}_{k // 2 + 1}" for k in range(count))
     place = rng.uniform(-1.1, 1.1, (count, 2)) * rig.plate.half
@@ -99,7 +102,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     parts = Parts.make(ids, place, 0.01 * rng.normal(size=(count, 2)))
     wanted = Wanted.make(parts, force)
     size_px = (rig.camera.height_px, rig.camera.width_px)
-    if rng.random() < 0.9:  # a whole image takes 20 ms to spoil
+    if rng.random() < 0.9:  # most images are small, because a whole one takes 20 ms to change
         size_px = (int(rng.integers(1, 64)), int(rng.integers(1, 64)))
     pixels = rng.integers(0, 255, size_px, np.uint8)
     message = cycle_to_msg(cycle, stamp)
@@ -115,7 +118,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
 
 
 def spoil(msg: Any, rng: np.random.Generator) -> None:
-    """Change one field of a message, or of a message in it, to something malformed."""
+    """Change one random field of a message, or of a message in it, to an unusual value."""
     kinds = msg.get_fields_and_field_types()
     name = str(rng.choice(list(kinds)))
     value = getattr(msg, name)
@@ -135,7 +138,7 @@ def spoil(msg: Any, rng: np.random.Generator) -> None:
 
 
 def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> None:
-    """Change a list: shorter, longer, empty, out of order, or one of its items."""
+    """Change a list: make it shorter, longer, empty or unordered, or change one of its items."""
     fixed = isinstance(value, np.ndarray)
     items = list(value)
     way = int(rng.integers(0, 5))
@@ -159,27 +162,28 @@ def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> Non
 
 
 def alone(callback: Any) -> Any:
-    """Return what takes a message without what the middleware says of it."""
+    """Return a callback that takes only a message, without the middleware's information."""
     if len(signature(callback).parameters) == 1:
         return callback
     return lambda msg: callback(msg, {"publication_sequence_number": None})
 
 
 def topics_of(node: Any) -> list[tuple[str, type, Any]]:
-    """Topics, and services that take numbers, of a node: name, type, and what takes a message."""
+    """Return the topics of a node, and its services whose requests have numbers: name, type and
+    callback."""
     topics = [(s.topic_name, s.msg_type, alone(s.callback)) for s in node.subscriptions]
-    for subscription, take in getattr(node, "raw_inputs", ()):  # the driver's, which takes bytes
+    for subscription, take in getattr(node, "raw_inputs", ()):  # the driver receives bytes
 
         def take_bytes(msg: Any, take: Any = take) -> None:
             data = serialize_message(msg)
-            if crc32(data) % 5 == 0:  # and bytes that are none
+            if crc32(data) % 5 == 0:  # sometimes a truncated message
                 data = data[: len(data) // 2]
             take(data, len(data), b"")
 
         topics.append((subscription.topic_name, subscription.kind, take_bytes))
     for service in node.services:
         kind = service.srv_type
-        if kind in (PlacePart, RemovePart):  # the others take nothing, or a bit
+        if kind in (PlacePart, RemovePart):  # the other requests are empty or have one bool
 
             def ask(request: Any, kind: Any = kind, answer: Any = service.callback) -> None:
                 serialize_message(answer(request, kind.Response()))
@@ -190,7 +194,7 @@ def topics_of(node: Any) -> list[tuple[str, type, Any]]:
 
 
 def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator) -> Any:
-    """Return a malformed message as it comes off the wire."""
+    """Return a message with up to four changed fields, serialised and deserialised."""
     right = pool[int(rng.integers(len(pool)))].get(kind)
     msg = deserialize_message(right, kind) if right is not None else kind()
     if hasattr(msg, "header"):
@@ -202,7 +206,7 @@ def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator)
 
 
 class Judge:
-    """Looks at the motion that the driver sends, or the simulated device plays."""
+    """Checks the motion that the driver sends, or that the simulated device plays."""
 
     def __init__(self, node: Any, verdict: Verdict) -> None:
         self.node, self.verdict, self.rig = node, verdict, load_rig()
@@ -216,7 +220,7 @@ class Judge:
         self.publish(msg)
 
     def tick(self) -> None:
-        """Do what the node's timer would do."""
+        """Call the node's timer callback. For the simulator, also check the played motion."""
         if self.verdict.node == "driver":
             self.node._watch()
         elif self.verdict.node == "simulator":
@@ -231,13 +235,13 @@ class Judge:
 
 
 def own_memory_mb() -> float:
-    """Return the memory of this process that is in use [MB]."""
+    """Return the memory of this process [MB], after a garbage collection."""
     gc.collect()
     return memory_mb(os.getpid())
 
 
 def fuzz(name: str, count: int, seed: int) -> Verdict:
-    """Send `count` messages to one node, shared among its topics."""
+    """Send `count` messages to one node, to each of its topics in turn."""
     module, _, kind = NODES[name].rpartition(".")
     rng, verdict = np.random.default_rng(seed), Verdict(name)
     node = getattr(importlib.import_module(module), kind)()
@@ -258,10 +262,10 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
             sent = time.thread_time()
             try:
                 give(msg)
-            except Exception as error:  # whatever it is, it would have ended the node
+            except Exception as error:  # any exception would have ended the node
                 verdict.crashes += 1
                 verdict.first = verdict.first or f"{topic}: {error!r}"
-            if k > WARM * count:  # by then everything is loaded
+            if k > WARM * count:  # all modules and caches are loaded by then
                 verdict.slowest_ms = max(verdict.slowest_ms, 1e3 * (time.thread_time() - sent))
             if k % TICK == 0:
                 judge.tick()
@@ -275,7 +279,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
 
 
 def failed(verdict: Verdict) -> bool:
-    """Tell whether something went wrong."""
+    """Return whether a node crashed, grew or exceeded a limit."""
     return (
         verdict.crashes > 0
         or verdict.growth_mb > MOST_GROWTH_MB

@@ -1,6 +1,7 @@
-"""Send random goals to the real graph: right and wrong ones, cancels, preemptions, stops.
+"""Send random goals to the real graph: valid and invalid ones, cancels, preemptions, stops.
 
-Every goal must be answered, with a reason that is possible, and at the end the plate must rest.
+The case passes if every goal has a result, every invalid goal is refused as invalid, and the plate
+is at rest at the end.
 """
 
 from __future__ import annotations
@@ -27,14 +28,15 @@ from plate_interfaces.msg import TaskStatus
 from plate_planner.supervision import Reason
 
 SCENARIOS = ("sort_4", "sort_6", "follow_2", "assemble_8", "spin_1")
-"""Parts of the first are on the plate: those of the others are not all seen."""
+"""Scenarios of the goals. The parts of the first one are on the plate, so the others lack parts."""
 
 PAUSE_S, ANSWER_S, REST_S = 0.15, 10.0, 3.0
-"""Mean time between two goals; longest wait for a result at the end; until the plate rests [s]."""
+"""Mean time between two goals; maximum wait for results at the end; time until the plate must rest
+[s]."""
 
 
 def wrong(goal: Any, rng: np.random.Generator) -> Any:
-    """Spoil a goal so that it cannot be done."""
+    """Make a goal invalid in one of four ways."""
     match int(rng.integers(4)):
         case 0:
             goal.time_limit_s = float(rng.choice([np.nan, -1.0, 1e300]))
@@ -48,7 +50,7 @@ def wrong(goal: Any, rng: np.random.Generator) -> Any:
 
 
 def random_goal(rng: np.random.Generator) -> tuple[Any, bool]:
-    """Return a goal, and whether it is a wrong one."""
+    """Return a random goal, and whether it is invalid."""
     name = SCENARIOS[0] if rng.random() < 0.6 else str(rng.choice(SCENARIOS[1:]))
     scenario = replace(load_scenario(name), time_limit_s=float(rng.uniform(1.0, 20.0)))
     goal = scenario_to_goal(scenario)[1]
@@ -58,7 +60,7 @@ def random_goal(rng: np.random.Generator) -> tuple[Any, bool]:
 
 
 def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Send goals, end some of them, and say what became of them."""
+    """Send goals, cancel or stop some of them, and return statistics of their results."""
     sent: list[tuple[Task, bool]] = []
     canceled: set[int] = set()
     stops = 0
@@ -70,7 +72,7 @@ def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str,
         if rng.random() < 0.05:
             observer.trigger("stop")
             stops += 1
-        if rng.random() < 0.4:  # also goals that have ended, and those not yet accepted
+        if rng.random() < 0.4:  # also cancel goals that have ended or are not accepted yet
             chosen = int(rng.integers(max(0, number - 3), number + 1))
             sent[chosen][0].cancel()
             canceled.add(chosen)
@@ -108,7 +110,7 @@ def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str,
 
 
 def run(logs: Path, count: int = 1000, seed: int = 0) -> Iterator[Outcome]:
-    """Send goals to a graph on whose plate the parts of the first scenario are."""
+    """Send `count` goals to a graph with the parts of the first scenario."""
     with session(RunOptions(scenario=SCENARIOS[0], autostart=False), logs) as graph:
         graph.free()
         graph.observer.await_ready()

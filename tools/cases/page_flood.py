@@ -1,9 +1,8 @@
 """Flood the live page with commands from several sockets: it must not crash, and must stop in time.
 
-The real graph with the simulator. Each socket sends commands of every kind as fast as the page
-reads them, some right and some wrong, opens anew now and then, and reads nothing for a while.
-Another one calls emergency_stop and stop in turn, and takes the time until the graph's answer is
-back.
+The real graph runs with the simulator. Each socket sends valid and invalid commands of every kind
+as fast as the page reads them. Sometimes it reconnects, or does not read for a while. One more
+socket calls emergency_stop and stop in turn, and measures the time until the reply arrives.
 """
 
 from __future__ import annotations
@@ -31,23 +30,38 @@ from plate_bringup import RunOptions
 from plate_view import COMMANDS, URGENT
 
 STOP_S, LATE_S = 0.25, 0.1
-"""Time between two stops, and the longest that one may take [s]."""
+"""Time between two stops, and maximum time until a stop is answered [s]."""
 
 LONGEST_S = 5.0
-"""Longest wait for the answer to a stop [s]."""
+"""Maximum wait for the reply to a stop [s]."""
 
 SOCKETS, NICE = 6, 10
 
 BATCH = 50
-"""Commands that a socket sends before it looks whether to do something else."""
+"""Number of commands that a socket sends before it may read replies or reconnect."""
 
 NODES = ("simulator", "detector", "planner", "solver", "driver", "page", "nobody")
 
 
 @dataclass
 class Verdict:
-    """What was seen: `stops` that were answered well, how long that took [ms], and `late` ones by
-    name."""
+    """Result of the case.
+
+    Attributes
+    ----------
+    minutes : float
+        Duration of the flood.
+    sockets, sent : int
+        Number of flooding sockets, and of commands that they sent.
+    ends : list of str
+        Messages on processes of the graph that ended.
+    stops : int
+        Number of stops that were answered.
+    median_ms, slowest_ms : float
+        Median and maximum time until a stop was answered.
+    late, problems : Counter of str
+        Number of stops by name that took longer than `LATE_S`, and of failed ones by message.
+    """
 
     minutes: float
     sockets: int
@@ -61,7 +75,7 @@ class Verdict:
 
 
 def command(rng: random.Random) -> dict[str, Any]:
-    """Return a command of any kind but those that stop, mostly a right one."""
+    """Return a random command except the stops. Most are valid."""
     name = rng.choice([each for each in COMMANDS if each not in URGENT] + ["parameters", "set"] * 4)
     node, part = rng.choice(NODES), f"{rng.choice(['black', 'grey'])}_{rng.randrange(6)}"
     x, y = rng.uniform(-0.12, 0.12), rng.uniform(-0.12, 0.12)
@@ -83,7 +97,7 @@ def command(rng: random.Random) -> dict[str, Any]:
 
 
 async def connect(url: str) -> tornado.websocket.WebSocketClientConnection:
-    """Open a websocket as a browser of this machine does."""
+    """Open a websocket, with the headers of a browser on this computer."""
     address, headers = url.replace("http", "ws") + "socket", {"Origin": url.rstrip("/")}
     return await tornado.websocket.websocket_connect(
         tornado.httpclient.HTTPRequest(address, headers=headers)
@@ -91,7 +105,7 @@ async def connect(url: str) -> tornado.websocket.WebSocketClientConnection:
 
 
 async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
-    """Close a websocket, and read until the page has closed it too."""
+    """Close a websocket, and read until the page has also closed it, for at most `LONGEST_S`."""
 
     async def rest() -> None:
         while await socket.read_message() is not None:
@@ -103,7 +117,7 @@ async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
 
 
 async def flood(url: str, rng: random.Random, sent: Any) -> None:
-    """Send commands again and again."""
+    """Send random commands without end, and add their number to `sent`."""
     number = 0
     while True:
         with contextlib.suppress(OSError, tornado.websocket.WebSocketClosedError):
@@ -113,7 +127,7 @@ async def flood(url: str, rng: random.Random, sent: Any) -> None:
                     number += 1
                     await socket.write_message(json.dumps({"number": number, **command(rng)}))
                 sent.value += BATCH
-                if rng.random() < 0.9:  # otherwise what is told piles up
+                if rng.random() < 0.9:  # otherwise unread replies accumulate
                     with contextlib.suppress(TimeoutError):
                         while await asyncio.wait_for(socket.read_message(), 0.001) is not None:
                             pass
@@ -121,8 +135,8 @@ async def flood(url: str, rng: random.Random, sent: Any) -> None:
 
 
 def flooder(url: str, sockets: int, seed: int, sent: Any) -> None:
-    """Do that by several sockets in a process of its own; it leaves the processor to the graph, as
-    browsers of other machines do."""
+    """Run `flood` on several sockets. The process has a low priority, so that the graph gets the
+    CPU as if the browsers ran on other computers."""
     os.nice(NICE)
 
     async def all_of_them() -> None:
@@ -133,7 +147,8 @@ def flooder(url: str, sockets: int, seed: int, sent: Any) -> None:
 
 
 async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
-    """Call a stop again and again until a time; return how long each took [ms]."""
+    """Call emergency_stop and stop in turn until the time `end`. Return the time that each took
+    [ms]."""
     took: list[float] = []
     socket, number = await connect(url), 0
     while time.monotonic() < end:
@@ -157,7 +172,7 @@ async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
 
 
 async def answered(socket: Any, number: int) -> dict[str, Any]:
-    """Read until the answer to a command comes."""
+    """Read until the reply to the command with this number arrives, and return it."""
     while True:
         text = await socket.read_message()
         if text is None:
@@ -167,9 +182,10 @@ async def answered(socket: Any, number: int) -> dict[str, Any]:
 
 
 def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
-    """Flood the page of a graph; fill in what was seen."""
+    """Flood the page of a graph, and fill in the verdict."""
     url, context = graph.page(), multiprocessing.get_context("spawn")
-    sent = context.Value("q", 0, lock=False)  # one writes, and is ended at any time
+    # No lock: only one process writes, and it may be terminated while it holds a lock.
+    sent = context.Value("q", 0, lock=False)
     given = url, verdict.sockets, seed, sent
     flooding = context.Process(target=flooder, args=given, daemon=True)
     flooding.start()
@@ -186,10 +202,10 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
 
 
 def run(logs: Path, minutes: float = 3.0, seed: int = 0) -> Iterator[Outcome]:
-    """Flood the page for a time, and call stops meanwhile."""
+    """Flood the page for a number of minutes, and call stops meanwhile."""
     verdict = Verdict(minutes, SOCKETS)
     options = RunOptions(scenario="play", view=True)
-    there = contextlib.chdir(logs)  # `teach` writes its file where the detector runs
+    there = contextlib.chdir(logs)  # `teach` writes its file into the detector's working folder
     with there, session(options, logs, pictures=False) as graph:
         flooded(graph, verdict, seed)
     failed = verdict.ends or any(verdict.late.values()) or verdict.problems or not verdict.stops

@@ -1,8 +1,9 @@
-"""Sort for hours in real time, parts put down anew each time: does memory grow, or latency drift?
+"""Sort for hours in real time, and measure growth of memory and drift of latency.
 
-Prints a line per task, and at the end: slope of each node's memory and of the latency (image stamp
-to motor setpoints) with 95 % intervals, from one sample per task, always in the same state; share
-of cycles for which no new motion had come in time; how the tasks ended.
+The parts are put down again for each task. Each task prints a line. The result has the slopes of
+each node's memory and of the latency (image stamp to motor setpoints) with 95 % confidence
+intervals, from a least-squares line through one sample per task in the same state. It also has the
+fraction of cycles without a new motion in time, and the ends of failed tasks.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ from cases import Outcome
 from plate_bringup import RunOptions
 
 SETTLED_S = 600.0
-"""Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""
+"""Time before the first sample, because buffers and caches grow until then [s]. In a run shorter
+than three times this, a third of the run."""
 
 MOST_MISSED = 1e-3
-"""Share of cycles that may be missed."""
+"""Maximum fraction of missed cycles."""
 
 CONFIDENCE = 0.95
 
 
 def slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
-    """Return the slope of a straight line [1/h], and half the width of its interval."""
+    """Return the slope of the least-squares line [1/h], and the half-width of its confidence
+    interval. Both are NaN for fewer than three samples."""
     if len(time_s) < 3:
         return float("nan"), float("nan")
     line = stats.linregress(time_s / 3600, value)
@@ -39,7 +42,7 @@ def slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
 
 
 def line(task: Task) -> str:
-    """Return one task in one line."""
+    """Return a line of text on one task."""
     cycles, held, late = task.counts
     latency = 1e3 * task.latency
     memory = " ".join(f"{name} {mb:.1f}" for name, mb in task.memory_mb.items())
@@ -51,7 +54,7 @@ def line(task: Task) -> str:
 
 
 def summed_up(series: Series) -> dict[str, Any]:
-    """Return what the tasks say together."""
+    """Return the statistics of all tasks."""
     tasks = series.tasks
     after = min(SETTLED_S, tasks[-1].at_s / 3)
     settled = [task for task in tasks if task.at_s > after]
@@ -82,7 +85,7 @@ def summed_up(series: Series) -> dict[str, Any]:
 
 
 def text(result: dict[str, Any]) -> str:
-    """Return the sum as a table."""
+    """Return the statistics as text."""
     lines = [f"{'node':10s} {'MB':>15s} {'MB/h':>16s} {'CPU':>6s}"]
     for row in result["memory"]:
         lines.append(
@@ -105,7 +108,8 @@ def text(result: dict[str, Any]) -> str:
 def run(
     logs: Path, scenario: str = RunOptions.scenario, uneven: float = 0.0, minutes: float = 60.0
 ) -> Iterator[Outcome]:
-    """Sort again and again; friction differs by `uneven` between parts and over the plate."""
+    """Sort repeatedly for a number of minutes. `uneven` is the spread of friction between parts and
+    over the plate."""
     until = time.monotonic() + 60 * minutes
     friction = dict.fromkeys(("friction_spread", "friction_patches"), uneven)
     options = RunOptions(scenario, autostart=False)
