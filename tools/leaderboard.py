@@ -64,8 +64,11 @@ def tables(folder: Path) -> str:
         columns = ["agent", "done (interval [%])", "plate time [s]"]
         columns += [*(ERRORS[key] for key in errors), "lost", "decision [ms]", "commit"]
         rows = sorted(row(name, result, task, errors) for name, result in there.items())
-        text += f"\n## {task}\n\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n"
-        text += "".join(f"| {line} |\n" for _, line in rows)
+        text += f"\n## {task}\n"
+        if lines := [f"| {' | '.join(cells)} |\n" for order, cells in rows if order[2]]:
+            text += f"\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n{''.join(lines)}"
+        if failed := ", ".join(cells[0] for order, cells in rows if not order[2]):
+            text += f"\nNo episode completed: {failed}.\n"
     return text
 
 
@@ -73,8 +76,8 @@ Order = tuple[bool, str, float, float]
 """Order of rows: the nominal world first, then the better, then the faster agents."""
 
 
-def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, str]:
-    """Return the row of a result in the table of a task, after its place in the order."""
+def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, list[str]]:
+    """Return the cells of a result in the table of a task, after its place in the order."""
     from plate_gym.bench import summary
 
     world = result["world"]
@@ -91,7 +94,7 @@ def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tupl
         f"{found['decision_ms']:.3g}",
         result["commit"],
     ]
-    return (world != "nominal", world, -share, took), " | ".join(cells)
+    return (world != "nominal", world, -share, took), cells
 
 
 if __name__ == "__main__":
