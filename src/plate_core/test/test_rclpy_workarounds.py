@@ -11,7 +11,7 @@ from rclpy.impl.rcutils_logger import CallerId  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from plate_core.ros import DATA, UnlockedSubscription  # noqa: E402
+from plate_core.ros import DATA, LATCHED, UnlockedSubscription  # noqa: E402
 
 
 @pytest.fixture(name="node")
@@ -68,6 +68,24 @@ def test_tells_publishers_of_nodes_with_one_name_apart(node):
             sources.setdefault(deserialize_message(data, String).data, set()).add(source)
     assert [len(sources[word]) for word in ("one", "two")] == [1, 1]
     assert sources["one"] != sources["two"]
+
+
+def test_waiting_ends_with_a_message_after_the_time_and_without_ros():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("waits", context=context, namespace=f"/unlocked_{os.getpid()}")
+    publisher = node.create_publisher(String, "words", LATCHED)
+    publisher.publish(String(data="one"))
+    subscription = UnlockedSubscription(node, String, "words", LATCHED, 100)
+    subscription.wait(60.0)
+    assert subscription.take() is not None
+    subscription.wait(0.001)
+    assert subscription.take() is None
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+    subscription.wait(0.001)
+    assert subscription.take() is None
+    subscription.destroy()
 
 
 def test_nothing_comes_once_it_is_destroyed(node):

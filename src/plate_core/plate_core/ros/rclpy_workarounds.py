@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import inspect
+import time
 import traceback
 from collections.abc import Callable
 from types import FrameType, SimpleNamespace
@@ -195,6 +196,19 @@ class UnlockedSubscription:
                 node.handle, kind, name, qos.get_c_qos_profile()
             )
         self.kind, self.topic_name, self._keep = kind, name, keep
+        self._context: Any = node.context
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until a message is available, for at most `timeout_s` [s]. Only the thread that
+        calls `take` may call this."""
+        try:
+            with self._handle, self._context.handle:
+                waiting = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._context.handle)
+                waiting.clear_entities()
+                waiting.add_subscription(self._handle)
+                waiting.wait(round(1e9 * timeout_s))
+        except RuntimeError:  # the class is RCLError, which has no public name: ROS was shut down
+            time.sleep(timeout_s)
 
     def take(self) -> tuple[bytes, int, bytes] | None:
         """Return the serialized next message, its full length [bytes], and an id of the publisher.

@@ -18,8 +18,11 @@ from plate_interfaces.msg import TaskStatus
 from ..raw_cycle import HEAD_BYTES, POINT_BYTES
 from ..setpoints import MAX_KNOTS
 
-CYCLE_PERIOD_S = 0.002
-"""Time between polls for a cycle [s]. A separate thread polls, see `UnlockedSubscription`."""
+CLOSE_S = 0.05
+"""Maximum time until the thread that waits for cycles ends after `close` [s]."""
+
+BUSY_S = 0.002
+"""Time between two looks whether the executor has processed a cycle, if too many wait [s]."""
 
 MAX_WAITING = 5
 """Maximum number of messages that wait for the executor, so that a flood leaves time for other
@@ -48,7 +51,7 @@ class RawInput(NamedTuple):
 
 
 class RawInputs:
-    """Subscriptions to plate_cycle, polled by a thread, and to task_status, polled by `poll_tasks`.
+    """Subscriptions to plate_cycle, which a thread takes, and to task_status, see `poll_tasks`.
 
     Parameters
     ----------
@@ -67,8 +70,7 @@ class RawInputs:
         self._waiting: deque[tuple[bytes, int, bytes]] = deque()  # received cycles in order
         self._polled_at = 0.0  # last poll of task_status [s, steady]
         self._closed = threading.Event()
-        # A thread that polls every 2 ms needs a tenth of the CPU time of an executor timer.
-        self._thread = threading.Thread(target=self._poll_cycles, daemon=True)
+        self._thread = threading.Thread(target=self._receive_cycles, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -90,16 +92,19 @@ class RawInputs:
                 break
             self.tasks.process(*message)
 
-    def _poll_cycles(self) -> None:
+    def _receive_cycles(self) -> None:
         """Pass received cycles to the executor until `close`."""
-        while not self._closed.wait(CYCLE_PERIOD_S):
+        while not self._closed.is_set():
             executor = self._node.executor
-            while executor is not None and len(self._waiting) < MAX_WAITING:
-                message = self.cycles.subscription.take()
-                if message is None:
-                    break
-                self._waiting.append(message)
-                executor.create_task(self._process_cycle)
+            if executor is None or len(self._waiting) >= MAX_WAITING:
+                self._closed.wait(BUSY_S)
+                continue
+            message = self.cycles.subscription.take()
+            if message is None:
+                self.cycles.subscription.wait(CLOSE_S)
+                continue
+            self._waiting.append(message)
+            executor.create_task(self._process_cycle)
 
     def _process_cycle(self) -> None:
         """Process the oldest received cycle, unless the inputs were closed since."""

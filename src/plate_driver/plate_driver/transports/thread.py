@@ -23,6 +23,9 @@ T = TypeVar("T")
 POLL_PERIOD_S = 0.002
 """Time between two polls of the transport [s]. An upload takes about twenty polls."""
 
+NO_MOTORS_PERIOD_S = 0.02
+"""Time between two polls of a transport without motors, which has nothing to upload [s]."""
+
 STOPPED_SINCE = "another stop has come since; call enable again"
 BUSY = "the transport is busy"
 
@@ -241,8 +244,9 @@ class TransportThread:
             return None
 
     def _run(self) -> None:
+        period_s = POLL_PERIOD_S if self.motors else NO_MOTORS_PERIOD_S
         with urgent():
-            while not self._ended.wait(POLL_PERIOD_S):
+            while not self._ended.wait(period_s):
                 self.poll()
 
     def _ordered(self, ask: Callable[[], Order]) -> Order:
