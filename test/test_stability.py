@@ -154,7 +154,7 @@ def test_nearness_is_the_ratio_of_borders():
     one = MAPS["stick"]
     z = [[0.0], [2 * one.level], [2 * one.level]]
     grid = Grid("", [1.0], [1.0, 1.0001, 2.0], z, [0.5, 1.5], [1.25, 1.25])
-    assert nearness(one, [grid]).startswith("Measured and predicted border differ by 25 %")
+    assert "differ by 25 %" in nearness(one, [grid])
     grid = Grid("", [1.0], [1.0, 2.0], [[0.0], [0.0]], [0.5, 1.5], [1.25, 1.25])
     assert nearness(one, [grid]).startswith("No border")
 

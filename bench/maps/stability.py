@@ -55,6 +55,6 @@ def nearness(one: StabilityMap, found: list[Grid]) -> str:
         return "No border is measured where one is predicted."
     off = np.abs(np.log([o / p for o, p in pairs]))
     return (
-        f"Measured and predicted border differ by {100 * np.expm1(np.median(off)):.0f} % "
-        f"(median of {len(pairs)} places), {100 * np.expm1(np.max(off)):.0f} % at most."
+        f"Measurement and theory differ by {100 * np.expm1(np.median(off)):.0f} % (median), at "
+        f"most {100 * np.expm1(np.max(off)):.0f} %."
     )

@@ -18,7 +18,8 @@ FACTS = "measured.json"
 """There too: when and on what machine the CSV files were measured, and their headings."""
 
 AS_USUAL = re.compile(
-    r"^Success: |, none dropped|; all \d+ motor tables within limits( \(\d+ % used\))?"
+    r"^Success: | and \d+ cycles|, none dropped|"
+    r"; all \d+ motor tables within limits( \(\d+ % used\))?"
 )
 """Parts of the outcome of a demo that `demos` states once for all."""
 
@@ -29,7 +30,8 @@ This page compares each stage with baselines in speed and accuracy, and shows wh
 charts with zoom and all rows. Forces are in mu mg, the sliding friction of one part. A black line
 connects results that none beats in both time and error. A ring marks the default. A hollow mark
 means that not all runs ended well. Times are CPU times without ROS; on a busy machine (the load is
-given) they are up to twice as long.
+given) they are up to twice as long. Each section ends with the name of its measurement;
+`make bench ARGS=NAME` repeats it.
 """
 
 
@@ -87,9 +89,7 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
     ]
     if chart.default:
         lines.append(f"Default: {chart.default}\n")
-    told = [
-        f"`make bench ARGS={name}`{measured(facts.get(name), commit)}" for name in chart.sources
-    ]
+    told = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
     rows = f"[{len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)"
     lines.append(f"{rows}: {', '.join(told)}.\n")
     return "\n".join(lines)
@@ -105,10 +105,10 @@ def demos(folder: Path) -> str:
         "## Demos\n",
         "Each demo is one run of the real graph in five processes. The command is `make demo "
         "SCENARIO=NAME ARGS=--lockstep`, unless another is given; `python tools/demos.py` runs "
-        "all. With `--lockstep`, simulated time waits for the results, and a seed repeats the "
-        "film. Unless stated otherwise, the task succeeded, no part was dropped, and all motor "
-        "tables were within the limits. Arrows show the mean friction force of the running cycle. "
-        "A click on a film opens a picture strip with the forces on the whole plate.\n",
+        "all. With `--lockstep`, simulated time waits for the results. Unless stated otherwise, "
+        "the task succeeded, no part was dropped, and all motor tables were within the limits. "
+        "Arrows show the mean friction force of the running cycle. A click on a film opens a "
+        "picture strip with the forces on the whole plate.\n",
     ]
     for name, run in runs.items():
         told = f"{run['description']} {AS_USUAL.sub('', run['outcome'])}"
