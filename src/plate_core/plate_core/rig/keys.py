@@ -96,9 +96,8 @@ CAMERA = Section(
             None, "needed with `focal_px`",
         ),
         Key(
-            "distortion", Numbers((None,), -1e6, 1e6), "D in camera_info. plumb_bob: k1, k2, p1, "
-            "p2[, k3]; rational_polynomial: k1, k2, p1, p2, k3[, k4, k5, k6[, s1, s2, s3, s4[, "
-            "tau_x, tau_y]]]; equidistant: k1, k2, k3, k4.", None, "zeros",
+            "distortion", Numbers((None,), -1e6, 1e6), "D in camera_info, in OpenCV's order: k1, "
+            "k2, p1, p2, k3, ...; equidistant: k1 to k4.", None, "zeros",
         ),
         Key(
             "distortion_model", Choice(tuple(MODELS)), "distortion_model in camera_info.",
