@@ -1,4 +1,4 @@
-"""The real graph as processes: `session` starts the nodes, an `Observer` watches them over DDS.
+"""Runs the real graph as processes: `session` starts the nodes, and an `Observer` watches them.
 
-Programs import the rooms themselves; importing this folder imports no ROS.
+Programs import the modules of this package. The package itself does not import ROS.
 """

@@ -16,7 +16,7 @@ from plate_core import PlateError
 from .session import Session, session
 
 SIZE: Any = {"width": 1366, "height": 768}
-"""Of the window [px]."""
+"""Size of the browser window [px]."""
 
 LOADED_MS = 3000
 """Time for the page to show the graph [ms]."""
@@ -24,7 +24,7 @@ LOADED_MS = 3000
 
 @contextmanager
 def browsed(options: RunOptions) -> Iterator[tuple[Session, Any]]:
-    """Run a graph with its page; yields it and the page of Playwright.
+    """Context with a running graph and its live page. Yields the session and Playwright's page.
 
     Raises
     ------

@@ -1,4 +1,8 @@
-"""One run of the demo, from its checked arguments to its pictures."""
+"""One run of tools/demo.py: checks its arguments, runs the graph, evaluates and draws the result.
+
+`checked` turns the arguments into a `Plan`, `run` starts the graph and the task, and `conclude`
+writes result.json, strip.png and demo.gif, also of a run that was interrupted.
+"""
 
 from __future__ import annotations
 
@@ -48,35 +52,37 @@ from .robot import Grip, Robot, feed_result
 from .session import Session, session
 
 SILENCE_S = 30.0
-"""Longest silence of the planner [s]."""
+"""Maximum time without diagnostics of the planner [s]."""
 
 EXTRA_S = 30.0
-"""Wall time beyond the scenario's time limit until we give up [s]: the planner should have."""
+"""Wall time beyond the scenario's time limit until the demo fails [s]. The planner should have
+ended the task before."""
 
 LOCKSTEP_SLOWER = 3
-"""Lockstep may take this many times the task's own time on a slow machine."""
+"""Maximum ratio of wall time to simulated time in lockstep, on a slow computer."""
 
 PROGRESS_S, WAITING_S = 2.0, 10.0
-"""Between two lines where they cannot overwrite each other: of a task, and until it begins [s]."""
+"""Time between two status lines if the output is not a terminal: of a task, and before it begins
+[s]."""
 
 FEEDER_S = 10.0
-"""Longest wait for the feeder's report [s]."""
+"""Maximum wait for the feeder's diagnostics [s]."""
 
 LOOK_S = 1.0
-"""Wait for nodes of others in a chosen domain [s]: nodes find each other in 0.2 s."""
+"""Time to look for another graph in a chosen domain [s]. Nodes discover each other in 0.2 s."""
 
 LINE_BYTES = 4096
-"""Longest line of a terminal (N_TTY_BUF_SIZE of Linux)."""
+"""Maximum length of a terminal's input line [bytes] (N_TTY_BUF_SIZE of Linux)."""
 
 MOST_PICKS = 10_000
-"""Parts that a robot may be asked to take."""
+"""Maximum number of parts for a robot to take."""
 
 DRIVES = {"cia402": "linear_motors", "odrive": "odrives"}
-"""What stands for the firmware on this computer with simulated drives, and its rig unless one is
-named."""
+"""Values of --transport that run the firmware on this computer with simulated drives, and the
+default rig of each."""
 
 LAST = Path("out/demo")
-"""A link to the folder of the last demo."""
+"""Symbolic link to the folder of the last demo."""
 
 BAG = "bag"
 OUTPUT = ("result.json", "strip.png", "demo.gif")
@@ -84,19 +90,19 @@ OUTPUT = ("result.json", "strip.png", "demo.gif")
 
 @dataclass(frozen=True)
 class Plan:
-    """What was asked for, checked.
+    """Checked request for one run.
 
     Attributes
     ----------
     args : Namespace
-        Of the command line.
+        Arguments of the command line.
     options : RunOptions
     scenario : Scenario
     rig : Rig
     out : path
-        Where results go.
+        Folder of the results.
     domain : int, optional
-        ROS domain; if left out, one of its own.
+        ROS domain. By default a free one.
     """
 
     args: argparse.Namespace
@@ -108,7 +114,7 @@ class Plan:
 
 
 def demo(args: argparse.Namespace) -> int:
-    """Check the arguments, run, and return the exit code of tools/demo.py."""
+    """Check the arguments, run the demo, and return the exit code of tools/demo.py."""
     try:
         plan = checked(args)
         clear(plan.out)
@@ -121,18 +127,18 @@ def demo(args: argparse.Namespace) -> int:
     except Interrupted as interrupt:
         print(f"\ndemo: {interrupt}, all nodes are stopped", flush=True)
         return 128 + interrupt.number
-    except (PlateError, OSError) as error:  # the latter: a full disk; the nodes are stopped by now
+    except (PlateError, OSError) as error:  # OSError: for example a full disk
         print(f"\ndemo: {error}", file=sys.stderr, flush=True)
         return 1
 
 
 def checked(args: argparse.Namespace) -> Plan:
-    """Check everything before anything is started.
+    """Check all arguments before anything is started.
 
     Raises
     ------
     PlateError
-        Names the argument, its value and what is allowed.
+        If one is invalid. The message names it, its value and the allowed values.
     """
     scenario = load_scenario(args.scenario)
     drives = args.transport in DRIVES
@@ -158,7 +164,7 @@ def checked(args: argparse.Namespace) -> Plan:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with a camera (its rate)")
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with --lockstep")
-    Disturbances(image_rate=args.image_rate)  # refuses one out of range
+    Disturbances(image_rate=args.image_rate)  # raises if the rate is out of range
     within("picks", args.picks, 1, MOST_PICKS)
     within("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
@@ -171,9 +177,10 @@ def checked(args: argparse.Namespace) -> Plan:
                 "port or camera with a task of feed, allowed: none (the robot is simulated)"
             )
         check_robot(scenario.task, args.robot_cycle)
-    for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,
+    for doubt in Planner(rig, scenario).doubts():  # raises if the task does not fit on the plate
         print(f"demo: warning: {doubt}", flush=True)
-    start_positions(scenario, rig, np.random.default_rng(args.seed))  # and do its parts
+    # This raises if the parts do not fit on the plate.
+    start_positions(scenario, rig, np.random.default_rng(args.seed))
     check_camera(args.camera, args.port)
     if args.port:
         check_terminal()
@@ -201,7 +208,7 @@ def checked(args: argparse.Namespace) -> Plan:
         rig_file=absolute(rig_file),
         autostart=False,
         one_process=args.one_process,
-        view=not (args.no_view or args.one_process),  # it must not slow the others down
+        view=not (args.no_view or args.one_process),  # in one process it would slow down the nodes
         robot_port=0,
     )
     domain = args.domain
@@ -212,7 +219,7 @@ def checked(args: argparse.Namespace) -> Plan:
 
 
 def check_camera(camera: str, port: str) -> None:
-    """Check that the given camera and port exist; empty: none is given. See `checked`."""
+    """Raise PlateError if the camera or the port does not exist. Empty ones are not checked."""
     if camera:
         check_device(camera)
     if port:
@@ -220,7 +227,7 @@ def check_camera(camera: str, port: str) -> None:
 
 
 def print_unmeasured(program: str, rig: Rig, port: str) -> None:
-    """Print unmeasured and inconsistent facts of the rig before anything moves."""
+    """Print the facts of the rig that are unmeasured or inconsistent, before anything moves."""
     facts = [*unmeasured(rig), *(doubt.text for doubt in doubts(rig))]
     if facts:
         print(f"{program}: before anything moves, check these facts of your rig:")
@@ -234,7 +241,7 @@ def print_unmeasured(program: str, rig: Rig, port: str) -> None:
 
 
 def check_terminal() -> None:
-    """Check that a person can answer; see `checked`."""
+    """Raise PlateError if the standard input is not a terminal, because nobody could answer."""
     if not sys.stdin.isatty():
         raise PlateError(
             "nobody can enable the motors: stdin is no terminal. Start it in a terminal, or use "
@@ -243,9 +250,9 @@ def check_terminal() -> None:
 
 
 def await_consent(observer: Observer) -> None:
-    """Wait until the person at a real plate presses Enter. Nothing moves before.
+    """Wait until the operator of a real plate presses Enter. Before that, nothing moves.
 
-    Only an empty line that is entered after the question counts.
+    Only an empty line counts, and only if it is entered after the question.
 
     Raises
     ------
@@ -263,14 +270,14 @@ def await_consent(observer: Observer) -> None:
             observer.until(lambda: False, StatusLine.PERIOD_S)
         try:
             line = os.read(terminal, LINE_BYTES)
-        except OSError:  # the terminal was closed
+        except OSError:  # the terminal has been closed
             line = b""
         if not line:
             raise PlateError("the terminal's input ended before Enter: the motors stay off")
 
 
 def check_run(args: argparse.Namespace) -> None:
-    """Check what `make demo` and `make play` both take; see `checked`."""
+    """Check the arguments that `make demo` and `make play` share. Raises as `checked` does."""
     among("method", args.method, METHODS)
     within("seed", args.seed, 0, 2**31 - 1)
     if args.domain is not None:
@@ -278,7 +285,7 @@ def check_run(args: argparse.Namespace) -> None:
 
 
 def among(name: str, value: str, known: Iterable[str]) -> None:
-    """Refuse an argument that is none of these words; see `checked`."""
+    """Raise PlateError if the argument is not one of the known words."""
     known = sorted(known)
     if value not in known:
         hint = did_you_mean(value, known)
@@ -286,23 +293,23 @@ def among(name: str, value: str, known: Iterable[str]) -> None:
 
 
 def within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Refuse an argument out of range; see `checked`."""
+    """Raise PlateError if the argument is out of range."""
     if not low <= value <= high:
         raise PlateError(f"{name} is {value}{unit}, allowed: {low} to {high}")
 
 
 def absolute(name: str) -> str:
-    """Return the whole path of a file; a name that is shipped stays as it is."""
+    """Return the absolute path of a YAML file. Names without .yaml are returned unchanged."""
     return str(Path(name).absolute()) if Path(name).suffix in (".yaml", ".yml") else name
 
 
 def own_folder(scenario: str) -> Path:
-    """Make a folder that no other run has, one that begins at the same time neither.
+    """Create a new folder for this run, with the time and the scenario in its name.
 
     Raises
     ------
     PlateError
-        If that cannot be done.
+        If it cannot be created.
     """
     stem = f"{LAST}-{time.strftime('%Y-%m-%d-%H%M%S')}_{scenario}"
     path, number = Path(stem), 1
@@ -318,7 +325,8 @@ def own_folder(scenario: str) -> Path:
 
 
 def run(plan: Plan) -> int:
-    """Run the task from start to end."""
+    """Run the graph and the task, and return the exit code. A run that ends early is also
+    evaluated."""
     began = time.monotonic()
     names = [node.name for node in plan.options.nodes(load_graph())]
     print(
@@ -380,12 +388,13 @@ def conclude(
     problem: Interrupted | PlateError | None,
     grips: list[Grip],
 ) -> int:
-    """Judge and draw what was done, up to a problem if there was one; returns the exit code."""
+    """Evaluate, write and draw the results, up to a problem if there was one. Return the exit
+    code."""
     record, codes = graph.observer.record, graph.processes.exit_codes
     with signals_wait():
         try:
             result = judge(plan.rig, plan.options, record, graph.nodes, codes)
-        except PlateError as error:  # the task never began
+        except PlateError as error:  # no task was started
             if problem is None:
                 raise
             print(f"\n{error}", flush=True)
@@ -414,13 +423,14 @@ def conclude(
 def running(
     options: RunOptions, logs: Path, chosen: int | None, line: StatusLine, pictures: bool = True
 ) -> Iterator[Session]:
-    """Run the graph, in a domain of its own or the chosen one, of which programs started by us hear
-    too; show what is waited for in a line.
+    """Context with the running graph, in a free ROS domain or the chosen one. The status line shows
+    what the start waits for. The environment of this process is set to the domain.
 
     Raises
     ------
     GraphError
-        If in the chosen domain nodes of the same names run: each would hear the others'.
+        If nodes of the same names already run in the chosen domain. Both graphs would receive each
+        other's messages.
     """
     with own_domain(chosen) as domain:
         os.environ.update(ros_environment(domain))
@@ -439,7 +449,7 @@ def running(
 
 @contextmanager
 def recording(plan: Plan, observer: Observer) -> Iterator[None]:
-    """Keep all messages meanwhile, if that was asked for."""
+    """Context in which all messages are recorded to a bag, if the arguments request it."""
     if not plan.args.record:
         yield
         return
@@ -453,12 +463,12 @@ def recording(plan: Plan, observer: Observer) -> Iterator[None]:
 
 
 def watch(plan: Plan, observer: Observer, began: float) -> None:
-    """Show how the task gets on until it is over, and when the plate began to move.
+    """Show the task's progress until it ends, and the time at which the plate began to move.
 
     Raises
     ------
     GraphError
-        If the planner falls silent, or does not end the task in time.
+        If the planner stops publishing diagnostics, or does not end the task in time.
     """
     line, record, task = StatusLine(PROGRESS_S), observer.record, plan.scenario.task
     allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
@@ -479,7 +489,7 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
     over = record.states[-1]
-    if not over.startswith("done"):  # at once: a node that is frozen is waited for at the end
+    if not over.startswith("done"):  # print it now, because stopping a frozen node takes long
         line.end(f"Task {over}")
     observer.until(lambda: record.last("planner", "task_state") == over, 2.0)
     line.end(progress(task, record))
@@ -492,12 +502,12 @@ def moves(table: bytes) -> bool:
 
 
 def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
-    """Have a robot take parts from the feeder, over TCP; `grips` is filled.
+    """Let a simulated robot pick parts from the feeder, over TCP, and append each pick to `grips`.
 
     Raises
     ------
     GraphError
-        If the feeder does not answer, or refuses.
+        If the feeder does not answer, or refuses a command.
     """
     line, record = StatusLine(PROGRESS_S), observer.record
     if not observer.until(lambda: bool(record.last("feeder", "port")), FEEDER_S):
@@ -516,13 +526,13 @@ def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
 
 
 def clear(out: Path) -> None:
-    """Make the folder, remove an earlier run's results, so that none are taken for ours, and let
-    the link point to it if it is one of ours.
+    """Create the folder, remove the results of an earlier run in it, and set the link `LAST` to it
+    if its name is like that of `own_folder`.
 
     Raises
     ------
     PlateError
-        If that cannot be done.
+        If this fails.
     """
     try:
         (out / "logs").mkdir(parents=True, exist_ok=True)
@@ -537,28 +547,30 @@ def clear(out: Path) -> None:
 
 
 def unmade(folder: Path, problem: OSError) -> PlateError:
-    """Say that a folder of results cannot be used."""
+    """Return the error that a folder of results cannot be used."""
     why = problem.strerror or problem
     return PlateError(f"out is {folder}: {why}, allowed: a folder that can be made")
 
 
 def point(link: Path, folder: Path) -> None:
-    """Let a link point to a folder beside it; a folder of the link's name is kept under another."""
+    """Set a symbolic link to a folder in the same parent. A folder with the link's name is
+    renamed."""
     if link.is_dir() and not link.is_symlink():
         link.rename(own_folder("earlier"))
     fresh = link.with_name(f".{link.name}-{os.getpid()}")
     fresh.symlink_to(folder.name)
-    fresh.replace(link)  # in one step, so that two demos do not disturb each other
+    fresh.replace(link)  # an atomic step, because two demos may end at the same time
 
 
 def write(path: Path, result: dict[str, Any]) -> None:
-    """Write the result."""
+    """Write the result as JSON, and print the path."""
     path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     print(f"  {path}", flush=True)
 
 
 def draw(plan: Plan, record: Record) -> None:
-    """Draw strip and animation, and say where they are; an interrupt ends that."""
+    """Draw the picture strip and the animation, and print their paths. An interrupt ends the
+    drawing."""
     from record.film import develop
     from record.pictures import Scene, draw_film, draw_strip
 
@@ -566,7 +578,7 @@ def draw(plan: Plan, record: Record) -> None:
     rig = f", {rig_title(plan.options.rig_file)}" if plan.options.rig_file else ""
     title = f"{plan.scenario.name}, method {plan.options.method}{rig}"
     strip, animation = plan.out / "strip.png", plan.out / "demo.gif"
-    with signals_raise():  # again: after an interrupt the next ones were ignored
+    with signals_raise():  # set again, because signals are ignored after the first interrupt
         draw_strip(scene, strip, title)
         print(f"  {strip}", flush=True)
         draw_film(scene, animation, title)
@@ -574,12 +586,13 @@ def draw(plan: Plan, record: Record) -> None:
 
 
 def rig_title(rig: str) -> str:
-    """Return `rig desk` for a name, `my_rig.yaml` for a file."""
+    """Return a title for a rig: `rig desk` for a name, `my_rig.yaml` for a file."""
     return Path(rig).name if Path(rig).suffix else f"rig {rig}"
 
 
 class StatusLine:
-    """Rewrites itself on a terminal; elsewhere a new line, `quiet_s` after the last one [s]."""
+    """Line of output that is overwritten on a terminal. Elsewhere, a new line is printed at most
+    every `quiet_s` [s]."""
 
     PERIOD_S = 0.25
 
@@ -588,7 +601,7 @@ class StatusLine:
         self._shown_at, self._open = 0.0, False
 
     def show(self, text: str) -> None:
-        """Show what is known now."""
+        """Show a text."""
         now = time.monotonic()
         if self._terminal:
             print(f"\r\033[K  {text}", end="", flush=True)
@@ -598,7 +611,7 @@ class StatusLine:
             print(f"  {text}", flush=True)
 
     def end(self, text: str = "") -> None:
-        """End the line, with a last text that stays; without one nothing is left of it."""
+        """End the line with a last text. Without a text, erase the line."""
         if text:
             print(f"\r\033[K  {text}" if self._terminal else f"  {text}", flush=True)
         elif self._open:
@@ -607,7 +620,7 @@ class StatusLine:
 
 
 def progress(task: Task, record: Record) -> str:
-    """Return what there is to tell of a task while it runs."""
+    """Return a text on the progress of a running task, from the diagnostics."""
 
     def told(key: str) -> str:
         return record.last("planner", key)

@@ -1,4 +1,5 @@
-"""ROS domains: a program that starts nodes takes one that nobody else on this machine has."""
+"""ROS domains for test runs. Each program that starts nodes reserves a domain that no other program
+on this computer uses."""
 
 from __future__ import annotations
 
@@ -8,26 +9,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 DOMAINS = range(1, 102)
-"""ROS domains whose ports do not collide with those that Linux hands out itself."""
+"""ROS domains whose UDP ports do not collide with Linux's ephemeral ports."""
 
 
 @contextmanager
 def own_domain(chosen: int | None = None) -> Iterator[int]:
-    """Take a ROS domain for as long as the context lasts.
+    """Reserve a ROS domain until the context ends.
 
-    Two that ask at the same time get different ones: a domain is taken by a socket whose name only
-    one process at a time can have. Programs that do not ask are seen by the UDP port that the
-    first participant of a domain binds (DDSI-RTPS 9.6.1.1: 7410 + 250 domain).
+    A domain is reserved by binding a Unix socket whose name only one process can bind. So two
+    programs never get the same domain. Other programs are detected by the UDP port that the first
+    participant of a domain binds (DDSI-RTPS 9.6.1.1: port = 7410 + 250 domain).
 
     Parameters
     ----------
     chosen : int, optional
-        This one, even if others use it.
+        Domain to use without a check.
 
     Raises
     ------
     RuntimeError
-        If all are taken.
+        If all domains are in use.
     """
     if chosen is not None:
         yield chosen

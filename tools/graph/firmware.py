@@ -1,4 +1,4 @@
-"""The firmware for drives, built for this computer."""
+"""Build of the firmware for CAN drives as a program of this computer."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from plate_sim.device import rig_header
 
 
 def build(rig_file: str, kind: str, folder: Path) -> Path:
-    """Compile the firmware with a rig's limits and drives; returns the program.
+    """Compile the firmware with a rig's limits and drives, and return the program.
 
     `kind` is cia402 or odrive.
 
     Raises
     ------
     PlateError
-        If the rig's motors have no drives of that kind, or it cannot be compiled.
+        If not all motors of the rig have drives of this kind, or the compilation fails.
     """
     path = rig_path(rig_file)
     has = {motor.drive.kind if motor.drive else "bridge" for motor in load_rig(path).motors}

@@ -1,10 +1,11 @@
-"""Nodes as forks of one process that has loaded their code: they start in a fraction of the time
-and share its memory. What runs is the file that `ros2 run` would start.
+"""Starts nodes as forks of one server process that has loaded their code.
 
-A node is a child of the program that wants it, as others are: the kernel gives it to that program
-when the process ends that stood between them.
+They start in a fraction of the time, and share the memory of the code. Each runs the file that
+`ros2 run` would start. The server forks twice, so that the kernel makes the node a child of the
+program that requested it: this program is a subreaper, and the process between them ends.
 
-python tools/graph/forks.py MODULE ...    is that process: orders come at stdin, one JSON a line
+python tools/graph/forks.py MODULE ...    runs the server. It reads requests from stdin, one JSON
+                                          object per line.
 """
 
 from __future__ import annotations
@@ -34,16 +35,18 @@ AT_LOADING = (
     "AMENT_", "GLIBC_", "LD_", "NPY_", "OMP_", "OPENBLAS_", "OPENCV_", "PYTHONHOME",
     "PYTHONOPTIMIZE", "PYTHONPATH", "PYTHONWARNINGS", "ROS_PYTHON_",
 )  # fmt: skip
-"""Beginnings of variables that may be read when code is loaded: a server is for one set of them."""
+"""Prefixes of environment variables that may be read when code is loaded. A server can start only
+nodes with the same values of them."""
 
 START_S = 120.0
-"""Longest wait for the server to load its code and start a node [s]: a busy computer needs long."""
+"""Maximum wait until the server has loaded its code and started a node [s]. It is long because the
+computer may be busy."""
 
 END_S = 5.0
-"""Longest wait for the server to end [s]."""
+"""Maximum wait for the server to end [s]."""
 
 LOOK_S = 0.01
-"""Between two looks whether a node has ended [s]."""
+"""Period at which `Fork.wait` polls whether a node has ended [s]."""
 
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 
@@ -51,19 +54,21 @@ _libc = ctypes.CDLL(None)
 
 
 def end_with_parent() -> None:
-    """Have this process end when the one that started it does, also without a word."""
+    """Make the kernel send SIGTERM to this process when its parent ends for any reason."""
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class Server:
-    """The process that becomes nodes, for those who want some. It hears no signal of a terminal."""
+    """Client of the server process that starts nodes. The server has its own session, so signals of
+    a terminal do not reach it."""
 
     newest: Server | None = None
 
     def __init__(self, modules: Iterable[str], environment: Mapping[str, str]) -> None:
         self._loaded = _of_loading(environment)
         _libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, no end of a child can be heard of
+        # If SIGCHLD were ignored, the exit codes of children would be lost.
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         self._process = subprocess.Popen(
             [sys.executable, __file__, *modules],
             stdin=subprocess.PIPE,
@@ -79,20 +84,20 @@ class Server:
 
     @classmethod
     def of(cls, modules: Iterable[str], environment: Mapping[str, str]) -> Server | None:
-        """Return the one that runs, or a new one; None if other variables were in force when its
-        code was loaded."""
+        """Return the running server, or start one. Return None if it loaded its code with other
+        values of the variables in `AT_LOADING`."""
         if cls.newest is None or cls.newest._process.poll() is not None:
             cls.newest = cls(modules, environment)
         return cls.newest if cls.newest._loaded == _of_loading(environment) else None
 
     def start(self, words: list[str], environment: Mapping[str, str], log: Path) -> int:
-        """Start a node; returns its process id.
+        """Start a node, and return its process id.
 
         Raises
         ------
         OSError
-            If the server has ended: there can be no more processes. One that does not answer is
-            ended.
+            If the server has ended, for example because the limit of processes is reached, or if it
+            does not answer. It is then killed.
         """
         order = {"words": words, "environment": dict(environment), "log": str(log.absolute())}
         self._orders.write(json.dumps(order | {"folder": os.getcwd()}).encode() + b"\n")
@@ -114,13 +119,14 @@ class Server:
 
 
 class Fork:
-    """A node that a server has started, as `subprocess.Popen` has programs.
+    """A node that the server has started. It has the interface of `subprocess.Popen`.
 
     Attributes
     ----------
     pid : int
     returncode : int, optional
-        Exit code; negative: ended by that signal; None: it ran when it was looked at last.
+        Exit code. A negative one is the signal that ended the node. None if it ran at the last
+        `poll`.
     """
 
     def __init__(self, pid: int) -> None:
@@ -131,16 +137,18 @@ class Fork:
     def start(
         cls, words: list[str], environment: Mapping[str, str], log: Path, modules: Iterable[str]
     ) -> Fork | None:
-        """Start a command that is a Python script; None if it is none, or needs a process anew.
+        """Start a command that is a Python script. Return None if it is not one, or if the server
+        cannot start it.
 
         Parameters
         ----------
         words : list of str
+            Command line.
         environment : mapping of str to str
         log : path
-            File to which it adds what it says.
+            File to which the node appends its output.
         modules : iterable of str
-            What it needs: loaded with the first node, and for all others too.
+            Modules that a new server loads.
         """
         with contextlib.suppress(OSError), open(words[0], "rb") as script:
             if b"python" in script.readline(100) and (server := Server.of(modules, environment)):
@@ -148,19 +156,19 @@ class Fork:
         return None
 
     def poll(self) -> int | None:
-        """Return the exit code, if it has ended."""
+        """Return the exit code. None if the node still runs."""
         if self.returncode is None:
             ended, status = os.waitpid(self.pid, os.WNOHANG)
             self.returncode = os.waitstatus_to_exitcode(status) if ended else None
         return self.returncode
 
     def wait(self, timeout: float) -> int:
-        """Return the exit code.
+        """Wait until the node ends, and return the exit code.
 
         Raises
         ------
         subprocess.TimeoutExpired
-            It still runs after that time [s].
+            If it still runs after the time [s].
         """
         end = time.monotonic() + timeout
         while (code := self.poll()) is None:
@@ -170,7 +178,7 @@ class Fork:
         return code
 
     def send_signal(self, number: int) -> None:
-        """Send a signal, if it still runs."""
+        """Send a signal if the node still runs."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
@@ -180,49 +188,50 @@ def _of_loading(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def serve(modules: Iterable[str]) -> None:
-    """Be the server, until there are no more orders."""
+    """Run the server until stdin ends."""
     answers = os.dup(1)
-    os.dup2(2, 1)  # what code says while it is loaded
+    os.dup2(2, 1)  # modules may print while they are loaded
     for name in modules:
-        with contextlib.suppress(Exception, SystemExit):  # the node that needs it will tell
+        with contextlib.suppress(Exception, SystemExit):  # the node itself will report the error
             import_module(name)
     for module in list(sys.modules.values()):
         for kind in list(getattr(module, "__dict__", {}).values()):
             if isinstance(kind, type) and hasattr(kind, "__import_type_support__"):
                 kind.__import_type_support__()  # of a ROS message
-    sys.stdout.flush()  # or each node would say it again
+    sys.stdout.flush()  # otherwise each fork would print the buffered output again
     gc.collect()
-    gc.freeze()  # or a node's first collection copies all pages
-    # Python warns of any thread. These are rclpy's own, and each node starts them again.
+    gc.freeze()  # otherwise a node's first garbage collection would copy all shared pages
+    # Python warns if a process with threads forks. These threads are rclpy's, and each node starts
+    # its own.
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
     while order := sys.stdin.readline():
         if not (child := os.fork()):
             _become(answers, **json.loads(order))
-        if os.waitpid(child, 0)[1]:  # there can be no more processes
+        if os.waitpid(child, 0)[1]:  # the second fork failed: no more processes are allowed
             return
 
 
 def _become(
     answers: int, words: list[str], environment: dict[str, str], log: str, folder: str
 ) -> None:
-    """Be a node: a session, an environment and a log of its own, as a new process has."""
+    """Become a node, with its own session, environment and log, like a new process."""
     code: Any = 1
     try:
         between = os.getpid()
         if os.fork():
             os._exit(0)
-        while os.getppid() == between:  # then the program is the parent
+        while os.getppid() == between:  # wait until the requesting program is the parent
             time.sleep(1e-3)
         end_with_parent()
         os.setsid()
-        os.write(answers, f"{os.getpid()}\n".encode())  # fails if the program has ended before
+        os.write(answers, f"{os.getpid()}\n".encode())  # raises if the program has ended
         os.close(answers)
         said = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         for number in (1, 2):
             os.dup2(said, number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
-        faulthandler.enable()  # a crash shows where it was
+        faulthandler.enable()  # a crash prints its traceback
         for stream in (sys.stdout, sys.stderr):
             assert isinstance(stream, TextIOWrapper)
             stream.reconfigure(line_buffering=True)
@@ -238,13 +247,13 @@ def _become(
         if not isinstance(code, int):
             print(code, file=sys.stderr)
             code = 1
-    except BaseException:  # whatever it is, as Python shows it when a program ends
+    except BaseException:  # print any exception, as Python does at the end of a program
         traceback.print_exc()
     finally:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-        os._exit(code)  # at an end as of other programs, libraries of a fork crash
+        os._exit(code)  # the usual exit handlers of some libraries crash in a fork
 
 
 if __name__ == "__main__":

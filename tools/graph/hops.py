@@ -1,4 +1,8 @@
-"""When each message on the way from image to motors was published, as the middleware notes it."""
+"""Publication times of each message in the chain from the image to the motor setpoints.
+
+The times are the middleware's source timestamps. Messages that answer the same image have its
+stamp, so they are collected by stamp.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +19,17 @@ from plate_core.ros import CAMERA
 from .relays import CHAIN
 
 STAMP = struct.Struct("<4xiI")
-"""Begin of a message on the wire: encapsulation, then the header's stamp."""
+"""First bytes of a serialised message: 4 bytes of encapsulation, then the header's stamp."""
 
 
 class Listener:
-    """A node that hears messages, and when they were published, in a thread of its own; a context
-    manager, inside an `Observer`'s."""
+    """ROS node that receives messages with their publication times, in a separate thread. Use it as
+    a context manager inside the one of an `Observer`."""
 
     def __init__(self, name: str, namespace: str = "") -> None:
         self.node = rclpy.create_node(name, namespace=namespace)
-        self._executor = SingleThreadedExecutor()  # EventsExecutor has no raw messages with times
+        # EventsExecutor does not support raw messages with publication times.
+        self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
 
@@ -39,21 +44,22 @@ class Listener:
 
 
 class Hops(Listener):
-    """Listens to the topics of `CHAIN`.
+    """Receives the topics of `CHAIN`.
 
     Parameters
     ----------
     namespace : str
     images : bool
-        Whether to listen to images too; if not, they count as published at their stamp.
+        Whether to receive images. Otherwise an image counts as published at its stamp.
 
     Attributes
     ----------
     times : dict of int to list
-        Stamp of an image [ns] -> when it and its answers were published [ns, UTC], in the order of
-        `CHAIN`; 0: not yet. Of several answers the first counts.
+        For each image's stamp [ns], the publication times of the image and of its answers [ns,
+        UTC], in the order of `CHAIN`. 0 if not published yet. If a topic has several messages with
+        the stamp, the first one counts.
     newest : dict of str to bytes
-        The last message of each topic, as on the wire.
+        Last message of each topic, serialised.
     """
 
     def __init__(self, namespace: str = "", images: bool = True) -> None:

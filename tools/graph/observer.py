@@ -1,4 +1,8 @@
-"""The sixth process: sees the nodes over DDS, starts the task, and keeps what was heard of it."""
+"""ROS node of the test tools. It watches the nodes of a graph, starts tasks, and records messages.
+
+`Observer` waits for nodes, images and states with a time limit, and raises `GraphError` with the
+nodes' own messages if they do not come. `Record` keeps the messages of one run.
+"""
 
 from __future__ import annotations
 
@@ -29,55 +33,55 @@ from plate_core.tasks import Scenario
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
 MOST_IMAGES = 240
-"""Images kept for drawing (300 kB each)."""
+"""Maximum number of images kept for drawing, 300 kB each."""
 
 ALL = QoSProfile(depth=200)
-"""We want to hear everything, also when we are slow."""
+"""Queue that is long enough to lose no message while this process is slow."""
 
 CALL_S, AGAIN_S = 10.0, 1.0
-"""Longest wait for a service, and time after which one that may be called twice is [s]: DDS may
-lose the first answer of a service that was just found."""
+"""Maximum wait for a service's reply, and time after which a service that may be called twice is
+called again [s]. DDS may lose the first reply of a service that was just discovered."""
 
 AFTER = {
     "configure": "inactive", "activate": "active", "deactivate": "inactive",
     "cleanup": "unconfigured",
 }  # fmt: skip
-"""States of a lifecycle after its transitions."""
+"""State of a lifecycle node after each transition."""
 
 POLL_S = 0.05
 
 LOOK_S = 0.25
-"""Between two looks why there is no answer yet [s]."""
+"""Period at which a wait reports its progress [s]."""
 
 ANSWERED_S = 15.0
-"""Longest wait for the first answer once all nodes have told how they are [s]."""
+"""Maximum wait for the first plate_cycle after all nodes have published diagnostics [s]."""
 
 FRESH_S = 2.5
-"""What a node has said counts for so long [s]: it says something each second."""
+"""Maximum wait for new diagnostics of a node, which publishes them once per second [s]."""
 
 CALL_AGAIN = ": call again"
-"""What the driver ends with that has just stood still, as on a busy computer."""
+"""End of the driver's reply if its process has just stalled, as on a busy computer."""
 
 READY_S = 15.0
-"""Longest wait until the driver is ready [s]: the device may have to find home first, for 5 s."""
+"""Maximum wait until the driver is ready [s]. Homing of the device may take 5 s."""
 
 ACCEPTED_S = 5.0
-"""Longest wait until a task may be started [s]: the planner hears of the driver and of images when
-we do, or a little later."""
+"""Maximum wait until the planner accepts a task [s]. It may receive the driver's status and the
+images a little later than this process."""
 
 PERSONS = (
     DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT, DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
-"""Stops by somebody who saw a danger."""
+"""Reasons of stops that a person must clear."""
 
 SETTLE_S = 0.5
-"""Time in which all images of parts that were put elsewhere are answered [s]."""
+"""Time in which all images from before a reset of the parts are processed [s]."""
 
 
 @dataclass
 class Thinned:
-    """A list that never grows beyond `most`: when full, every other item goes, and from then on
-    only every second, fourth, ... new one is taken."""
+    """A list of limited length. When it has `most` items, every second one is removed. From then
+    on only every second, fourth, ... new item is kept."""
 
     most: int = MOST_IMAGES
     items: list[Any] = field(default_factory=list)
@@ -85,7 +89,7 @@ class Thinned:
     count: int = 0
 
     def add(self, item: Any) -> None:
-        """Take the item, or not."""
+        """Append the item, or skip it if items are being thinned."""
         if self.count % self.step == 0:
             self.items.append(item)
             if len(self.items) >= self.most:
@@ -96,21 +100,22 @@ class Thinned:
 
 @dataclass(frozen=True)
 class Said:
-    """What a node said of itself, or of the driver or the task.
+    """One received message of diagnostics, driver_status or task_status.
 
     Attributes
     ----------
     at : float
-        When it came [s, monotonic].
+        Arrival time [s, monotonic].
     stamp : int
-        What it was about [ns].
+        Stamp of the message [ns].
     text : str
+        Its text.
     level : Level
-        Of diagnostics.
+        Severity, for diagnostics.
     state : int
-        Of a status.
+        State, for a status.
     values : dict of str to str
-        Of diagnostics.
+        Values, for diagnostics.
     """
 
     at: float
@@ -123,26 +128,28 @@ class Said:
 
 @dataclass
 class Record:
-    """Messages of one run, undecoded where decoding would steal time from the nodes.
+    """Messages of one run. Frequent ones are kept serialised, because deserialising them would slow
+    down the nodes.
 
     Attributes
     ----------
     truth, tables : list of bytes
-        All messages of ground_truth (without a simulator: of parts) and of motor_setpoints.
+        All messages of ground_truth and of motor_setpoints. Without a simulator, `truth` has the
+        messages of parts.
     simulated : bool
         Whether there is a simulator.
     answers : int
         Number of plate_cycle messages.
     images : Thinned
-        Some of image_raw, as bytes.
+        A selection of image_raw, serialised.
     said : dict of str to list of Said
         Diagnostics by node.
     drivers, tasks : list of Said
-        Statuses of the driver and, each text once, of the task.
+        All driver_status messages, and the task_status messages with a new text.
     status : TaskStatus, optional
-        The newest.
+        Newest task_status.
     driver : DriverStatus, optional
-        The newest.
+        Newest driver_status.
     """
 
     truth: list[bytes] = field(default_factory=list)
@@ -157,27 +164,27 @@ class Record:
     driver: DriverStatus | None = None
 
     def last(self, node: str, key: str, default: str = "") -> str:
-        """Return the newest value that a node has reported."""
+        """Return a value of the newest diagnostics of a node that have values."""
         reports = self.reports(node)
         return reports[-1].values.get(key, default) if reports else default
 
     def reports(self, node: str) -> list[Said]:
-        """Return what a node has said with values."""
+        """Return the diagnostics of a node that have values."""
         return [said for said in self.said.get(node, []) if said.values]
 
     @property
     def states(self) -> list[str]:
-        """What the planner said of the task, in words."""
+        """Texts of task_status so far."""
         return [said.text for said in self.tasks]
 
     @property
     def ready(self) -> bool:
-        """Whether cycles reach the motors."""
+        """Whether the driver is ready to play cycles."""
         return self.driver is not None and self.driver.state == DriverStatus.READY
 
     @property
     def done(self) -> bool:
-        """Whether the task is over, and its goal reached."""
+        """Whether the task has reached its goal."""
         return self.status is not None and self.status.state == TaskStatus.DONE
 
     @property
@@ -187,26 +194,28 @@ class Record:
 
     @property
     def ended(self) -> bool:
-        """Whether the task is over."""
+        """Whether the task has ended."""
         going = (TaskStatus.IDLE, TaskStatus.RUNNING)
         return self.status is not None and self.status.state not in going
 
 
 class Observer:
-    """A node of its own in this process; a context manager.
+    """ROS node in this process that records messages and calls services. Use it as a context
+    manager.
 
     Parameters
     ----------
     domain : int
         ROS domain.
     pulse : callable, optional
-        The first of `pulses`.
+        First item of `pulses`.
     pictures : bool
-        Whether to listen to images.
+        Whether to record images.
     waiting : callable, optional
-        Called with what is waited for, while it is.
+        Called during a wait, with a text on the missing event.
     simulated : bool
-        Whether places of parts come from a simulator; otherwise from the detector.
+        Whether to record the parts' true positions from the simulator. Otherwise those from the
+        detector are recorded.
 
     Attributes
     ----------
@@ -214,7 +223,7 @@ class Observer:
     domain : int
     node : Node
     pulses : list of callables
-        Called about every `POLL_S` while waiting; each may raise to end the wait.
+        Called about every `POLL_S` during a wait. Each may raise an exception to end the wait.
     """
 
     def __init__(
@@ -263,7 +272,7 @@ class Observer:
 
     def _on_task(self, msg: TaskStatus) -> None:
         self.record.status = msg
-        if self.record.states[-1:] != [msg.text]:  # it is said with each image
+        if self.record.states[-1:] != [msg.text]:  # the same text is published with each image
             self.record.tasks.append(_said(msg))
 
     def _on_driver(self, msg: DriverStatus) -> None:
@@ -278,11 +287,12 @@ class Observer:
 
     @cached_property
     def client(self) -> PlateClient:
-        """The client of the planner's actions."""
+        """Client of the planner's actions."""
         return PlateClient(self.node, self.until)
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
-        """Listen until the condition holds; False if it does not within the time [s]."""
+        """Receive messages until the condition is true. Return False if it is not true within the
+        time [s]."""
         end = time.monotonic() + timeout_s
         while not true():
             now = time.monotonic()
@@ -296,17 +306,17 @@ class Observer:
         return True
 
     def seen(self, names: Iterable[str]) -> list[str]:
-        """Return those of the names that are in the graph now."""
+        """Return the names of the nodes that are now visible in the ROS graph."""
         there = self.node.get_node_names()
         return [name for name in names if name in there]
 
     def await_nodes(self, names: list[str], timeout_s: float) -> list[str]:
-        """Wait until all nodes are in the graph, and return their names.
+        """Wait until all nodes are visible in the ROS graph, and return their names.
 
         Raises
         ------
         GraphError
-            Names those that did not appear within the time [s].
+            If some do not appear within the time [s]. The message names them.
         """
 
         def missing() -> list[str]:
@@ -323,12 +333,12 @@ class Observer:
         return self.seen(names)
 
     def await_camera(self, timeout_s: float) -> None:
-        """Wait until somebody publishes images.
+        """Wait until images have a publisher.
 
         Raises
         ------
         GraphError
-            If nobody does within the time [s].
+            If there is no publisher within the time [s].
         """
         topics = ("image_raw", "image_raw/compressed")
         if not self.until(lambda: any(map(self.node.count_publishers, topics)), timeout_s):
@@ -339,19 +349,19 @@ class Observer:
             )
 
     def await_answers(self, timeout_s: float, names: Iterable[str] = ()) -> None:
-        """Wait until images are answered as far as the solver.
+        """Wait for the first plate_cycle, which the solver publishes in answer to an image.
 
         Parameters
         ----------
         timeout_s : float
-            Longest wait [s].
+            Maximum wait [s].
         names : iterable of str
-            Nodes: once all have told how they are, `ANSWERED_S` is long enough.
+            Nodes. After all of them have published diagnostics, the wait ends within `ANSWERED_S`.
 
         Raises
         ------
         GraphError
-            If that does not happen: what the nodes say.
+            If no cycle arrives. The message contains the nodes' own messages.
         """
         names = list(names)
         began, allowed_s = time.monotonic(), timeout_s
@@ -368,7 +378,8 @@ class Observer:
                 )
 
     def blame(self) -> str:
-        """Say why images are not answered: the first node on their way that says so, or all."""
+        """Return the reason why no cycle arrives: the message of the first node in the chain with
+        an error. If none has an error, the messages of all nodes."""
         newest = {name: said[-1] for name, said in self.record.said.items()}
         for name in ("detector", "planner", "solver"):
             if name in newest and newest[name].level in (Level.ERROR, Level.STALE):
@@ -377,24 +388,26 @@ class Observer:
         return "; ".join(told) or "no node says how it is"
 
     def activate_driver(self) -> None:
-        """Let the driver pass on what the solver answers, as far as the motors may move.
+        """Configure and activate the driver, so that it forwards the solver's cycles.
 
         Raises
         ------
         GraphError
-            If it refuses: why.
+            If it refuses. The message contains the reason.
         """
         for transition in ("configure", "activate"):
             self.change_state("driver", transition)
 
     def change_state(self, node: str, transition: str) -> None:
-        """Have a node make a transition of its lifecycle. One that is made, but whose answer was
-        lost, is refused when it is asked for again.
+        """Request a lifecycle transition of a node.
+
+        If DDS loses the reply, the second call is refused because the transition is already done.
+        So a refusal counts as success if the node is in the state after the transition.
 
         Raises
         ------
         GraphError
-            If it refuses: why.
+            If it refuses. The message contains the reason.
         """
         request = ChangeState.Request(transition=Transition(label=transition))
         if self.call(ChangeState, f"{node}/change_state", request, AGAIN_S).success:
@@ -408,12 +421,13 @@ class Observer:
         raise GraphError(f"{transition} refused, {node} says: {told}")
 
     def check_not_stopped(self) -> None:
-        """Refuse to begin where somebody has stopped motors or task: that is theirs to undo.
+        """Check that nobody has stopped the motors or the task. Only a person may clear such a
+        stop.
 
         Raises
         ------
         GraphError
-            Says what was stopped.
+            If something was stopped. The message names it.
         """
         driver, task = self.record.driver, self.record.status
         if driver is not None and driver.reason in PERSONS:
@@ -422,15 +436,17 @@ class Observer:
             raise GraphError("stopped before the task began: somebody called the service stop")
 
     def enable(self) -> None:
-        """Set the motors free, as a person does who has looked at the rig; returns when they are.
+        """Enable the motors, as an operator does after a look at the rig, and wait until the driver
+        is ready.
 
         Raises
         ------
         GraphError
-            If that is refused, or they are not ready in time.
+            If the driver refuses, or is not ready in time.
         """
         record, starting = self.record, (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE)
-        soon = *starting, DriverStatus.BRAKING  # images may be answered before the driver has begun
+        # States that end by themselves. Images may be answered before the driver is active.
+        soon = *starting, DriverStatus.BRAKING
         self.until(lambda: record.driver is not None and record.driver.state not in soon, READY_S)
         answer = SetBool.Response()
 
@@ -445,12 +461,12 @@ class Observer:
         self.await_ready()
 
     def await_ready(self) -> None:
-        """Wait until the driver says that it is ready.
+        """Wait until the driver is ready.
 
         Raises
         ------
         GraphError
-            If it does not in time: what it says instead.
+            If it is not ready in time. The message contains its status.
         """
         end = time.monotonic() + READY_S
         while not self.until(lambda: self.record.ready, LOOK_S):
@@ -460,12 +476,13 @@ class Observer:
             self._waiting(f"waiting for the driver, it says: {said}")
 
     def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
-        """Send the goal of a scenario; for a moment it may still be refused.
+        """Send the goal of a scenario, and wait until its task runs or has ended. A refused goal is
+        sent again for `ready_timeout_s` [s].
 
         Raises
         ------
         GraphError
-            If it is refused for longer: why.
+            If it is refused for longer. The message contains the reason.
         """
         if ready_timeout_s:
             self.await_ready()
@@ -474,17 +491,17 @@ class Observer:
             task = self.client.start(scenario, ready_timeout_s, self._waiting)
         except PlateError as refusal:
             raise GraphError(str(refusal)) from None
-        # What was said of the task before may come after the new goal was sent.
+        # The status of an earlier task may arrive after the new goal was sent.
         self.until(lambda: task.ended or self.record.running, ACCEPTED_S)
         return task
 
     def call(self, kind: Any, service: str, request: Any, again_s: float = CALL_S) -> Any:
-        """Call a service and return its answer; again after so long without one [s].
+        """Call a service, and return its reply. If there is none for `again_s` [s], call it again.
 
         Raises
         ------
         GraphError
-            If there is none within `CALL_S`.
+            If there is no reply within `CALL_S`.
         """
         client = self.node.create_client(kind, service)
         try:
@@ -500,7 +517,7 @@ class Observer:
             self.node.destroy_client(client)
 
     def trigger(self, service: str) -> str:
-        """Call a service such as `stop` and return what it says.
+        """Call a service such as `stop`, and return the message of its reply.
 
         Raises
         ------
@@ -513,18 +530,18 @@ class Observer:
         return str(answer.message)
 
     def begin_anew(self, scenario: Scenario) -> None:
-        """Put the parts down anew, forget where they were, and start the task.
+        """Put the parts down again, reset the detector's tracking, and start the task.
 
         The driver must be ready.
 
         Raises
         ------
         GraphError
-            If that is refused.
+            If a call or the goal is refused.
         """
         for service in ("stop", "simulator/reset", "detector/reset"):
             self.trigger(service)
-        self.until(lambda: False, SETTLE_S)  # images of the old parts are on their way
+        self.until(lambda: False, SETTLE_S)  # images from before the reset are still in the queues
         self.trigger("detector/reset")
         self.record.tasks.clear()
         self.start(scenario)
@@ -535,7 +552,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If it refuses: why.
+            If it refuses. The message contains the reason.
         """
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]

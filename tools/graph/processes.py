@@ -1,4 +1,8 @@
-"""The nodes as processes of their own: started, watched, and stopped without leftovers."""
+"""Processes of the nodes: starts, watches and stops them. No process remains after a run.
+
+Each node has its own process, log and parameter file. Stopping sends SIGINT, then SIGTERM, then
+SIGKILL. `signals_raise` and `signals_wait` control how signals interrupt this program meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -17,29 +21,30 @@ from plate_core import config_path
 from .forks import Fork, end_with_parent
 
 KILL_S = 3.0
-"""Time for the system to end a node that must [s]."""
+"""Maximum time until a process has ended after SIGKILL [s]."""
 
 STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, KILL_S))
-"""Signals that stop a node, and how long each may take [s]."""
+"""Signals that stop a node, and the time until the next one is sent [s]."""
 
 LAST = "device"
-"""Ends after the others: the driver has it brake when it ends."""
+"""Process that is stopped after the others, because the driver makes the device brake when it
+ends."""
 
 TAIL_LINES = 12
-"""Last lines of a log that are shown when a node has failed."""
+"""Number of last lines of a log that are shown when a node has failed."""
 
 MOST_ENDS, WITHIN_S = 5, 60.0
-"""A program that ends by itself so often within so long [s] is not started again."""
+"""Number of ends within a time [s] after which a program is not started again."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that ask a program to end."""
+"""Signals that request the end of a program."""
 
 ONE_PROCESS = "one_process"
-"""The program that runs all nodes, and the name of its log."""
+"""Name of the program that runs all nodes, and of its log."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asked us to stop; `number` is the signal."""
+    """A signal has requested the end of this program. `number` is the signal."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -48,9 +53,10 @@ class Interrupted(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def signals_raise() -> Iterator[None]:
-    """Turn the first signal that ends a program into `Interrupted`, so that `finally` is reached.
+    """Context in which the first signal of `ENDING` raises `Interrupted`, so that `finally` blocks
+    run.
 
-    Later ones are ignored, so that what is to be done at the end is done.
+    Later signals are ignored, so that the cleanup is not interrupted.
     """
 
     def on_signal(number: int, frame: object) -> None:
@@ -68,7 +74,8 @@ def signals_raise() -> Iterator[None]:
 
 @contextlib.contextmanager
 def signals_wait() -> Iterator[None]:
-    """Hold signals back while something must not be interrupted; they take effect at its end."""
+    """Context that must not be interrupted. The first signal of `ENDING` takes effect at its
+    end."""
     pending: list[int] = []
     before = {number: signal.getsignal(number) for number in ENDING}
     for number in ENDING:
@@ -83,7 +90,7 @@ def signals_wait() -> Iterator[None]:
 
 
 def ros_environment(domain: int) -> dict[str, str]:
-    """Return the variables that keep a graph on this machine and in its own domain."""
+    """Return the environment variables that restrict a graph to this computer and to a domain."""
     return {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -96,7 +103,13 @@ def ros_environment(domain: int) -> dict[str, str]:
 
 
 def executable(package: str, name: str) -> Path:
-    """Return the file that `ros2 run` would start."""
+    """Return the file that `ros2 run` would start.
+
+    Raises
+    ------
+    GraphError
+        If it is not installed.
+    """
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
     for prefix in prefixes:
         path = prefix / "lib" / package / name
@@ -109,29 +122,30 @@ ROS_ARGS = ("--ros-args", "--disable-external-lib-logs", "--params-file")
 
 
 class Processes:
-    """All nodes of a run. A context manager: at its end none of them is left.
+    """Processes of all nodes of a run. Use it as a context manager, which stops them at its end.
+
+    If all nodes run in one process, its name is `ONE_PROCESS`. Use this name in all methods.
 
     Parameters
     ----------
     nodes : iterable of GraphNode
     options : RunOptions
-        Decides their parameters.
+        Determines the nodes' parameters.
     logs : path
-        Folder for NODE.log and its parameters, NODE.yaml; or of one_process.
+        Folder for each process's log NAME.log and parameters NAME.yaml.
     domain : int
         ROS domain.
     prefix : mapping of str to list, optional
         Words before the command line of a node.
     environment : mapping, optional
-        Variables over those of `ros_environment`.
+        Environment variables in addition to `ros_environment`. They override it.
     remaps : mapping of str to (str, str), optional
-        By node a topic, and the name that it has for this node alone.
+        For a node, a topic and the name to which only this node's topic is remapped.
 
     Attributes
     ----------
     exit_codes : dict of str to int
-        By node, once stopped; negative: ended by that signal. Of all nodes in one process: by
-        `one_process`, which is then the name to be given here.
+        Exit code by process, after `stop`. A negative one is the signal that ended the process.
     """
 
     def __init__(
@@ -162,7 +176,7 @@ class Processes:
             words = [*prefix.get(name, []), *words, *ROS_ARGS, str(config_path("nodes.yaml"))]
             remap = ["-r", ":=".join(remaps[name])] if name in remaps else []
             self._commands[name] = [*words, "--params-file", str(file), *remap]
-        traced = {"PYTHONFAULTHANDLER": "1"}  # a crash shows where it was
+        traced = {"PYTHONFAULTHANDLER": "1"}  # a crash prints its traceback
         self._environment = os.environ | traced | ros_environment(domain) | dict(environment or {})
         self._running: dict[str, Fork | subprocess.Popen[bytes]] = {}
 
@@ -179,7 +193,8 @@ class Processes:
         self.stop()
 
     def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
-        # A session of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
+        # Each process has its own session. So Ctrl-C in the terminal reaches only this program,
+        # which then stops the nodes.
         with self.log(name).open(log_mode) as log, signals_wait():
             if fork := Fork.start(words, self._environment, self.log(name), self._modules):
                 self._running[name] = fork
@@ -195,19 +210,19 @@ class Processes:
             )
 
     def add(self, commands: Mapping[str, list[str]]) -> None:
-        """Start other programs beside the nodes; what is said of nodes holds for them too."""
+        """Start other programs, and treat them like nodes."""
         self._commands |= commands
         for name, words in commands.items():
             self._start(name, words)
 
     def restart(self, name: str, *words: str) -> None:
-        """Start a node that has ended again, with these words after its command line; its log goes
-        on."""
+        """Start a node again that has ended, with these words added to its command line. Its log is
+        continued."""
         self._start(name, [*self._commands[name], *words], "ab")
 
     @property
     def names(self) -> list[str]:
-        """Names of what runs."""
+        """Names of the processes that were started."""
         return list(self._running)
 
     def log(self, name: str) -> Path:
@@ -219,24 +234,24 @@ class Processes:
         return self._running[name].pid
 
     def check(self) -> None:
-        """Raise if a node has ended by itself; those that only look on may.
+        """Check that no node has ended, except nodes that only display.
 
         Raises
         ------
         GraphError
-            Names the node and its exit code, and shows the end of its log.
+            If one has ended. The message has its name, its exit code and the end of its log.
         """
         for name in self._running:
             if name not in self._views and (end := self.end_of(name)):
                 raise GraphError(end)
 
     def end_of(self, name: str) -> str:
-        """Say how a node has ended, and show the end of its log; empty: it runs."""
+        """Return a text with the exit code of a node and the end of its log. Empty if it runs."""
         code = self._running[name].poll()
         return "" if code is None else f"{name} {ended(code)}\n{self.tail(name)}"
 
     def tail(self, name: str) -> str:
-        """Return the last lines of a node's log, and where the rest is."""
+        """Return the last lines of a node's log, and the path of the log."""
         path = self.log(name)
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]
         return "\n".join([*(f"    {line}" for line in lines), f"  log: {path}"])
@@ -246,12 +261,13 @@ class Processes:
         self._running[name].send_signal(number)
 
     def wait(self, name: str, timeout_s: float) -> int:
-        """Return the exit code of a node that ends within the time [s].
+        """Wait until a node ends, and return its exit code.
 
         Raises
         ------
         GraphError
-            It has not: it is ended, and its log shows where each of its threads was.
+            If it does not end within the time [s]. It is then aborted, and its log shows the
+            traceback of each thread.
         """
         process = self._running[name]
         try:
@@ -264,7 +280,7 @@ class Processes:
             raise GraphError(f"{name} has not ended within {timeout_s:g} s\n{log}") from None
 
     def stop(self) -> dict[str, int]:
-        """End all nodes, politely at first, and return their exit codes."""
+        """Stop all nodes by the signals of `STOP_SIGNALS`, and return their exit codes."""
         with signals_wait():
             for number, seconds in STOP_SIGNALS:
                 for last in (False, True):
@@ -287,20 +303,20 @@ class Processes:
 
 
 class Ends:
-    """Counts how often a program has ended by itself, for who starts it again."""
+    """Counts how often a program has ended, to limit how often it is started again."""
 
     def __init__(self) -> None:
         self._times: deque[float] = deque(maxlen=MOST_ENDS)
 
     def too_many(self, now: float) -> bool:
-        """Count an end at a time [s]; tell whether it was the last of `MOST_ENDS` within
+        """Count an end at the time `now` [s]. Return whether there were `MOST_ENDS` within
         `WITHIN_S`."""
         self._times.append(now)
         return len(self._times) == MOST_ENDS and now - self._times[0] <= WITHIN_S
 
 
 def ended(code: int) -> str:
-    """Say how a process ended."""
+    """Return a text on how a process ended."""
     if code >= 0:
         return f"ended with exit code {code}"
     return f"was ended by {signal.Signals(-code).name}"

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Nodes that only pass on what they get: the gate, and a graph in which nothing is computed.
+"""Nodes that only forward messages: the gate, and a graph that computes nothing.
 
 python tools/graph/relays.py gate TRANSPORT
-    Hands the main input of each node on to it, until its parameter `cut` names one: what a cut
-    cable, a wrong remapping or a filter that has died look like to the node behind it. Its process
-    runs, those before it run, and nothing comes.
+    Forwards the main input of each node, except of the node that its parameter `cut` names. For
+    this node it looks like a cut cable, a wrong remapping or a crashed filter: all processes run,
+    but no message arrives.
 
 python tools/graph/relays.py NODE FOLDER
-    One node of a graph with the same topics, types, sizes and qualities of service as the real
-    one's, in a namespace of its own: what the middleware and Python alone take. The camera sends
-    its image half a cycle after the real one, so that the two graphs take turns. The messages are
-    files of FOLDER, as on the wire.
+    One node of a graph with the same topics, types, message sizes and qualities of service as the
+    real one, in the namespace `beside`. It measures the time that the middleware and Python take.
+    Its camera publishes an image half a cycle after the real one, so that the two graphs alternate.
+    The messages are files in FOLDER, serialised.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ CHAIN: tuple[tuple[str, Any], ...] = (
     ("plate_cycle", JointTrajectory),
     ("motor_setpoints", JointTrajectory),
 )
-"""Topics from image to motors."""
+"""Topics from the image to the motor setpoints, with their types."""
 
 NODES = ("simulator", "detector", "planner", "solver", "driver")
-"""Who publishes them."""
+"""Nodes that publish the topics of `CHAIN`, in the same order."""
 
 GATE, NAMESPACE = "gate", "beside"
 
@@ -51,23 +51,24 @@ SHORTEST_NS, LONGEST_NS = 10_000_000, 500_000_000
 def inputs(transport: str) -> dict[str, tuple[str, Any]]:
     """Return topic and type of the main input of each node."""
     found = dict(zip((*NODES[1:], NODES[0]), CHAIN, strict=True))
-    if transport == "serial":  # a device moves the plate
+    if transport == "serial":  # the device moves the plate, and publishes its motion
         found["simulator"] = ("motor_motion", JointTrajectory)
     return found
 
 
 def remaps(transport: str) -> dict[str, tuple[str, str]]:
-    """Return what puts each node behind the gate."""
+    """Return the remapping of each node's main input to the gate's output."""
     return {node: (topic, f"{GATE}/{topic}") for node, (topic, _) in inputs(transport).items()}
 
 
 def command(*words: str) -> list[str]:
-    """Return the command line of the gate, or of a node that forwards: a script to fork."""
+    """Return the command line of the gate, or of a node that forwards."""
     return [__file__, *words]
 
 
 class Gate(Node):
-    """Node `gate`: its parameter `cut` names the node that gets nothing; empty: all get theirs."""
+    """Node `gate`. Its parameter `cut` names the node whose input is blocked. If it is empty, all
+    inputs are forwarded."""
 
     def __init__(self, transport: str) -> None:
         super().__init__(GATE)
@@ -87,7 +88,8 @@ class Gate(Node):
 
 
 class Forwarder(Node):
-    """Publishes the same message whenever one of the topic before comes."""
+    """Publishes the same message whenever a message of the preceding topic arrives. The first one
+    follows the real camera."""
 
     def __init__(self, number: int, folder: Path) -> None:
         super().__init__(NODES[number], namespace=NAMESPACE)
@@ -103,7 +105,7 @@ class Forwarder(Node):
         else:
             topic, kind = CHAIN[number - 1]
             self.create_subscription(kind, topic, self._on_message, DATA if number > 1 else CAMERA)
-        if NODES[number] == "planner":  # it hears what is sent to the plate, too
+        if NODES[number] == "planner":  # the real planner also subscribes to plate_cycle
             self.create_subscription(JointTrajectory, "plate_cycle", lambda _: None, DATA)
 
     def _on_real(self, msg: CameraInfo) -> None:

@@ -1,5 +1,9 @@
-"""A robot that takes parts from a running feeder: it talks to it over TCP as a robot controller
-does, and moves the simulator's robot."""
+"""A robot controller that picks parts from a running feeder.
+
+It sends commands to the feeder over TCP, as a real robot controller does, and moves the simulator's
+robot by the service simulator/move_robot. The order and times of its steps are those of
+`plate_bringup.production.Robot`.
+"""
 
 from __future__ import annotations
 
@@ -20,30 +24,32 @@ from plate_interfaces.srv import MoveRobot
 from .observer import Observer, Record
 
 CONNECT_S, ANSWER_S = 10.0, 60.0
-"""Longest wait for the server, and for an answer [s]."""
+"""Maximum wait for a connection to the server, and for its reply [s]."""
 
 CALL_S = 2.0
-"""Longest wait for the simulator [s]."""
+"""Maximum wait for the simulator's reply [s]."""
 
 NEAR_MM, NEAR_DEG = 0.5, 2.0
-"""A part that lies further from where it was said may be missed by a gripper."""
+"""Maximum error of a published part pose: position [mm] and angle [deg]. A gripper may miss a part
+with a larger error."""
 
 VALUE = re.compile(r"(\w+)=(\S+)")
 
 
 @dataclass(frozen=True)
 class Grip:
-    """One try to take a part.
+    """One attempt to pick a part.
 
     Attributes
     ----------
     waited_s : float
-        How long the robot waited for the answer, ready to come [s].
+        Time for which the robot was ready and waited for the feeder's reply [s].
     taken : bool
+        Whether the robot has the part.
     error_m, error_rad : float
-        How far the true part was from where it was told [m, rad].
+        Difference between the part's true pose and the pose in the reply [m, rad].
     cycle_s : float
-        Time since the last grip, or the beginning [s].
+        Time since the last attempt, or since the start [s].
     """
 
     waited_s: float
@@ -55,17 +61,17 @@ class Grip:
 
 @dataclass
 class Robot:
-    """A robot at a running feeder of this machine; a context manager.
+    """Robot at a running feeder on this computer. Use it as a context manager.
 
     Parameters
     ----------
     observer : Observer
     port : int
-        Of the feeder's TCP server.
+        Port of the feeder's TCP server.
     cycle_s : float
-        Time from one grip to the next, if it never waits [s].
+        Time between two picks if the robot never waits [s].
     grips : list of Grip
-        So far.
+        Attempts so far.
     """
 
     observer: Observer
@@ -87,12 +93,12 @@ class Robot:
         self.observer.node.destroy_client(self._client)
 
     def ask(self, line: str, timeout_s: float = ANSWER_S) -> tuple[int, str]:
-        """Send a command; return code and text of its answer.
+        """Send a command, and return code and text of the reply.
 
         Raises
         ------
         GraphError
-            If there is none in time, or the connection ends.
+            If there is no reply in time, or the connection ends.
         """
         self.send(line)
         return self.answer(timeout_s)
@@ -102,7 +108,7 @@ class Robot:
         self._socket.sendall(line.encode() + b"\n")
 
     def answer(self, timeout_s: float = ANSWER_S) -> tuple[int, str]:
-        """Wait for an answer; see `ask`."""
+        """Wait for a reply, and return its code and text. Raises as `ask` does."""
         if not self.observer.until(self._answered, timeout_s):
             raise GraphError(f"the feeder has not answered within {timeout_s:g} s")
         line, _, self._text = self._text.partition(b"\n")
@@ -120,12 +126,13 @@ class Robot:
         return b"\n" in self._text
 
     def work(self, picks: int) -> Iterator[Grip]:
-        """Take so many parts, by the rules of `plate_bringup.production`; yield every try.
+        """Pick `picks` parts, with the steps of `plate_bringup.production.Robot`. Yield every
+        attempt.
 
         Raises
         ------
         GraphError
-            If the feeder refuses a command: its answer.
+            If the feeder refuses a command. The message contains its reply.
         """
         arm, name = Arm(self.cycle_s, self._now(), Act.ASK), ""
         while picks > 0 or arm.next is Act.LEAVE:
@@ -151,7 +158,7 @@ class Robot:
                 yield self.grips[-1]
 
     def _done(self, line: str) -> str:
-        """Send a command that must be done; return the answer's text."""
+        """Send a command that must succeed, and return the text of the reply."""
         code, text = self.ask(line)
         if code != 200:
             raise GraphError(f"{line}: {code} {text}")
@@ -170,8 +177,17 @@ class Robot:
 def feed_result(
     grips: list[Grip], record: Record, picks: int, wanted: Iterable[str]
 ) -> dict[str, Any]:
-    """Return what goes into result.json of a run in which a robot was to take so many parts, of
-    classes that are wanted: of these none may go to the chute."""
+    """Return the entries of result.json for a run with a robot.
+
+    Parameters
+    ----------
+    grips : list of Grip
+    record : Record
+    picks : int
+        Number of parts that the robot should take.
+    wanted : iterable of str
+        Classes of the parts to pick. If such a part leaves over the chute, it counts as lost.
+    """
     taken = [grip for grip in grips if grip.taken]
     time_s = sum(grip.cycle_s for grip in grips)
     away = [1e3 * grip.error_m for grip in taken]

@@ -1,4 +1,8 @@
-"""One task after the other in the same running graph, the parts put down anew each time."""
+"""Series of tasks in the same running graph. The parts are put down again for each task.
+
+After each task, `work_again` yields counts of cycles, latencies, memory and CPU time so far. For
+comparison it can run a second graph that only forwards messages of the same sizes.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +25,10 @@ from .relays import CHAIN, NAMESPACE, NODES, command
 from .session import Session, session
 
 TASK_S = 240.0
-"""Longest wait for a task's end [s]."""
+"""Maximum wait for the end of a task [s]."""
 
 STAGES = ("camera", "detector", "planner", "solver", "driver")
-"""What happens until the messages of `CHAIN` are published."""
+"""Stages that publish the messages of `CHAIN`, in the same order."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +38,21 @@ class Task:
     Attributes
     ----------
     at_s : float
-        When it ended, since the series began [s].
+        Time from the start of the series to the end of the task [s].
     ended : str
-        How, in words.
+        Text of the final task status.
     done : bool
         Whether its goal was reached.
     counts : tuple of int
-        Plate cycles; those repeated since no new one had come; those begun too late.
+        Number of plate cycles, of cycles repeated because no new one had arrived, and of cycles
+        that began late.
     tables, faults : int
-        Motor tables, and those that broke a limit.
+        Number of motor tables, and number of violated limits.
     memory_mb : dict of str to float
-        Of each node at the end of the task [MB].
+        Memory of each node at the end of the task [MB].
     hops, beside : (n, 6) arrays
-        Of each image that was answered: its stamp, and when it and its answers were published [s,
-        UTC]; in the real graph, and in the one that only forwards.
+        Stamp of each answered image, and the publication times of the image and of its answers [s,
+        UTC], in the real graph and in the one that only forwards.
     """
 
     at_s: float
@@ -62,19 +67,19 @@ class Task:
 
     @property
     def latency(self) -> np.ndarray:
-        """From an image's stamp to the motors' setpoints (n,) [s]."""
+        """Time from each image's stamp to the publication of the motor setpoints (n,) [s]."""
         return np.asarray(self.hops[:, -1] - self.hops[:, 0])
 
 
 @dataclass
 class Series:
-    """Tasks so far, and the share of a core that each process took meanwhile."""
+    """Tasks so far, and the fraction of a CPU core that each process has used."""
 
     tasks: list[Task] = field(default_factory=list)
     cpu: dict[str, float] = field(default_factory=dict)
 
     def hops(self, kind: str = "hops") -> np.ndarray:
-        """Return those of all tasks."""
+        """Return `hops` or `beside` of all tasks, concatenated."""
         return np.concatenate([getattr(task, kind) for task in self.tasks])
 
 
@@ -86,19 +91,20 @@ def work_again(
     longest_s: float = TASK_S,
     world: Mapping[str, float] | None = None,
 ) -> Iterator[Series]:
-    """Run tasks in real time until `done`; yield after each what was seen so far.
+    """Run tasks in real time until `done` returns True. Yield the series after each task.
 
     Parameters
     ----------
     options : RunOptions
-        In real time.
+        Options without lockstep.
     logs : path
         Folder for the nodes' logs.
     done : callable
+        Receives the series so far.
     beside : bool
-        Whether a graph that only forwards runs meanwhile.
+        Whether a graph that only forwards runs at the same time.
     longest_s : float
-        A task is broken off after that long [s].
+        Maximum duration of a task [s].
     world : mapping, optional
         Parameters of the simulator.
     """
@@ -110,7 +116,8 @@ def work_again(
             graph.observer.set_parameter("simulator", name, value)
         names, others = [*graph.processes.names], None
         if beside:
-            one_task(graph, hops, None, 0.0, min(longest_s, 5.0))  # messages of their true size
+            # A short task provides messages of realistic size for the graph that forwards.
+            one_task(graph, hops, None, 0.0, min(longest_s, 5.0))
             others = stack.enter_context(Hops(NAMESPACE))
             names += forward(graph, hops, others, logs)
         series, began = Series(), time.monotonic()
@@ -125,7 +132,8 @@ def work_again(
 
 
 def forward(graph: Session, hops: Hops, others: Hops, logs: Path) -> list[str]:
-    """Start the graph that only forwards; return its processes' names once it answers."""
+    """Start the graph that only forwards. When all its messages arrive, return the names of its
+    processes."""
     for topic, _ in CHAIN:
         (logs / topic).write_bytes(hops.newest[topic])
     commands = {f"{NAMESPACE}_{name}": command(name, str(logs)) for name in NODES}
@@ -137,7 +145,7 @@ def forward(graph: Session, hops: Hops, others: Hops, logs: Path) -> list[str]:
 def one_task(
     graph: Session, hops: Hops, others: Hops | None, began: float, longest_s: float
 ) -> Task:
-    """Run one task, and return what was seen of it."""
+    """Run one task, for at most `longest_s` [s], and return its measurements."""
     observer, record = graph.observer, graph.observer.record
     names = ("cycles", "held cycles", "late cycles")
     before = [int(record.last("simulator", name, "0")) for name in names]
@@ -145,7 +153,7 @@ def one_task(
     start = time.time()
     observer.until(lambda: record.ended, longest_s)
     end = time.time()
-    observer.until(lambda: False, 1.2)  # the simulator's next report
+    observer.until(lambda: False, 1.2)  # wait for the simulator's next diagnostics
     counts = [int(record.last("simulator", name, "0")) for name in names]
     limits = check_limits(record, load_rig(graph.options.rig_file))
     task = Task(
@@ -171,7 +179,8 @@ def one_task(
 
 
 def rows(hops: Hops, start: float, end: float) -> np.ndarray:
-    """Return stamps and times (n, 6) [s] of the images since `start` that were answered."""
+    """Return stamps and publication times (n, 6) [s] of the answered images with stamps between
+    `start` and `end`."""
     times = sorted((stamp, *row) for stamp, row in list(hops.times.items()) if all(row))
     hops.times.clear()
     found = 1e-9 * np.array(times, dtype=float).reshape(-1, len(CHAIN) + 1)
@@ -180,7 +189,7 @@ def rows(hops: Hops, start: float, end: float) -> np.ndarray:
 
 
 def stages_ms(hops: np.ndarray) -> dict[str, np.ndarray]:
-    """Return how long each stage of `STAGES` took (n,) [ms], and all of them."""
+    """Return the duration of each stage of `STAGES`, and of all stages, by name (n,) [ms]."""
     parts = 1e3 * np.diff(hops, axis=1)
     columns: dict[str, Any] = dict(zip(STAGES, parts.T, strict=True))
     columns["image to setpoints"] = 1e3 * (hops[:, -1] - hops[:, 1])

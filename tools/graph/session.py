@@ -1,4 +1,7 @@
-"""A running graph: its processes, and us watching them."""
+"""A running graph: its processes, and the observer that watches them.
+
+`session` starts the nodes, waits until the first image is answered, and stops the nodes at the end.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +20,21 @@ from .observer import Observer
 from .processes import Processes
 
 START_S = 180.0
-"""Longest wait for the nodes [s]: a busy machine may take long to load them."""
+"""Maximum wait for the nodes [s]. A busy computer may take long to load them."""
 
 ANSWER_S = 180.0
-"""Longest wait for the answer to the first image [s]."""
+"""Maximum wait for the answer to the first image [s]."""
 
 PAGE_S = 10.0
-"""Longest wait for the page, when all others answer [s]."""
+"""Maximum wait for the live page after the other nodes answer [s]."""
 
 CAMERA_S = 3.0
-"""Longest wait for a camera that is not simulated [s]."""
+"""Maximum wait for a camera that is not simulated [s]."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """The nodes of a run, all seen over DDS, and the first image answered.
+    """Running nodes that are all visible in the ROS graph, and have answered the first image.
 
     Attributes
     ----------
@@ -39,7 +42,7 @@ class Session:
     processes : Processes
     observer : Observer
     nodes : list of str
-        Names as seen over DDS.
+        Names of the nodes, except those that only display.
     """
 
     options: RunOptions
@@ -49,38 +52,39 @@ class Session:
 
     @property
     def scenario(self) -> Scenario:
-        """What is to be done."""
+        """Scenario of the run."""
         return load_scenario(self.options.scenario)
 
     def free(self) -> None:
-        """Set the plate free: activate the driver and, where there are motors, enable them.
+        """Activate the driver and, with transport serial, enable the motors.
 
-        The caller stands for the person who enables.
+        The caller is responsible for the enabling, like an operator.
 
         Raises
         ------
         GraphError
-            If somebody has stopped the plate meanwhile, or the driver refuses.
+            If somebody has stopped the motors or the task meanwhile, or if the driver refuses.
         """
         self.observer.check_not_stopped()
         if not driver_triggers(self.options):
             self.observer.activate_driver()
-        self.observer.check_not_stopped()  # by anyone: an enable would clear that
+        self.observer.check_not_stopped()  # check again, because enabling would clear a stop
         if self.options.transport == "serial":
             print("Calling the service enable: from now on the motors may move.", flush=True)
             self.observer.enable()
 
     def page(self) -> str:
-        """Return the address of the live page; empty if there is none."""
+        """Return the address of the live page. Empty if there is none."""
         record = self.observer.record
         if self.options.view:
             self.observer.until(lambda: bool(record.last("page", "url")), PAGE_S)
         return record.last("page", "url")
 
     def begin(self) -> None:
-        """Set the plate free and start the task.
+        """Activate the driver as `free` does, and start the task.
 
-        In lockstep the planner waits for the goal at the second image: the task begins with it.
+        In lockstep the planner holds the second image until the goal arrives, so the task begins
+        with this image.
         """
         self.free()
         self.observer.await_ready()
@@ -89,8 +93,8 @@ class Session:
 
 
 def driver_triggers(options: RunOptions) -> bool:
-    """Tell whether the camera takes images only once the driver speaks with the motor controller,
-    which triggers it."""
+    """Return whether the motor controller triggers the camera. Then images arrive only after the
+    driver is connected to it."""
     return options.transport == "serial" and load_rig(options.rig_file).camera.trigger is not None
 
 
@@ -104,29 +108,30 @@ def session(
     watched: bool = True,
     gated: bool = False,
 ) -> Iterator[Session]:
-    """Start the nodes, and stop them at the end.
+    """Context with a running graph. The nodes are stopped at its end.
 
     Parameters
     ----------
     options : RunOptions
-        With `autostart` False `Session.free` activates the driver.
+        If `autostart` is False, `Session.free` activates the driver.
     logs : path
         Folder for the nodes' logs.
     domain : int, optional
-        ROS domain; if left out, one of its own.
+        ROS domain. By default a free one.
     pictures : bool
-        Whether the observer listens to images.
+        Whether the observer records images.
     waiting : callable
-        Called with what is waited for, while it is.
+        Called during a wait, with a text on the missing event.
     watched : bool
-        Whether a node that ends by itself ends all.
+        Whether a wait raises GraphError if a node has ended.
     gated : bool
-        Whether the main input of each node comes through the gate of `relays`.
+        Whether the gate of `relays` relays the main input of each node.
 
     Raises
     ------
     GraphError
-        If a node ends or does not appear, there is no camera, or images are not answered: why.
+        If a node ends or does not appear, if there is no camera, or if images are not answered. The
+        message contains the reason.
     """
     nodes = options.nodes(load_graph())
     remaps = relays.remaps(options.transport) if gated else {}
@@ -147,7 +152,7 @@ def session(
         seen = observer.await_nodes(loop, START_S)
         if driver_triggers(options) and not options.autostart:
             observer.until(Path(options.port or options.link).exists, START_S)
-            observer.activate_driver()  # motors stay off until they are enabled
+            observer.activate_driver()  # the motors stay off until `enable` is called
         if "simulator" not in seen:
             observer.await_camera(CAMERA_S)
         observer.await_answers(ANSWER_S, seen)

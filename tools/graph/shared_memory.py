@@ -1,4 +1,4 @@
-"""Shared memory of DDS that a killed process leaves: up to 16 MB, until the next boot."""
+"""Removal of DDS shared memory. A killed process leaves up to 16 MB until the next boot."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from contextlib import suppress
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
-"""Where Linux keeps it."""
+"""Folder in which Linux shows shared memory."""
 
 AGE_S = 60.0
-"""What is younger stays [s]."""
+"""Minimum age of a segment that is removed [s]."""
 
 
 def remove_leftovers() -> None:
     """Remove the segments whose owner has ended.
 
-    Fast DDS locks a file beside each segment for as long as its participant lives. One that is
-    younger than `AGE_S` may not be locked yet.
+    Each segment has a lock file, which Fast DDS keeps locked until the participant ends. A lock
+    file younger than `AGE_S` may not be locked yet.
     """
     for lock in FOLDER.glob(f"fastrtps_{16 * '[0-9a-f]'}_el"):
-        with suppress(OSError), lock.open("rb") as file:  # in use, or of another user
+        with suppress(OSError), lock.open("rb") as file:  # raises if in use, or of another user
             if time.time() - lock.stat().st_mtime < AGE_S:
                 continue
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
