@@ -1,4 +1,5 @@
-"""What became of a run that an observer recorded: `film` decodes it, `judge` holds it against the
-task and, by the mechanics of `limits`, against the rig; `pictures` draws it; `bag` keeps all
-messages for other programs.
+"""Evaluation of a run that an observer has recorded.
+
+`film` decodes the messages. `judge` checks the result against the task and, with the mechanics of
+`limits`, against the rig. `pictures` draws the run. `bag` records all messages for other programs.
 """

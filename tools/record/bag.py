@@ -1,4 +1,7 @@
-"""Everything that is said in the graph, written to a bag that ros2 bag and Foxglove open."""
+"""Recording of all messages of a graph to a bag that ros2 bag and Foxglove open.
+
+Uses the package rosbags. It writes the serialised messages to one .mcap file with metadata.yaml.
+"""
 
 from __future__ import annotations
 
@@ -16,27 +19,27 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from plate_core import PlateError
 
 DISCOVERY_S = 0.5
-"""Interval at which new topics are looked for [s]."""
+"""Period at which new topics are searched [s]."""
 
 DEPTH = 200
-"""Messages that may wait for us [-]."""
+"""Length of the subscriptions' queues [messages]."""
 
 OURS = "plate_interfaces"
-"""The package whose messages no list of ROS 2's own has."""
+"""Package with the project's messages, which rosbags does not know."""
 
 BAG_VERSION: Final = 9
-"""Of the bag's metadata.yaml: what ROS 2 Jazzy writes."""
+"""Version of the bag's metadata.yaml, as ROS 2 Jazzy writes it."""
 
 
 class Recorder:
-    """Subscribes to every topic that appears, and writes what comes. A context manager.
+    """Subscribes to every topic that appears, and writes its messages. Use it as a context manager.
 
     Parameters
     ----------
     node : Node
-        Whose subscriptions these are; the one who spins it calls `discover` now and then.
+        Node of the subscriptions. Its owner spins it, and calls `discover` regularly.
     folder : path
-        Of the bag, a new one: metadata.yaml and one .mcap file.
+        New folder for the bag.
 
     Raises
     ------
@@ -68,7 +71,8 @@ class Recorder:
         self._writer.close()
 
     def discover(self) -> None:
-        """Listen to topics that have come up since."""
+        """Subscribe to topics that are new since the last call. Does nothing within `DISCOVERY_S`
+        after a search."""
         if time.monotonic() - self._looked_at < DISCOVERY_S:
             return
         self._looked_at = time.monotonic()
@@ -97,8 +101,8 @@ class Recorder:
 
 
 def wanted(offered: Sequence[QoSProfile]) -> QoSProfile:
-    """Return the quality of service that connects to all publishers of a topic, and asks for what
-    all of them offer: what is latched is heard though it was said before."""
+    """Return the quality of service that is compatible with all publishers of a topic. If all are
+    latched, it also requests the messages from before the subscription."""
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
     latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
     return QoSProfile(
@@ -109,7 +113,8 @@ def wanted(offered: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def _kept(qos: QoSProfile) -> Any:
-    """Return a publisher's quality of service as the bag has it: who plays it publishes alike."""
+    """Convert a publisher's quality of service to the bag's form, so that playback publishes with
+    the same one."""
     from rosbags.interfaces import (
         Qos,
         QosDurability,

@@ -1,4 +1,4 @@
-"""A picture that is drawn into in metres, and sheets of such pictures with words around them."""
+"""Drawing with metres as units, and headings and keys for sheets of such pictures."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from plate_core.colours import INK, Colour
 WHITE: Colour = (255, 255, 255)
 
 SHIFT = 4
-"""Lines are drawn in 1/16 px, so that they do not jitter."""
+"""Fractional bits of pixel coordinates. Lines have a resolution of 1/16 px, so that they do not
+jitter."""
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """Pixels and where they are; all lines are drawn into the pixels.
+    """Image with a scale and an origin. All methods draw into `pixels`.
 
     Attributes
     ----------
     pixels : (H, W, 3) uint8
         Red, green, blue.
     scale : float
-        [px/m].
+        Scale [px/m].
     origin : (x, y)
-        Where (0, 0) m is [px]; y is up in metres and down in pixels.
+        Pixel of the point (0, 0) m. In metres y points up, in pixels it points down.
     unit : float
         Width of a thin line [px].
     words : int
-        Size of words [px].
+        Size of text [px].
     """
 
     pixels: np.ndarray
@@ -52,13 +53,13 @@ class Canvas:
     def line(
         self, point: Sequence | np.ndarray, colour: Colour, width: float = 1, dashed: bool = False
     ) -> None:
-        """Draw a line through points (n, 2) [m]; dashes are five widths long."""
+        """Draw a line through points (n, 2) [m]. Dashes are five line widths long."""
         pieces = dashes(point, 5 * width * self.unit / self.scale) if dashed else [point]
         lines = [self._at(piece) for piece in pieces]
         cv2.polylines(self.pixels, lines, False, colour, self._wide(width), cv2.LINE_AA, SHIFT)
 
     def area(self, corner: Sequence | np.ndarray, colour: Colour, share: float) -> None:
-        """Tint a polygon (n, 2) [m], as much as `share`, and draw its outline."""
+        """Fill a polygon (n, 2) [m] with the opacity `share`, and draw its outline."""
         tinted = self.pixels.copy()
         cv2.fillPoly(tinted, [self._at(corner)], colour, cv2.LINE_AA, SHIFT)
         cv2.addWeighted(tinted, share, self.pixels, 1 - share, 0, dst=self.pixels)
@@ -67,7 +68,7 @@ class Canvas:
     def disc(
         self, centre: Sequence | np.ndarray, radius: float, face: Colour | None, edge: Colour
     ) -> None:
-        """Draw a disc with an edge; without a face only the edge, just outside of it."""
+        """Draw a disc with an edge. Without a face colour, draw only the edge."""
         at = self._at(centre)[0, 0].tolist()
         size = round(radius * self.scale * 2**SHIFT)
         if face is not None:
@@ -77,7 +78,8 @@ class Canvas:
     def outline(
         self, corner: np.ndarray, holes: Sequence[np.ndarray], face: Colour | None, edge: Colour
     ) -> None:
-        """Draw a polygon (n, 2) [m] with holes as `disc` draws a disc."""
+        """Draw a polygon (n, 2) [m] with holes and an edge. Without a face colour, draw only the
+        edge."""
         rims = [self._at(each) for each in (corner, *holes)]
         if face is not None:
             cv2.fillPoly(self.pixels, rims, face, cv2.LINE_AA, SHIFT)
@@ -98,14 +100,14 @@ class Canvas:
         cv2.fillPoly(self.pixels, [corners], colour, cv2.LINE_AA, SHIFT)
 
     def cross(self, centre: np.ndarray, size: float, colour: Colour) -> None:
-        """Draw a cross as wide as 2 `size` [m]."""
+        """Draw a cross of half-width `size` [m]."""
         for tint, width in ((WHITE, 4.0), (colour, 2.2)):
             for sign in (1, -1):
                 arm = np.array([size, sign * size])
                 self.line([centre - arm, centre + arm], tint, width)
 
     def write(self, point: Sequence | np.ndarray, text: str) -> None:
-        """Write about a point [m], with a white edge."""
+        """Write a text centred at a point [m], with a white edge."""
         image = Image.fromarray(self.pixels)
         at = tuple(self._at(point)[0, 0] / 2**SHIFT)
         ImageDraw.Draw(image).text(
@@ -115,7 +117,8 @@ class Canvas:
 
 
 def dashes(point: Sequence | np.ndarray, length: float) -> list[np.ndarray]:
-    """Cut a line through points (n, 2) into pieces of a length with gaps two thirds as long."""
+    """Cut a line through points (n, 2) into pieces of a given length, with gaps of two thirds of
+    this length."""
     point = np.asarray(point, float)
     way = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(point, axis=0).T))])
     starts = np.arange(0, way[-1], 5 / 3 * length)
@@ -130,12 +133,12 @@ def dashes(point: Sequence | np.ndarray, length: float) -> list[np.ndarray]:
 
 @cache
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Pillow's own font in a size [px]."""
+    """Return Pillow's default font in a size [px]."""
     return ImageFont.load_default(size)
 
 
 def heading(width: int, size: int, left: str, right: str = "") -> np.ndarray:
-    """Return a white line (H, W, 3) with words at its ends."""
+    """Return an image (H, W, 3) of a text line with a left and a right text."""
     image = Image.new("RGB", (width, round(1.6 * size)), "white")
     pen, middle = ImageDraw.Draw(image), image.height / 2
     pen.text((size / 4, middle), left, INK, font(size), "lm")
@@ -145,7 +148,7 @@ def heading(width: int, size: int, left: str, right: str = "") -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sample:
-    """One entry of a key: how wide its sample is [m], how it is drawn from its left end, words."""
+    """Entry of a key: width of its sample [m], function that draws it from its left end, text."""
 
     width: float
     draw: Callable[[Canvas], None]
@@ -153,7 +156,8 @@ class Sample:
 
 
 def key(samples: Sequence[Sample], width: int, frame: Canvas) -> np.ndarray:
-    """Return a key (H, W, 3) for such frames: samples to scale and their words, in some lines."""
+    """Return the image (H, W, 3) of a key for frames like `frame`: samples in the same scale with
+    their texts, in as many lines as needed."""
     size = frame.words
     high, x, row = round(1.7 * size), size / 4, 0
     places: list[tuple[float, float, float]] = []

@@ -1,4 +1,4 @@
-"""A recorded run, decoded: where the parts went, how the plate moved, what the camera saw."""
+"""Decodes a recorded run: positions of the parts, motions of the plate, and camera images."""
 
 from __future__ import annotations
 
@@ -16,34 +16,35 @@ from plate_core.ros import image_to_array, msg_to_motors, msg_to_parts, nanoseco
 from plate_interfaces.msg import Parts
 
 ROUNDING = 1e-3
-"""Times that a planner reports are of whole milliseconds [s]."""
+"""Resolution of the times that the planner reports [s]."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """A run. Times are in seconds since the task began.
+    """A decoded run. Times are measured from the start of the task [s].
 
     Attributes
     ----------
     ids : tuple of str
-        All parts, in the order of `position`.
+        Names of all parts, in the order of `position`.
     time : (n,)
-        Starts of cycles [s]; without a simulator, stamps of images.
+        Starts of cycles [s]. Without a simulator, stamps of images.
     position : (n, M, 2)
-        Parts in plate_home [m] at these times; NaN once off the plate, or while not seen.
+        Positions of the parts in plate_home [m] at these times. NaN after a part has left the
+        plate, or while it is not detected.
     angle : (n, M)
-        Their angles [rad].
+        Angles of the parts [rad].
     end : float
-        When the task was over [s], or of one that never was, what is known last.
+        End of the task [s]. If it did not end, the last known time.
     table_time : (m,)
-        Stamps of motor tables: of the images that they answer [s].
+        Stamps of the motor tables, which are those of the images that they answer [s].
     tables : tuple of PlateCycle
-        The plate's motion that the motors were told to make.
+        Motion of the plate in each motor table.
     image_time : (k,)
-        Stamps of the images that were kept [s].
+        Stamps of the recorded images [s].
     images : tuple of (H, W) arrays
     simulated : bool
-        Whether places of parts come from a simulator; otherwise from the detector.
+        Whether the parts' positions are from the simulator. Otherwise they are from the detector.
     """
 
     ids: tuple[str, ...]
@@ -63,17 +64,18 @@ class Film:
         there = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
         if not len(there):
             return 0
-        # If the detector loses a part, it later gives it another name.
+        # The detector may give a lost part a new name later.
         return int((len(self.ids) if self.simulated else np.max(there)) - there[-1])
 
     @property
     def cycles(self) -> int:
-        """Number of cycles that the task took."""
+        """Number of cycles that began during the task."""
         starts = self.time if self.simulated else self.table_time
         return int(np.sum((starts > -ROUNDING) & (starts < self.end - ROUNDING)))
 
     def running(self, t: float) -> PlateCycle | None:
-        """Return the plate's motion at a time: the answer to the image before the newest."""
+        """Return the plate's motion at a time: the last table whose stamp is before the start of
+        the cycle at this time. None if there is none."""
         k = int(np.searchsorted(self.time, t, side="right")) - 1
         if k < 1:
             return None
@@ -87,9 +89,9 @@ def develop(record: Record, rig: Rig) -> Film:
     Raises
     ------
     PlateError
-        If the task never began.
+        If no task was started.
     """
-    # Stamped by the image they tell of; once the task is over its time stands still.
+    # A report has the stamp of its image. After the end of the task its `time_s` is constant.
     reports = [r for r in record.reports("planner") if float(r.values.get("time_s", "0")) > 0]
     if not reports or not record.truth:
         raise PlateError("the task never began: there is nothing to judge or draw")
@@ -105,13 +107,13 @@ def develop(record: Record, rig: Rig) -> Film:
     tables, cycles = [], []
     for data in record.tables:
         msg = deserialize_message(data, JointTrajectory)
-        with suppress(PlateError):  # check_limits tells what is wrong with it
+        with suppress(PlateError):  # check_limits reports an invalid table
             cycles.append(msg_to_motors(rig, msg))
             tables.append(msg)
     images, pictures = [], []
     for data in record.images.items:
         image = deserialize_message(data, Image)
-        with suppress(PlateError):  # a broken one, which the detector has refused too
+        with suppress(PlateError):  # an invalid image, which the detector has also refused
             pictures.append(image_to_array(image))
             images.append(image)
 

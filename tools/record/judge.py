@@ -1,4 +1,5 @@
-"""A recorded run, judged: the motion against the rig's limits, and how the task ended."""
+"""Evaluation of a recorded run: checks all motor tables against the rig's limits, and summarises
+the result of the task for result.json and for the terminal."""
 
 from __future__ import annotations
 
@@ -22,32 +23,33 @@ from .film import develop
 from .limits import limit_shares, thermal_load
 
 WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
-"""The sentence about a machine that was too slow."""
+"""Texts on a computer that was too slow, by key of the result."""
 
 BUS = {"stroke": 1.002, "speed": 1.002, "acceleration": 1.1}
-"""What the firmware may ask of drives on a bus, as shares of the limits: more than a table, since
-motors' splines differ from the plate's, and a brake adds a tenth."""
+"""Maximum of the firmware's commands to drives on a bus, as fractions of the limits. They exceed 1
+because the splines of the motors differ from the plate's, and because braking adds a tenth to the
+acceleration."""
 
 SHARES = ("stroke", "speed", "accel", "force")
-"""Of `limit_shares`."""
+"""Names of the values of `limit_shares`."""
 
 ROUNDING = 1e-6
-"""Share of a limit that rounding may add."""
+"""Fraction of a limit that rounding may add."""
 
 
 @dataclass(frozen=True)
 class LimitCheck:
-    """All motor tables against the rig's limits.
+    """Result of the check of all motor tables against the rig's limits.
 
     Attributes
     ----------
     tables : int
-        How many there were.
+        Number of motor tables.
     faults : tuple of str
-        What was wrong; empty: all was well.
+        Messages on invalid tables. Empty if all are valid.
     shares : dict of str to float
-        Greatest shares of the limits, by `SHARES`; and `heat`, of the heat that a motor bears
-        continuously, by I2t over all tables [-].
+        Maximum fraction of each limit, by `SHARES`. `heat` is the maximum of a motor's I2t load
+        over all tables, as a fraction of the continuous load.
     """
 
     tables: int
@@ -56,7 +58,11 @@ class LimitCheck:
 
 
 def check_limits(record: Record, rig: Rig) -> LimitCheck:
-    """Judge every motor table, independently of who made it."""
+    """Check every motor table, with mechanics independent of the solver and the driver.
+
+    The heat h of a motor follows h' = p + (h - p) exp(-T / thermal_time_s) for a table of length T
+    with the load p of `thermal_load`.
+    """
     faults: list[str] = []
     most, heat, hottest = np.zeros(4), np.zeros(len(rig.motors)), 0.0
     before: PlateCycle | None = None
@@ -90,12 +96,12 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
 def judge(
     rig: Rig, options: RunOptions, record: Record, seen: list[str], exit_codes: dict[str, int]
 ) -> dict[str, Any]:
-    """Return what goes into result.json.
+    """Return the content of result.json.
 
     Raises
     ------
     PlateError
-        If the task never began.
+        If no task was started.
     """
     film = develop(record, rig)
     limits = check_limits(record, rig)
@@ -143,19 +149,20 @@ def judge(
 
 
 def there(task: Task) -> str:
-    """Return what its parts are when they are where they are to be."""
+    """Return the word for parts at their targets: "placed" or "sorted"."""
     return "placed" if isinstance(task, AssembleTask | PoseTask) else "sorted"
 
 
 def typical(record: Record, key: str) -> float | None:
-    """Return the median of what the solver reported while it was at work."""
+    """Return the median of a value in the solver's diagnostics while it solved. None if it did
+    not."""
     reports = [said.values for said in record.reports("solver")]
     values = [float(v[key]) for v in reports if float(v["solve_ms_median"]) > 0]
     return round(float(np.median(values)), 4) if values else None
 
 
 def summary(result: dict[str, Any]) -> str:
-    """Return the result in a line or two for a reader."""
+    """Return the result as a sentence for the terminal."""
     done, end = _fed(result) if "picks" in result else _moved(result)
     verdict = "Success" if result["success"] else f"No success ({result['message'] or 'see below'})"
     limits = "within limits" if result["setpoints_within_limits"] else "LIMITS BROKEN"

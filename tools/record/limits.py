@@ -1,8 +1,8 @@
-"""What share of a rig's limits a motion of the plate takes: mechanics written out once more.
+"""Fractions of a rig's limits that a motion of the plate uses, by independent mechanics.
 
-It judges the solver and the driver's guard, so nothing here is theirs but the facts of the rig file
-and the motion. Points of the plate are complex numbers x + i y: a part of it that rests at a is at
-p = o + e^(i theta) a.
+The result checks the solver and the driver's guard. So this module shares only the rig file and the
+motion with them. Points of the plate are complex numbers x + i y. With the plate's pose (o, theta),
+a point a of the plate is at p = o + e^(i theta) a.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import numpy as np
 from plate_core import PlateCycle, Rig
 
 SAMPLES = 1000
-"""Instants of a cycle at which it is judged."""
+"""Number of samples per cycle."""
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Pose, twist and acceleration of the plate (n, 3) at n instants."""
 
 
 def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Return the greatest shares (4,) of stroke, speed, acceleration and force in one cycle."""
+    """Return the maximum fractions (4,) of stroke, speed, acceleration and force in one cycle."""
     motion, (point, way) = _motion(cycle), _motors(rig)
     place, velocity, _ = _points(motion, point)
     most = [
@@ -32,7 +32,7 @@ def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
 
 
 def thermal_load(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Return each motor's mean square force (4,) over that of its continuous force."""
+    """Return each motor's load (4,): mean(F^2) / F_continuous^2."""
     force = motor_forces(rig, _motion(cycle))[:-1]
     return np.asarray(np.mean(force**2, axis=0) / rig.limits.continuous_force**2)
 
@@ -43,8 +43,13 @@ def corner_accels(rig: Rig, motion: Motion) -> np.ndarray:
 
 
 def motor_forces(rig: Rig, motion: Motion) -> np.ndarray:
-    """Return the forces (n, 4) [N] of least squares that move the plate so: Newton and Euler at
-    home, for a uniform plate or as the rig file tells its suspension."""
+    """Return the motor forces (n, 4) [N] of minimum norm for a motion.
+
+    They satisfy B F = w. Each column of B is a motor's force and torque about the centre of the
+    plate at home. The wrench w is diag(m, m, I) accel for a uniform plate, with
+    I = m (length^2 + width^2) / 12. For a rig with a suspension,
+    w = M accel + D twist + K pose with its mass, damping and stiffness.
+    """
     pose, twist, accel = motion
     if rig.suspension is None:
         plate = rig.plate
@@ -61,14 +66,13 @@ def motor_forces(rig: Rig, motion: Motion) -> np.ndarray:
 
 
 def _motion(cycle: PlateCycle) -> Motion:
-    """Return how the plate moves at the instants at which it is judged: start and end among
-    them."""
+    """Return the plate's motion at `SAMPLES` equally spaced times, with start and end."""
     t = np.linspace(0, cycle.period, SAMPLES)
     return cycle.pose(t), cycle.twist(t), cycle.accel(t)
 
 
 def _motors(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Return where motors push (4,) [m] and their ways (4,)."""
+    """Return the points (4,) [m] at which the motors push, and their directions (4,)."""
     return (
         _complex(np.array([motor.point for motor in rig.motors])),
         _complex(np.array([motor.direction for motor in rig.motors])),
@@ -76,7 +80,11 @@ def _motors(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _points(motion: Motion, at: np.ndarray) -> list[np.ndarray]:
-    """Return place, velocity and acceleration (n, m) of points of the plate that rest at (m,)."""
+    """Return position, velocity and acceleration (n, m) of points of the plate.
+
+    `at` (m,) are the points at home. With r = e^(i theta) a and the angular velocity w:
+    p = o + r, v = o' + i w r, a = o'' + (i w' - w^2) r.
+    """
     pose, twist, accel = motion
     arm = np.exp(1j * pose[:, 2:]) * at
     spin, spin_rate = twist[:, 2:], accel[:, 2:]
@@ -92,5 +100,5 @@ def _complex(vectors: np.ndarray) -> np.ndarray:
 
 
 def _along(way: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return the parts of vectors (n, m) along unit vectors (m,)."""
+    """Return the components of vectors (n, m) along unit vectors (m,)."""
     return np.asarray((way.conj() * vectors).real)

@@ -1,6 +1,7 @@
-"""The run in pictures: a strip like Figure 15 of the paper, and a film over what the camera saw.
+"""Pictures of a run: a strip of snapshots like Figure 15 of the paper, and an animation over the
+camera images.
 
-Both are sheets of frames with one key: a frame is the plate at one instant, drawn by `draw_plate`.
+Both are sheets of frames with a title and a key. A frame shows the plate at one time.
 """
 
 from __future__ import annotations
@@ -37,43 +38,45 @@ from .film import Film
 SNAPSHOTS = 8
 
 ARROWS = 153
-"""Arrows of a strip's force field, about."""
+"""Approximate number of arrows of a strip's force field."""
 
 FIELD_ARROW, PART_ARROW = 0.85, 6.0
-"""Length of the longest arrows: of a field [distance between them], on parts [radii]."""
+"""Length of the longest arrows: in a field [distance between arrows], on parts [part radii]."""
 
 FULL_FORCE = 80
-"""Arrows beyond this percentile of the forces are equally long, so that weak ones show."""
+"""Percentile of the forces above which all arrows have the same length, so that weak forces are
+visible."""
 
 TINT = 0.14
-"""Of targets."""
+"""Opacity of targets."""
 
 FILM_FRAMES, FILM_RATE = 100, 12.5
-"""Most frames, and frames a second; GIF counts in hundredths of a second."""
+"""Maximum number of frames, and frames per second. GIF has a time resolution of 0.01 s."""
 
 LAST_MS = 2500
-"""The last frame is shown so long."""
+"""Time for which the last frame is shown [ms]."""
 
 SAME = 12
-"""Pixels that differ no more from the picture without parts show the plate [grey values]."""
+"""Maximum difference between a pixel of the plate and the picture without parts [grey values]."""
 
 BRIGHT = 85
-"""Percentile of a pixel's values that shows the plate: parts are darker, and may lie there long."""
+"""Percentile of a pixel's values that shows the plate. Parts are darker, and may stay at a pixel
+for long."""
 
 TRAIL_S = 2.0
-"""Of parts that come and go the way of the last seconds is drawn [s]."""
+"""Length of the trails if parts come and go [s]. Otherwise trails begin with the task."""
 
 NOW = 1e-6
-"""Rounding of times [s]."""
+"""Tolerance for rounding of times [s]."""
 
 TRUE_RAY, WANTED_RAY, BESIDE = 2.8, 5.5, 4.5
-"""How far from its centre a part's angle is drawn, and the commanded one; where it is written
-[radii]."""
+"""Lengths of the lines that show a part's angle and its target angle, and distance of the text of
+the former from the centre [part radii]."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is the same in all pictures of a run."""
+    """Data that all pictures of a run share."""
 
     rig: Rig
     scenario: Scenario
@@ -81,7 +84,7 @@ class Scene:
 
     @cached_property
     def labels(self) -> list[str]:
-        """Class of every part."""
+        """Class of each part."""
         return [part_class(name) for name in self.film.ids]
 
     @property
@@ -91,12 +94,12 @@ class Scene:
 
     @property
     def chute(self) -> Side | None:
-        """Over which edge parts go that nobody wants."""
+        """Edge over which unwanted parts leave the plate. None if the task is not `feed`."""
         return self.scenario.task.chute if isinstance(self.scenario.task, FeedTask) else None
 
     @cached_property
     def targets(self) -> list[tuple[str, np.ndarray]]:
-        """Class and polygon (n, 2) [m] of every place where parts belong."""
+        """Class and polygon (n, 2) [m] of each target."""
         task, rig = self.scenario.task, self.rig
         if isinstance(task, SortTask):
             return [(label, region_outline(task, label, rig.plate.half)) for label in task.regions]
@@ -116,13 +119,13 @@ class Scene:
         ]
 
     def _circle(self, centre: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return a circle a little larger than a part."""
+        """Return the points of a circle slightly larger than a part."""
         x, y = centre
         return circle_points((x, y), 1.25 * self.rig.parts.radius_m, 0.0, True)
 
     @cached_property
     def paths(self) -> list[tuple[str, np.ndarray]]:
-        """Class and polygon (n, 2) [m] of every path; closed ones end where they begin."""
+        """Class and points (n, 2) [m] of each path. A closed path ends at its first point."""
         task = self.scenario.task
         return [
             (path.label, np.array([*path.waypoint, *(path.waypoint[:1] if path.closed else ())]))
@@ -131,8 +134,8 @@ class Scene:
 
     @cached_property
     def poses(self) -> list[tuple[str, np.ndarray, float]]:
-        """Class, place [m] and angle [rad] of every commanded pose; none if parts may have it
-        anywhere."""
+        """Class, position [m] and angle [rad] of each target pose. Empty if only the angles are
+        targets."""
         task = self.scenario.task
         free, found = list(range(len(self.labels))), []
         for pose in task.poses if isinstance(task, PoseTask) and not task.anywhere else ():
@@ -145,7 +148,8 @@ class Scene:
         return found
 
     def until(self, t: float) -> np.ndarray:
-        """Positions (n, M, 2) [m] from the task's beginning until t [s], one at least."""
+        """Return the positions (n, M, 2) [m] from the start of the trails until t [s], at least
+        one."""
         first = int(np.searchsorted(self.film.time, -NOW))
         if self.feeds:
             first = max(first, int(np.searchsorted(self.film.time, t - TRAIL_S)))
@@ -153,12 +157,12 @@ class Scene:
         return self.film.position[min(first, len(self.film.time) - 1) :][: max(1, last - first)]
 
     def clock(self, t: float) -> str:
-        """Return time and cycle in words."""
+        """Return a text with the time and the number of the cycle."""
         done = int(np.sum((self.film.time > NOW) & (self.film.time <= t + NOW)))
         return f"{t:.1f} s, cycle {min(done, self.film.cycles)} of {self.film.cycles}"
 
     def motion(self, t: float) -> PlateCycle | None:
-        """Return the plate's motion at t [s]; at the beginning the first one."""
+        """Return the plate's motion at t [s]. At the start, return the first motion of the task."""
         film = self.film
         if t <= 0:
             stamps = zip(film.table_time, film.tables, strict=True)
@@ -168,27 +172,30 @@ class Scene:
         return film.running(min(t, film.end - 1e-3))
 
     def forces(self, t: float, point: np.ndarray) -> np.ndarray:
-        """Mean friction forces (n, 2) [mu m g] of the cycle that runs at t, on parts at points."""
+        """Return the mean friction forces (n, 2) [mu m g] on parts at points (n, 2) [m], for the
+        cycle that runs at t [s]."""
         cycle = self.motion(t)
         return np.zeros_like(point) if cycle is None else average_force(cycle, point)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How large a picture is: columns of frames, most width and height of a frame, words [px]."""
+    """Size of a picture: columns of frames, maximum width and height of a frame [px], size of the
+    text [px]."""
 
     columns: int
     frame: tuple[int, int]
     words: int
 
     GAP = 14
-    """Between frames [px]."""
+    """Gap between frames [px]."""
 
     THIN = 1 / 560
-    """Width of thin lines [widths of a frame]."""
+    """Width of thin lines [frame widths]."""
 
     def canvas(self, scene: Scene, pixels: np.ndarray | None = None) -> Canvas:
-        """Return a frame: white, or these pixels. Parts on the plate's edge have room."""
+        """Return a canvas for a frame, white or with these pixels. Its margin also shows parts on
+        the plate's edge."""
         half = scene.rig.plate.half + 1.5 * scene.rig.parts.radius_m
         scale = float(np.min(np.array(self.frame) / (2 * half)))
         wide, high = self.frame[0], round(2 * half[1] * scale)
@@ -199,7 +206,7 @@ class Layout:
     def sheet(
         self, frames: list[np.ndarray], clocks: list[str], title: str, right: str, key: np.ndarray
     ) -> Image.Image:
-        """Return title, frames with their clocks, row by row, and the key."""
+        """Return a picture of the title, the frames with their clocks in rows, and the key."""
         gap = np.full((frames[0].shape[0] + round(1.6 * self.words), self.GAP, 3), 255, np.uint8)
         told = [
             np.vstack([heading(self.frame[0], self.words, clock), frame])
@@ -215,30 +222,31 @@ class Layout:
 
     @property
     def width(self) -> int:
-        """Of a row of frames [px]."""
+        """Width of a row of frames [px]."""
         return self.columns * (self.frame[0] + self.GAP) - self.GAP
 
     def key(self, scene: Scene, arrows: Arrows) -> np.ndarray:
-        """Return the key of all that frames show."""
+        """Return the key of the frames."""
         canvas = self.canvas(scene)
         return key(samples(scene, arrows, canvas), self.width, canvas)
 
 
 STRIP = Layout(2, (680, 420), 25)
 FILM = Layout(1, (700, 460), 19)
-"""A strip is shown at half its size, or less."""
+"""Layouts of the strip and of the film. The text of a strip is large because pages show it at half
+its size or less."""
 
 
 @dataclass(frozen=True)
 class Arrows:
-    """Forces as arrows: those of `force` [mu m g] and more are `length` [m] long."""
+    """Scale of force arrows. Forces of `force` [mu m g] or more have arrows of `length` [m]."""
 
     force: float
     length: float
 
     @classmethod
     def of(cls, forces: np.ndarray, length: float) -> Arrows:
-        """Choose the scale by all forces (..., 2) that are to be drawn."""
+        """Choose the scale from all forces (..., 2) of a picture."""
         size = np.hypot(*forces.reshape(-1, 2).T)
         size = size[size > 0]
         return cls(round_number(np.percentile(size, FULL_FORCE)) if len(size) else 1.0, length)
@@ -246,8 +254,8 @@ class Arrows:
     def draw(
         self, canvas: Canvas, point: np.ndarray, force: np.ndarray, width: float, pivot: float
     ) -> None:
-        """Draw arrows of forces (n, 2); `pivot` is the share of an arrow that is before its point
-        (n, 2) [m]."""
+        """Draw arrows for forces (n, 2) at points (n, 2) [m]. `pivot` is the fraction of an arrow's
+        length before its point."""
         size = np.maximum(np.hypot(*force.T), self.force)
         whole = self.length * force / size[:, None]
         for start, way in zip(point - pivot * whole, whole, strict=True):
@@ -255,7 +263,8 @@ class Arrows:
 
 
 def draw_strip(scene: Scene, path: Path, title: str) -> None:
-    """Draw snapshots, left to right and top to bottom: parts, their trails, the force field."""
+    """Draw snapshots in rows, with the parts, their trails and the force field. Save them as an
+    image."""
     times, half = np.linspace(0, scene.film.end, SNAPSHOTS), scene.rig.plate.half
     counts = np.maximum(1, np.round(half * np.sqrt(ARROWS / np.prod(half))).astype(int))
     x, y = (np.linspace(-h + h / n, h - h / n, n) for h, n in zip(half, counts, strict=True))
@@ -275,7 +284,8 @@ def draw_strip(scene: Scene, path: Path, title: str) -> None:
 
 
 def draw_film(scene: Scene, path: Path, title: str) -> float:
-    """Draw what the camera saw, with trails, as a GIF; returns how much faster than life it is."""
+    """Draw the camera images with trails and forces, and save them as a GIF. Return the ratio of
+    its speed to real time."""
     film = scene.film
     shown = np.flatnonzero((film.image_time >= -NOW) & (film.image_time <= film.end + NOW))
     if not len(shown):
@@ -292,7 +302,7 @@ def draw_film(scene: Scene, path: Path, title: str) -> float:
         canvas = FILM.canvas(scene, bare)
         draw_task(scene, canvas)
         draw_trails(scene, canvas, t)
-        canvas.pixels[part] = view[part]  # parts lie on top of their trails
+        canvas.pixels[part] = view[part]  # draw parts above their trails
         draw_parts(scene, canvas, t, faces=False)
         there = np.all(np.isfinite(at), axis=1)
         arrows.draw(canvas, at[there], force[there], 1.6, 0.0)
@@ -322,7 +332,7 @@ def draw_task(scene: Scene, canvas: Canvas) -> None:
 
 
 def draw_trails(scene: Scene, canvas: Canvas, t: float) -> None:
-    """Draw where parts have been until t [s]."""
+    """Draw the trails of the parts until t [s]."""
     position = scene.until(t)
     for part, label in enumerate(scene.labels):
         track = position[:, part]
@@ -330,7 +340,8 @@ def draw_trails(scene: Scene, canvas: Canvas, t: float) -> None:
 
 
 def draw_parts(scene: Scene, canvas: Canvas, t: float, faces: bool) -> None:
-    """Draw parts at t [s], or only their edges; angles; and where parts have left the plate."""
+    """Draw the parts at t [s] with their angles and target angles, and crosses at the last
+    positions of parts that have left the plate. Without `faces`, draw only the parts' edges."""
     position = scene.until(t)
     now = max(0, int(np.searchsorted(scene.film.time, t + NOW, side="right")) - 1)
     for label, place, angle in scene.poses:
@@ -351,7 +362,7 @@ def draw_parts(scene: Scene, canvas: Canvas, t: float, faces: bool) -> None:
 
 
 def draw_part(scene: Scene, canvas: Canvas, label: str, pose: np.ndarray, face: bool) -> None:
-    """Draw a part of a class in a pose (3,) [m, m, rad], or only its edges."""
+    """Draw a part of a class at a pose (3,) [m, m, rad]. Without `face`, draw only its edges."""
     part, edge = scene.rig.part_type(label), class_colour(label)
     filled = face_colour(part) if face else None
     if part.radius_m and not part.holes:
@@ -362,7 +373,7 @@ def draw_part(scene: Scene, canvas: Canvas, label: str, pose: np.ndarray, face: 
 
 
 def face_colour(part: PartType) -> Colour:
-    """Return what a part looks like."""
+    """Return the face colour of a part type."""
     if part.colour_lab is None:
         return part_colour(part.name)
     red, green, blue = lab_to_srgb(np.array(part.colour_lab)).round().astype(int).tolist()
@@ -372,7 +383,8 @@ def face_colour(part: PartType) -> Colour:
 def draw_angle(
     canvas: Canvas, centre: np.ndarray, angle: float, radius: float, colour: Colour, dashed: bool
 ) -> None:
-    """Draw which way a part points, written beside it, or is to point, written at its end."""
+    """Draw the angle of a part with its value beside it, or, dashed, the target angle with its
+    value at the end of the line."""
     along, ray = np.array([np.cos(angle), np.sin(angle)]), WANTED_RAY if dashed else TRUE_RAY
     canvas.line(centre + radius * np.outer([1.0, ray], along), colour, 2, dashed)
     side = [-BESIDE if along[0] > 0.1 else BESIDE, 0.0]
@@ -381,7 +393,7 @@ def draw_angle(
 
 
 def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
-    """Return what a key is to explain in such frames of this run."""
+    """Return the entries of the key for frames of this run."""
     radius = min(scene.rig.parts.radius_m, 0.5 * frame.words / frame.scale)
     bar = round_number(scene.rig.plate.length_m / 6)
     ray, end = WANTED_RAY * radius, np.array([radius, 0.0])
@@ -411,7 +423,8 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
 
 
 def class_sample(scene: Scene, label: str, radius: float) -> Sample:
-    """Return the sample of a class: target or path, trail and part of a radius [m]."""
+    """Return the key's entry of a class: its target or path, a trail, and a part of a radius
+    [m]."""
     colour = class_colour(label)
     wide, told = 6 * radius, [f"{label}: part, trail"]
     target = label in [one for one, _ in scene.targets]
@@ -434,16 +447,16 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
 def from_above(
     scene: Scene, canvas: Canvas, images: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-    """Return images as seen straight from above, as on the canvas.
+    """Rectify images to a view from above, in the scale of the canvas.
 
     Returns
     -------
     bare : (H, W, 3)
-        The plate without parts: the bright end of what each pixel shows in the course of time.
+        The plate without parts: the percentile `BRIGHT` of each pixel over time.
     views : list of (H, W, 1) or (H, W, 3)
-        The images.
+        Rectified images.
     parts : list of (H, W)
-        True where an image shows a part: where it differs from `bare` by more than the noise.
+        True at pixels that show a part, because they differ from `bare` by more than `SAME`.
     """
     (x, y), scale = canvas.origin, canvas.scale
     matrix = np.array([[scale, 0, x], [0, -scale, y], [0, 0, 1.0]]) @ np.linalg.inv(
@@ -456,13 +469,13 @@ def from_above(
     ]
     if views[0].ndim == 2:
         views = [view[..., None] for view in views]
-    views = [view[..., ::-1] for view in views]  # blue, green, red; or one of grey
+    views = [view[..., ::-1] for view in views]  # from blue, green, red to red, green, blue
     bare = np.percentile(views[:: max(1, len(views) // 31)], BRIGHT, axis=0).astype(np.uint8)
     parts = [np.any(cv2.absdiff(view, bare).reshape(view.shape) > SAME, axis=2) for view in views]
     return np.ascontiguousarray(np.broadcast_to(bare, (*bare.shape[:2], 3))), views, parts
 
 
 def round_number(value: float) -> float:
-    """Return the greatest of 1, 2, 5, 10, ... times a power of ten that is not beyond a value."""
+    """Return the largest number 1, 2 or 5 times a power of ten that does not exceed a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1 + NOW)))

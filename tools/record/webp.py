@@ -1,4 +1,4 @@
-"""Films for pages: WebP, with losses."""
+"""Animations for pages as lossy WebP."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from PIL import Image
 def save_film(
     frames: Sequence[Image.Image], durations: list[int], path: Path, width: int, quality: int
 ) -> None:
-    """Write frames, each shown for a duration [ms], as an animation of a width [px]."""
+    """Write frames with their durations [ms] as an animation. Scale them to a width [px]."""
     size = width, round(frames[0].height * width / frames[0].width)
     small = [frame.convert("RGB").resize(size, Image.Resampling.LANCZOS) for frame in frames]
     small[0].save(
