@@ -16,7 +16,7 @@ parser.add_argument("picture", nargs="?", default="force_field.png", help="(forc
 picture = parser.parse_args().picture
 rig = load_rig()
 
-# Two parts, to be pushed in different directions; a third one is to stay where it is.
+# Two parts are pushed in different directions. The third one gets no mean force.
 position = np.array([[-0.15, 0.05], [0.15, 0.05], [0.0, -0.08]])  # [m]
 force = np.array([[0.15, 0.0], [0.0, 0.15], [0.0, 0.0]])  # [mu m g]
 
@@ -24,7 +24,7 @@ solution = SinusoidSolver(rig, harmonics=3).solve(position, force)
 print(f"success {solution.success}: {solution.message}")
 print(f"period {solution.cycle.period:.3f} s, condition {solution.condition:.1f}")
 
-# What the motion does elsewhere on the plate.
+# Mean force of this motion at all other points of the plate.
 half = rig.plate.half
 x, y = np.meshgrid(np.linspace(-half[0], half[0], 31), np.linspace(-half[1], half[1], 16))
 field = average_force(solution.cycle, np.column_stack([x.ravel(), y.ravel()]))

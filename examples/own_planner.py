@@ -1,10 +1,10 @@
-"""A planner of your own: it sorts the parts, black ones to the left, all others to the right.
+"""Example of a planner of your own. It sorts black parts to the left, and all others to the right.
 
-Judged by the bench, over many seeds, without ROS:
+To evaluate it in the bench, over many seeds and without ROS:
 
     python bench/closed_loop.py --scenario sort_4 --planner examples/own_planner.py
 
-As a node in place of `planner`, beside `simulator`, `detector`, `solver` and `driver`:
+To run it as a node instead of `planner`, with `simulator`, `detector`, `solver` and `driver`:
 
     python examples/own_planner.py
 """
@@ -14,21 +14,26 @@ import numpy as np
 from plate_core import Parts, Rig, Wanted, load_rig, part_class
 
 RATE, FASTEST = 0.5, 0.020
-"""Wanted drift for each metre to go [1/s], and at most [m/s]."""
+"""Requested drift velocity per metre of distance to the goal [1/s], and its maximum [m/s]."""
 
 GOAL, LANE = 0.7, 0.6
-"""Where parts are drawn to, in half lengths; how far aside they may be, in half widths."""
+"""Distance of the goal from the plate's centre [half lengths], and half-width of the lane in which
+parts may have any y [half widths]."""
 
 
 class OwnPlanner:
-    """The control law: what is wanted of the parts at a cycle's start. Only this is yours to
-    write."""
+    """Control law: returns the requested forces for the parts at the start of a cycle. A planner
+    needs only this class."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig, self._seen_at = rig, -np.inf
 
     def plan(self, parts: Parts, t: float) -> Wanted:
-        """Return the mean force on each part [N]; `t` is when the cycle began [s]."""
+        """Return the requested mean force on each part [N] for a cycle that begins at `t` [s].
+
+        Per axis, drift = clip(RATE (goal - position), -FASTEST, FASTEST), and
+        force = m (drift - velocity) / period changes the velocity to this drift in one cycle.
+        """
         period = np.clip(t - self._seen_at, 0.05, 0.2)
         self._seen_at = t
 
@@ -45,7 +50,7 @@ class OwnPlanner:
 
         tolerance = np.zeros_like(force)
         in_lane = goal[:, 1] == parts.position[:, 1]
-        tolerance[in_lane, 1] = self._rig.force_unit  # there it may go as it likes
+        tolerance[in_lane, 1] = self._rig.force_unit  # within the lane any force along y will do
         return Wanted.make(parts, force, tolerance, period=period)
 
 
@@ -58,19 +63,23 @@ if __name__ == "__main__":
     from plate_interfaces.msg import Parts as PartsMsg
 
     class OwnPlannerNode(Node):
-        """The same in the graph: subscribes `parts`, `cycle_started`, publishes `part_forces`.
+        """Node `planner` with this control law.
 
-        Each cycle is answered once, by the image nearest to its start. That is the image at its
-        start, if the camera is triggered there. Of one that runs free it is up to half an interval
-        off, and older than its stamp says: at 30 images a second good enough to sort, not to follow
-        a path. `at_start` stays false: the solver takes the parts to be there at the cycle's start.
+        Subscribes to parts and cycle_started. Publishes part_forces.
+
+        It requests once per cycle, from the image nearest to the cycle's start. If the camera is
+        triggered, this image is taken at the start. If it is free-running, the image is up to half
+        an interval away, and older than its stamp. At 30 images per second this is sufficient to
+        sort, but not to follow a path. `at_start` stays false: the solver assumes that the parts
+        have these positions at the start of the cycle.
         """
 
         def __init__(self) -> None:
             super().__init__("planner")
             self._planner = OwnPlanner(load_rig())
-            self._start = self._answered = None  # of the cycle that runs, of the last one answered
-            self._images = []  # the last two
+            # Starts of the running cycle, and of the last one with a request.
+            self._start = self._answered = None
+            self._images = []  # last two images
             self._forces = self.create_publisher(PartForces, "part_forces", DATA)
             self.create_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
             self.create_subscription(PartsMsg, "parts", self._on_parts, DATA)
@@ -84,13 +93,15 @@ if __name__ == "__main__":
             self._answer()
 
         def _answer(self) -> None:
-            """Answer the cycle, as soon as there is an image from its start or later."""
+            """Publish the request for the running cycle when an image from its start or later has
+            arrived."""
             if not self._images:
                 return
             newest = self._images[-1].header.stamp
-            start = newest if self._start is None else self._start  # nobody has told one yet
+            # Until the first cycle_started, the image itself counts as the start.
+            start = newest if self._start is None else self._start
             off = [seconds(msg.header.stamp) - seconds(start) for msg in self._images]
-            # An image of the start itself comes again where it is to be answered again.
+            # An image of the start itself is repeated if its request must be repeated.
             if off[-1] == 0 or (off[-1] > 0 and start != self._answered):
                 parts = msg_to_parts(self._images[int(np.argmin(np.abs(off)))])
                 self._answered = start

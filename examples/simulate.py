@@ -16,8 +16,8 @@ parser.add_argument("picture", nargs="?", default="simulate.png", help="(simulat
 picture = parser.parse_args().picture
 rig = load_rig()
 
-# Quick one way, slow the other way: two sinusoids along x. Parts drift, since friction takes no
-# notice of how fast the plate slides under them.
+# The sum of two sinusoids along x is fast in one direction and slow in the other. Parts drift,
+# because the friction force does not depend on the sliding speed.
 period = 0.05
 t = np.arange(256) / 256 * period
 w = 2 * np.pi / period
@@ -25,7 +25,7 @@ pose = np.zeros((len(t), 3))
 pose[:, 0] = 0.002 * (np.sin(w * t) + 0.25 * np.sin(2 * w * t))
 cycle = PlateCycle.from_samples(period, pose)
 
-# Three parts: at rest, and thrown along x and y.
+# Three parts: one at rest, two with initial velocities along x and y.
 position = np.array([[0.0, -0.05], [0.0, 0.0], [0.0, 0.05]])  # [m]
 velocity = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # [m/s]
 path = simulate(cycle, position, velocity, rig.friction.mu, cycles=20)

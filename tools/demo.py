@@ -1,9 +1,10 @@
-"""The demo: real nodes in processes of their own close the loop; we watch, judge and draw.
+"""Run a task with the real nodes as processes, evaluate it, and draw pictures of it.
 
 python tools/demo.py --scenario sort_10 --method sinusoids
 
-Exit code 0: the task succeeded, nothing was dropped, all limits were kept, all nodes ended well.
-1: it did not. 2: wrong arguments, nothing was started. 130: interrupted, what was done is kept.
+Exit code 0: the task succeeded, no part was dropped, all limits were kept, and all nodes ended with
+code 0. 1: one of these failed. 2: invalid arguments, nothing was started. 130: interrupted, the
+results so far are kept.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from pathlib import Path
 
 
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     args = arguments()
-    # Until there is something to stop, Ctrl-C simply ends us, also in the middle of an import.
+    # Until nodes are started, Ctrl-C ends this program at once, also during an import.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     from plate_core import PlateError, load_rig
     from plate_core.tasks import load_scenario
 
-    try:  # a mistyped name is reported before the slow imports
+    try:  # report a mistyped name before the slow imports
         load_rig(args.rig or load_scenario(args.scenario).rig)
     except PlateError as error:
         print(f"demo: {error}", file=sys.stderr)
@@ -33,7 +34,7 @@ def main() -> int:
 
 
 def arguments() -> argparse.Namespace:
-    """Read the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         prog="make demo",
         description="Run a task on the vibrating plate: ROS 2 nodes as processes of their "

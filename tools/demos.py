@@ -2,9 +2,9 @@
 
 python tools/demos.py [SCENARIO ...]
 
-Each is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, but simulated time waits for the
-answers, so that a film does not depend on what else the machine does. The robot of a feeder has a
-time of its own: no lockstep. A run that fails is reported.
+Each run is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, in which simulated time waits
+for the answers, so that a film does not depend on the computer's load. A feeder's robot keeps its
+own time, so these runs are not in lockstep. A failed run is reported.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs/results"
 
 PICKS = 30
-"""Parts that the robot of a feeder takes."""
+"""Number of parts that the robot of a feeder takes."""
 
 LONGEST_S = 600
-"""A demo takes no longer [s]: set-up, the task, its pictures."""
+"""Maximum duration of a demo with its start and its pictures [s]."""
 
 STRIP_PX, FILM_PX = 800, 520
-"""Widths of the pictures kept."""
+"""Widths of the stored pictures [px]."""
 
 QUALITY, COLOURS = 25, 64
-"""Of a film, which WebP keeps with losses, and of a strip."""
+"""WebP quality of a film, and number of colours of a strip."""
 
 
 @piped()
 def main() -> int:
-    """Run the command line; returns the number of demos that failed."""
+    """Run the command line. Return the number of demos that failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     known = sorted(path.stem for path in (ROOT / "config/scenarios").glob("*.yaml"))
     parser.add_argument("scenarios", nargs="*", default=known, metavar="SCENARIO", help="(all)")
@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def run(name: str) -> dict[str, Any]:
-    """Run one demo, keep its pictures, and say what became of it."""
+    """Run one demo, store its pictures, and return its result for demos.json."""
     out = ROOT / "out/demos" / name
     feeds = isinstance(load_scenario(name).task, FeedTask)
     args = f"--picks {PICKS}" if feeds else "--lockstep"
@@ -91,7 +91,7 @@ def run(name: str) -> dict[str, Any]:
 
 
 def shrink_strip(source: Path, target: Path) -> None:
-    """Keep a picture strip with fewer pixels and colours."""
+    """Store a picture strip with fewer pixels and colours."""
     with Image.open(source) as image:
         size = STRIP_PX, round(image.height * STRIP_PX / image.width)
         small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
@@ -99,7 +99,7 @@ def shrink_strip(source: Path, target: Path) -> None:
 
 
 def shrink_film(source: Path, target: Path) -> None:
-    """Keep an animation as WebP, smaller than the GIF."""
+    """Store an animation as WebP, which is smaller than the GIF."""
     with Image.open(source) as film:
         frames = [frame.copy() for frame in ImageSequence.Iterator(film)]
     durations = [frame.info["duration"] for frame in frames]

@@ -31,7 +31,7 @@ measured or, on a busy machine, until the page shows no alarm [s]."""
 
 
 def shoot(page: Any, graph: Session, out: Path) -> None:
-    """Photograph each step."""
+    """Save a picture of the page after each step."""
 
     def save(name: str) -> None:
         page.locator("#alarm").wait_for(state="hidden", timeout=1e3 * MEASURED_S)
@@ -42,7 +42,8 @@ def shoot(page: Any, graph: Session, out: Path) -> None:
         print(path)
 
     page.get_by_role("tab", name="Camera").click()
-    page.wait_for_timeout(1e3 * STEADY_S)  # of the best sharpness, with which it compares
+    # The page compares with the best sharpness so far, so let it see sharp images first.
+    page.wait_for_timeout(1e3 * STEADY_S)
     for name, blur in (("focus", DEFOCUS_PX), ("ready", 0.0)):
         graph.observer.set_parameter("simulator", "defocus_px", blur)
         page.wait_for_timeout(1e3 * STEADY_S)
@@ -55,7 +56,7 @@ def shoot(page: Any, graph: Session, out: Path) -> None:
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("docs/first_day"), help="(docs/first_day)")
     out = parser.parse_args().out

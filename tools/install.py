@@ -1,7 +1,7 @@
 """Install Python packages into .venv: python tools/install.py [what `pip install` takes]
 
-uv does it where pip has installed it before: some five times faster, and from its cache where there
-is no network. Its settings are those of pip, which does it where uv cannot.
+If uv is installed, it installs the packages about five times faster than pip, and from its cache if
+there is no network. It gets the settings of pip. If uv fails, pip is used.
 """
 
 from __future__ import annotations
@@ -24,17 +24,18 @@ FROM_PIP = {
     "cert": "SSL_CERT_FILE",
     "proxy": "ALL_PROXY",
 }
-"""uv's variables of the environment for settings of pip."""
+"""uv's environment variable for each of these pip settings."""
 
 ELSEWHERE = ("UV_PREFIX", "UV_PYTHON", "UV_SYSTEM_PYTHON", "UV_TARGET")
-"""Variables that would have uv install into another place than .venv."""
+"""Environment variables that would make uv install outside .venv."""
 
 
 def settings() -> dict[str, str]:
-    """Return pip's settings as uv's; like pip, without folders that are not there."""
+    """Return pip's settings as environment variables of uv. Missing folders are omitted, as pip
+    does."""
     said = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
-    found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # all indexes count alike
-    for line in said.stdout.splitlines():  # those of the environment, which win, come first
+    found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # all indexes have the same priority
+    for line in said.stdout.splitlines():  # settings of the environment are first, and win
         name, _, value = line.partition("=")
         key = name.rpartition(".")[2]
         if key in FROM_PIP:
@@ -49,10 +50,10 @@ def _is_missing(place: str) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Install; returns the exit code."""
+    """Install packages with the arguments of `pip install`. Return the exit code."""
     if find_spec("uv"):
         uv = [sys.executable, "-m", "uv", "pip", "install", "-q", "--python", sys.executable]
-        if sys.dont_write_bytecode:  # else each module is compiled where it is imported first
+        if sys.dont_write_bytecode:  # Python would otherwise compile each module at its import
             uv.append("--compile-bytecode")
         own = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
         for where in (["--offline"], []):

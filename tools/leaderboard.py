@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE, RESULTS = ROOT / "docs/guide/leaderboard.md", ROOT / "benchmarks"
 
 MARK = "<!-- made of benchmarks/ -->\n"
-"""Separates the text, written by hand, from the generated tables."""
+"""Line that separates the handwritten text from the generated tables."""
 
 ERRORS = {"error_mm": "error [mm]", "turn_error_deg": "error [degrees]"}
 """Columns of errors. A task has them only if an episode has such an error."""
@@ -28,7 +28,7 @@ LEAST = 20
 
 
 def page() -> str:
-    """Return the page: its text and the new tables."""
+    """Return the page with its old text and the new tables."""
     return PAGE.read_text("utf-8").split(MARK)[0] + MARK + tables(RESULTS)
 
 
@@ -40,7 +40,7 @@ def tables(folder: Path) -> str:
     PlateError
         If a file is not a result, or its seeds do not start at 0. The message names the file.
     """
-    from plate_gym import TASKS  # needs gymnasium: --help does not
+    from plate_gym import TASKS  # imported here, because --help should not need gymnasium
     from plate_gym.bench import ranges, read, validate
 
     results = {path.name: read(path) for path in folder.glob("*.json")}
@@ -73,11 +73,11 @@ def tables(folder: Path) -> str:
 
 
 Order = tuple[bool, str, float, float]
-"""Order of rows: the nominal world first, then the better, then the faster agents."""
+"""Sort key of rows: rows of the nominal world first, then better agents, then faster ones."""
 
 
 def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, list[str]]:
-    """Return the cells of a result in the table of a task, after its place in the order."""
+    """Return the sort key of a result, and its cells in the table of a task."""
     from plate_gym.bench import summary
 
     world = result["world"]

@@ -2,10 +2,13 @@
 
 python tools/machines.py [--reach named|subnet|nobody] [--scenario sort_4] [--json FILE]
 
-The machines are two network namespaces of this one, joined by a pair of virtual cards; needs root.
-`named`: as by default the graph stays on its machine, but each names the other (ROS_STATIC_PEERS).
-`subnet`: everybody on the network. `nobody`: the default, and the other machine is an intruder's:
-it names this one, or asks the whole network, and must find no node and get no answer to a stop.
+The machines are two network namespaces of this computer, connected by a pair of virtual network
+cards. This requires root.
+
+named    discovery stays on each machine, except that each names the other (ROS_STATIC_PEERS)
+subnet   discovery includes the whole network
+nobody   default settings. The other machine is an intruder, which names this one or searches the
+         whole network. It must not find a node, and its stop must not be answered.
 """
 
 from __future__ import annotations
@@ -34,15 +37,16 @@ from plate_core.tasks import load_scenario
 
 EYES, HANDS = "10.77.0.1", "10.77.0.2"
 SEEING = ("simulator", "detector")
-"""Nodes of the machine with the camera."""
+"""Nodes on the machine with the camera."""
 
 REACHES = ("named", "subnet", "nobody")
 DOMAIN = 0
-"""The machines have a network of their own, so no other domain is needed."""
+"""ROS domain. Any one is free, because the machines have a separate network."""
 
 START_S, TASK_S, ALONE_S, CARD_S = 180.0, 180.0, 3.0, 10.0
 DISCOVERY_S = 3.0
-"""Participants that have begun announce themselves 20 times, each 0.1 s (config/fastdds.xml)."""
+"""Time for discovery [s]. New participants announce themselves 20 times, every 0.1 s
+(config/fastdds.xml)."""
 POLL_S = 0.02
 CARD = "card"
 INTRUDER = """
@@ -58,25 +62,26 @@ future = stop.call_async(Trigger.Request())
 rclpy.spin_until_future_complete(node, future, timeout_sec=1.0)
 print(*sorted(names), *(["answered"] if future.done() else []))
 """
-"""What somebody on another machine may try: looks for our nodes, and has the motors stop."""
+"""Program of an intruder: prints the nodes that it finds, and calls emergency_stop."""
 OWN_SHM = "mount -t tmpfs none /dev/shm"
 
 
 @contextmanager
 def machine() -> Iterator[int]:
-    """Make a machine: a process that does nothing and has a network and a /dev/shm of its own.
+    """Context with a machine: an idle process with its own network namespace and /dev/shm. Yields
+    its process id.
 
-    DDS talks over /dev/shm with everybody who shares it, and names its files there by port: two
-    machines with one /dev/shm take each other's ports.
+    DDS communicates over /dev/shm with all processes that share it, and names its files there by
+    port. Two machines with the same /dev/shm would use each other's ports.
 
     Raises
     ------
     PlateError
-        If that is not allowed.
+        If the process has no permission for this.
     """
     words = ["unshare", "--net", "--mount", "sh", "-c", f"{OWN_SHM} && echo made && exec cat"]
     pipe = subprocess.PIPE
-    # It ends with its standard input, so also when we die without a word.
+    # The process ends when its standard input is closed, also if this program is killed.
     with subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True) as process:
         assert process.stdout
         if not process.stdout.readline():
@@ -86,12 +91,12 @@ def machine() -> Iterator[int]:
 
 @contextmanager
 def machines() -> Iterator[tuple[int, int]]:
-    """Make two machines, joined by a cable.
+    """Context with two machines that a virtual cable connects. Yields their process ids.
 
     Raises
     ------
     PlateError
-        If that is not allowed.
+        If the process has no permission for this.
     """
     with machine() as eyes, machine() as hands:
         ends = f"{CARD} netns {eyes} type veth peer {CARD} netns {hands}"
@@ -106,12 +111,12 @@ def machines() -> Iterator[tuple[int, int]]:
 
 
 def await_card(pid: int) -> None:
-    """Wait until a machine's card runs: DDS asks for the addresses once, when a node starts.
+    """Wait until a machine's network card is up. DDS reads the addresses only when a node starts.
 
     Raises
     ------
     PlateError
-        If it does not within `CARD_S`.
+        If it is not up within `CARD_S`.
     """
     end = time.monotonic() + CARD_S
     while " UP " not in do(*enter(pid), "ip", "-brief", "link", "show", CARD):
@@ -121,7 +126,7 @@ def await_card(pid: int) -> None:
 
 
 def do(*words: str) -> str:
-    """Run a command, and return what it says."""
+    """Run a command, and return its output. Raises PlateError if it fails."""
     try:
         return subprocess.run(words, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
@@ -130,12 +135,13 @@ def do(*words: str) -> str:
 
 
 def enter(pid: int) -> list[str]:
-    """Return the words before a command that is to run on a machine."""
+    """Return the words that make a command run on a machine, to put before it."""
     return ["nsenter", f"--target={pid}", "--net", "--mount", "--wd"]
 
 
 def reach_environment(reach: str, other: str) -> dict[str, str]:
-    """Return the variables of a machine that is to reach the other one's address."""
+    """Return the environment variables for a kind of reach. `other` is the other machine's
+    address."""
     peers = other if reach == "named" else ""
     where = "SUBNET" if reach == "subnet" else "LOCALHOST"
     reach_it = {"ROS_AUTOMATIC_DISCOVERY_RANGE": where, "ROS_STATIC_PEERS": peers}
@@ -144,12 +150,13 @@ def reach_environment(reach: str, other: str) -> dict[str, str]:
 
 
 def intrude(machine: int) -> list[str]:
-    """Return what an intruder on another machine finds, in two ways."""
+    """Return what an intruder on a machine finds: names of nodes, and "answered" if a stop was
+    answered. It tries `named` and `subnet`."""
     words = [*enter(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
     tries = []
     for reach in ("named", "subnet"):
         own = os.environ | reach_environment(reach, HANDS)
-        del own["FASTRTPS_DEFAULT_PROFILES_FILE"]  # that of DDS itself asks everywhere
+        del own["FASTRTPS_DEFAULT_PROFILES_FILE"]  # the default profile of DDS searches everywhere
         tries.append(subprocess.Popen(words, env=own, stdout=subprocess.PIPE, text=True))
     found = [each.communicate()[0].split() for each in tries]
     if any(each.returncode for each in tries):
@@ -158,7 +165,8 @@ def intrude(machine: int) -> list[str]:
 
 
 def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
-    """Run a task; this process is on the machine with the driver."""
+    """Run a task, and return its measurements. This process runs on the machine with the driver,
+    and `eyes` is the process id of the other machine."""
     options = RunOptions(scenario=scenario, rig_file=load_scenario(scenario).rig)
     graph = options.nodes(load_graph())
     seeing = [node for node in graph if node.name in SEEING and reach != "nobody"]
@@ -195,14 +203,14 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
 
 
 def crossed() -> int:
-    """Return the bytes that have gone over the cable, both ways."""
+    """Return the number of bytes transferred over the cable in both directions."""
     lines = Path("/proc/self/net/dev").read_text(encoding="ascii").splitlines()
     words = next(line for line in lines if line.strip().startswith(CARD)).split(":")[1].split()
     return int(words[0]) + int(words[8])
 
 
 def inside(args: argparse.Namespace) -> int:
-    """Do what is to be done on the machine with the driver."""
+    """Run the part of the program on the machine with the driver. Return the exit code."""
     with tempfile.TemporaryDirectory() as logs:
         result = {"reach": args.reach, **run(args.reach, args.scenario, args.inside, Path(logs))}
     print(result, flush=True)
@@ -214,7 +222,7 @@ def inside(args: argparse.Namespace) -> int:
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--reach", default="named", choices=REACHES)
     parser.add_argument("--scenario", default="sort_4")

@@ -1,7 +1,7 @@
 """Tools that some tests need beyond set-up: installs the wheels and lists what is still missing.
 
---install adds the programs, the browser's driver and ROS's launch. A test names its tools,
-`@pytest.mark.needs("chromium", "plotly")`. It is left out if one of them is missing (conftest.py).
+--install also installs the programs, the browser's driver and ROS's launch. A test names its tools
+with `@pytest.mark.needs("chromium", "plotly")`. conftest.py omits the test if a tool is missing.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PROGRAMS = {
     "aarch64-linux-gnu-g++": (("aarch64-linux-gnu-g++",), "g++-aarch64-linux-gnu"),
     "qemu-aarch64": (("qemu-aarch64", "qemu-aarch64-static"), "qemu-user"),
 }
-"""Programs that will do, any of them, and the Debian packages that hold one."""
+"""For each tool, its alternative program names and the Debian packages that contain it."""
 
 MODULES = (
     "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "gymnasium", "playwright",
@@ -40,27 +40,27 @@ MODULES = (
 """Modules of `WHEELS` and `BROWSER_WHEELS`."""
 
 LAUNCH = "launch_ros"
-"""Has no wheel: tools/cli.sh fetches its sources."""
+"""Module without a wheel. tools/cli.sh fetches its sources."""
 
 
 def program(need: str) -> str | None:
-    """Return the path of a program that will do."""
+    """Return the path of a tool's program. None if it is not installed."""
     return next(filter(None, map(shutil.which, PROGRAMS[need][0])), None)
 
 
 def missing() -> list[str]:
-    """Return what is not here of all that tests need."""
+    """Return the tools that tests need and that are not installed."""
     modules = [name for name in (*MODULES, LAUNCH) if find_spec(name) is None]
     return [need for need in PROGRAMS if program(need) is None] + modules
 
 
 def packages(needs: list[str]) -> str:
-    """Return the Debian packages that hold these programs, as apt-get takes them."""
+    """Return the Debian packages of these tools, separated by spaces."""
     return " ".join(PROGRAMS[need][1] for need in needs if need in PROGRAMS)
 
 
 def pins(requirements: str) -> list[str]:
-    """Return the pins in a file of requirements, "name==version"."""
+    """Return the pins "name==version" in a requirements file."""
     lines = (ROOT / requirements).read_text(encoding="utf-8").splitlines()
     return [pin for line in lines if "==" in (pin := line.partition("#")[0].strip())]
 
@@ -75,7 +75,8 @@ def is_installed(pin: str) -> bool:
 
 
 def install_wheels(requirements: str) -> bool:
-    """Install a file of requirements unless all of it is there; returns whether it is."""
+    """Install a requirements file unless all its pins are installed. Return whether this
+    succeeded."""
     if all(map(is_installed, pins(requirements))):
         return True
     say(f"installing {requirements} ({SIZES[requirements]})")
@@ -83,7 +84,7 @@ def install_wheels(requirements: str) -> bool:
 
 
 def install() -> int:
-    """Install what is missing, each by itself; returns 1 if something still is."""
+    """Install all missing tools, each separately. Return 1 if one is still missing."""
     apt = ["apt-get", "-q", "-y", "-o", "DPkg::Lock::Timeout=300"]
     lacking = missing()
     if debian := packages(lacking):
@@ -94,7 +95,7 @@ def install() -> int:
         else:
             say(f"not root; type: sudo apt-get install --no-install-recommends {debian}")
     for requirements in (WHEELS, BROWSER_WHEELS):
-        if not install_wheels(requirements):  # one of them is not available: install the others
+        if not install_wheels(requirements):  # if one pin is not available, install the others
             for pin in pins(requirements):
                 run([sys.executable, "tools/install.py", "--only-binary", ":all:", pin])
     if LAUNCH in lacking:
@@ -105,7 +106,8 @@ def install() -> int:
 
 
 def run(words: list[str]) -> bool:
-    """Run a command; says how long it took, or why it failed."""
+    """Run a command, and print its duration, and the end of its output if it failed. Return whether
+    it succeeded."""
     began = time.monotonic()
     env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     done = subprocess.run(
@@ -124,7 +126,7 @@ def say(text: str) -> None:
 
 
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--install", action="store_true", help="install all tools")
     if parser.parse_args().install:

@@ -25,21 +25,21 @@ from plate_core import PlateError, piped
 FRAME_S = 0.25
 FILM_WIDTH_PX, QUALITY = 720, 40
 STILL_S = 9.0
-"""When the still picture is taken [s]."""
+"""Time of the still picture in the film [s]."""
 
 DRAGS = (
     ("black_1", (0.12, 0.08), 0.5),
     ("grey_3", (-0.2, -0.08), 2.5),
     ("black_4", (0.2, -0.02), 4.5),
 )
-"""Which part, to where [m], and when [s]."""
+"""Part, target position [m] and time [s] of each drag."""
 
 PATH = "grey_2", ((0.0, 0.06), (0.08, 0.0), (0.0, -0.06), (-0.08, 0.0), (0.0, 0.06)), 11.0
 END_S = 22.0
 
 
 class Film:
-    """The page in a browser, photographed again and again."""
+    """Takes screenshots of the page in a browser."""
 
     def __init__(self, page: Any) -> None:
         self.page, self.began = page, time.monotonic()
@@ -51,19 +51,19 @@ class Film:
         return time.monotonic() - self.began
 
     def until(self, t: float) -> None:
-        """Photograph until a time [s]."""
+        """Take a screenshot every `FRAME_S` until the time t [s]."""
         while self.now < t:
             began = time.monotonic()
             self.frames.append((self.now, self.page.screenshot(type="png")))
             time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
 
     def known(self, what: str) -> Any:
-        """Return something that the page knows."""
+        """Return the value of an expression in the page's module bus.js."""
         bus = "const {known} = await import('./bus.js')"
         return self.page.evaluate(f"async () => {{ {bus}; return {what}; }}")
 
     def drag(self, points: Sequence[Sequence[float]]) -> None:
-        """Draw with the pointer pressed through points [m]."""
+        """Move the pressed pointer through points on the plate [m]."""
         box, rig = self.page.locator("#plate").bounding_box(), self.known("known.hello.rig")
         scale = min(box["width"] / (rig["length"] + 0.024), box["height"] / (rig["width"] + 0.024))
         middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -76,13 +76,13 @@ class Film:
         self.page.mouse.up()
 
     def place(self, name: str) -> tuple[float, float]:
-        """Return where a part is [m]."""
+        """Return the position of a part [m]."""
         part = self.known(f"known.parts.parts.find((part) => part.id === '{name}')")
         return part["x"], part["y"]
 
 
 def shoot(film: Film) -> None:
-    """Play the scene."""
+    """Drag the parts, then draw a path and let a part follow it. Take screenshots until `END_S`."""
     film.page.get_by_label("Drift").check()
     for name, end, at in DRAGS:
         film.until(at)
@@ -113,7 +113,7 @@ def write(frames: list[tuple[float, bytes]], out: Path) -> None:
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("docs/results"), help="(docs/results)")
     out = parser.parse_args().out

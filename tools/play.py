@@ -1,9 +1,9 @@
-"""The plate to play with: the graph with the simulator, and the live page, until Ctrl-C.
+"""Run the graph with the simulator and the live page, for interactive use, until Ctrl-C.
 
 python tools/play.py [--scenario play] [--rig desk] [--bag out/demo/bag]
 
-A page that ends by itself is started again. Exit code 0 after Ctrl-C; 1: a node has ended by
-itself. 2: wrong arguments, nothing was started.
+A page that ends unexpectedly is started again. Exit code 0 after Ctrl-C; 1 if a node has ended
+unexpectedly; 2 if the arguments are invalid and nothing was started.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 PAGE_S = 30.0
-"""Longest wait for the page [s]."""
+"""Maximum wait for the page [s]."""
 
 LOOK_S = 0.5
-"""Between two looks whether all nodes run [s]."""
+"""Period at which the program checks that all nodes run [s]."""
 
 
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     args = arguments()
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is something to stop
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C may end the program until nodes start
     from graph.processes import Interrupted, signals_raise
 
     from plate_core import PlateError
@@ -51,7 +51,7 @@ def main() -> int:
 
 
 def arguments() -> argparse.Namespace:
-    """Read the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         prog="make play",
         description="Run the simulated plate, or yours, with a live page: drag a part, and it goes "
@@ -74,19 +74,19 @@ def arguments() -> argparse.Namespace:
 
 
 def checked(args: argparse.Namespace):
-    """Check everything before anything is started, and return the options of the run.
+    """Check all arguments before anything is started, and return the options of the run.
 
     Raises
     ------
     PlateError
-        Names the argument, its value and what is allowed.
+        If one is invalid. The message names it, its value and the allowed values.
     """
     from plate_core import PlateError, load_rig
     from plate_core.tasks import load_scenario, start_positions
 
     scenario = load_scenario(args.scenario)
     rig = args.rig or scenario.rig
-    known = load_rig(rig)  # a mistyped name is reported before the slow imports
+    known = load_rig(rig)  # report a mistyped name before the slow imports
 
     import numpy as np
     from graph.demo import absolute, check_camera, check_run, print_unmeasured
@@ -112,12 +112,12 @@ def checked(args: argparse.Namespace):
 
 
 def play(options, folder: Path, domain: int | None) -> None:
-    """Start the graph, say where the page is, and wait for Ctrl-C.
+    """Start the graph, print the address of the page, and wait for Ctrl-C.
 
     Raises
     ------
     GraphError
-        If a node ends, or does not answer, or the page does not come.
+        If a node ends or does not answer, or if the page does not start.
     """
     from graph.demo import WAITING_S, StatusLine, running
 
@@ -137,12 +137,13 @@ def play(options, folder: Path, domain: int | None) -> None:
 
 
 def keep_page(processes, observer, page: str) -> None:
-    """Start the page again, at the same address, whenever it ends by itself; too often: no more.
+    """Start the page again at the same address whenever it ends, until it has ended `MOST_ENDS`
+    times within `WITHIN_S`.
 
     Raises
     ------
     GraphError
-        If a node ends.
+        If another node ends.
     """
     from urllib.parse import urlsplit
 
@@ -169,7 +170,7 @@ def keep_page(processes, observer, page: str) -> None:
 
 
 def replay(options, bag: str, folder: Path, domain: int | None) -> None:
-    """Show a recorded run: the page alone, until Ctrl-C.
+    """Show a recorded run on the page, without a graph, until Ctrl-C.
 
     Raises
     ------

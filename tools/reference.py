@@ -28,14 +28,14 @@ to the left, angles counter-clockwise from x. See also [tasks](guide/tasks.md) a
 
 
 def page() -> str:
-    """Return the page."""
+    """Return the text of the page."""
     parts = [HEAD, "\n## Scenario files: config/scenarios\n", *_sections(tasks.SECTIONS)]
     parts += ["\n## Rig files: config/rig.yaml\n", *_sections(rig.SECTIONS)]
     return "".join(parts)
 
 
 def _sections(sections: Iterable[Section]) -> Iterable[str]:
-    """Yield the sections of a file; what a key means is said once."""
+    """Yield the sections of a file. The meaning of a key is given only once."""
     told: set[tuple[str, str]] = set()
     for section in sections:
         yield f"\n### `{section.where}`\n\n{section.about}\n\n"
@@ -46,7 +46,7 @@ def _sections(sections: Iterable[Section]) -> Iterable[str]:
 
 
 def _what(key: Key) -> str:
-    """Return type, range and unit."""
+    """Return type, range and unit of a key."""
     unit = "" if key.unit in ("", "-") else f" {key.unit}"
     match key.kind:
         case Number(low, high):
@@ -60,7 +60,7 @@ def _what(key: Key) -> str:
 
 
 def _default(key: Key) -> str:
-    """Return the default, or the condition under which the key is needed."""
+    """Return the default of a key, or the condition under which it is required."""
     if key.otherwise.startswith(("or ", "needed ", "not needed ")):
         return f"; {key.otherwise}"
     if key.otherwise:

@@ -42,12 +42,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "scenario": {"help": "default: the demo's"},
     "uneven": {"type": float, "help": "friction varies by this fraction; default: 0"},
 }
-"""Options of the cases: a case has those that are arguments of its `run`."""
+"""All options of the cases. A case accepts those that are arguments of its `run`."""
 
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -69,7 +69,7 @@ def main() -> int:
                 for last in outcomes:
                     if last.line:
                         print(last.line, flush=True)
-                    if path:  # after each step: a run that is cut short has its result too
+                    if path:  # write after each step, so that an interrupted run has a result
                         path.write_text(json.dumps(last.result, indent=1), encoding="utf-8")
         except PlateError as error:
             sys.exit(f"{case}: {error}")

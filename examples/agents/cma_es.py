@@ -1,5 +1,7 @@
-"""Motions straight from a search: CMA-ES over the 18 numbers of `motion`, cycle by cycle, in a
-simulator of the rig as its file says it. Needs `pip install cma`. In this folder:
+"""Agent that searches each cycle's motion with CMA-ES.
+
+It searches the 18 numbers of the action `motion`, and evaluates them in a simulator of the nominal
+rig. It needs `pip install cma`. Run it in this folder:
 
     python -m plate_gym.bench --agent cma_es:CmaEs --task Sort4-v1 --seeds 0:20
 """
@@ -18,20 +20,22 @@ from plate_gym.judge import Judge, Memory
 from plate_sim.world import Simulation, WorldState
 
 TRIED, ROUNDS, SPREAD = 12, 8, 0.4
-"""Motions in a round, and rounds, of a decision; how far the first are from the last answer."""
+"""Motions per round, rounds per decision, and initial standard deviation of the search around the
+last action."""
 
 COAST_S = 0.03
-"""Parts count as if they kept their last velocity for so long [s]."""
+"""Time for which parts are extrapolated with their final velocity before the evaluation [s]."""
 
 EDGE_M, EDGE_COST = 0.02, 3.0
-"""Nearer to an edge than this each metre costs so much [metres of way]."""
+"""Width of the zone at the edges [m], and cost per metre into it [metres of distance to go]."""
 
 IDLE_S = 0.1
-"""How long the plate rests before the first answer [s]."""
+"""Length of the cycle at rest before the first action [s]."""
 
 
 class CmaEs:
-    """Takes of some hundred motions the one after which least is left to do."""
+    """Tries about a hundred motions, and returns the one that leaves the smallest distance to
+    go."""
 
     action, observation = "motion", "parts"
 
@@ -45,7 +49,7 @@ class CmaEs:
         self._running, self._last = PlateCycle.rest(IDLE_S), np.zeros(brief.motions.size)
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        """Return the best motion that was tried."""
+        """Return the best of the tried motions."""
         seen = observation[:, 5] == 0
         at, turned = self._now.position.copy(), self._now.angle.copy()
         at[seen], turned[seen] = observation[seen, :2], observation[seen, 4]
@@ -67,7 +71,7 @@ class CmaEs:
         return self._last
 
     def _after(self, cycles: list[PlateCycle]) -> list[WorldState]:
-        """Return what comes of each cycle from now on."""
+        """Return the state after each cycle, simulated from the current state."""
         worlds = self._worlds[: len(cycles)]
         for world in worlds:
             world.state = self._now
@@ -75,7 +79,8 @@ class CmaEs:
         return [world.state for world in worlds]
 
     def _cost(self, states: list[WorldState]) -> list[float]:
-        """Return what is left to do [m], and what is too near to an edge."""
+        """Return the cost of each state [m]: the distance to go, plus the cost of parts near an
+        edge."""
         states = [replace(s, position=s.position + COAST_S * s.velocity) for s in states]
         place = np.array([s.position for s in states])
         beyond = np.maximum(np.abs(place) - self._inner, 0).sum(axis=(1, 2))

@@ -1,8 +1,10 @@
-"""A learned agent: the small network that train.py made, in plain numpy.
+"""Learned agent: evaluates the small network that train.py has trained, with numpy only.
+
+Run it in this folder:
 
     python -m plate_gym.bench --agent learned:Learned --task Sort4-v1 --seeds 0:20
 
-in this folder. It knows one task, `Sort4-v1`: a network of another size asks for training anew.
+The stored network fits only the task `Sort4-v1`. Other tasks require new training.
 """
 
 from __future__ import annotations
@@ -17,22 +19,22 @@ from plate_gym.agents import Brief
 WEIGHTS = Path(__file__).with_name("weights.npz")
 
 FAST_MPS = 0.1
-"""A drift that counts as 1 [m/s]."""
+"""Unit of the drift velocities in the features [m/s]."""
 
 
 def features(place: Any, drift: Any, last: Any, half: Any, of: Any = np) -> Any:
-    """Return what the network sees (N, 4 M + 18), of N plates with M parts.
+    """Return the network's input (N, 4 M + 18) for N plates with M parts.
 
     Parameters
     ----------
     place, drift : (N, M, 2)
-        Of the parts, as `parts` has them [m], [m/s].
+        Positions [m] and drift velocities [m/s] of the parts, as in the observation `parts`.
     last : (N, 18)
-        The last action: it is played while this one is sought.
+        Last action, which is played while the next one is computed.
     half : (2,)
-        Half sides of the plate [m].
+        Half side lengths of the plate [m].
     of : module
-        numpy, or torch if these are its tensors.
+        numpy, or torch if the arguments are tensors.
     """
     count = len(place)
     shares, drifts = place / half, of.clip(drift / FAST_MPS, -3, 3)
@@ -40,14 +42,14 @@ def features(place: Any, drift: Any, last: Any, half: Any, of: Any = np) -> Any:
 
 
 class Network:
-    """Layers with ReLU between: answers with actions (N, 18), each within its bounds."""
+    """Linear layers with ReLU between them. An action beyond its bounds is scaled down to them."""
 
     def __init__(self, layers: list[tuple[np.ndarray, np.ndarray]]) -> None:
         self._layers = layers
 
     @classmethod
     def of(cls, path: Path) -> Network:
-        """Read it from a file."""
+        """Read a network from a file."""
         with np.load(path) as kept:
             count = len(kept.files) // 2
             return cls([(kept[f"weight_{k}"], kept[f"bias_{k}"]) for k in range(count)])
@@ -62,7 +64,7 @@ class Network:
 
 
 class Learned:
-    """Answers with a motion at once."""
+    """Agent that computes each motion with the network."""
 
     action, observation = "motion", "parts"
 

@@ -1,14 +1,14 @@
-"""Train a small network that answers with a motion at once: by gradients through friction.
+"""Train a small network that computes each motion directly, by gradients through friction.
 
-In a model of the plate, parts as points, the network acts for some cycles; how far the parts then
-are from where they belong is differentiated back, through friction and motions, to its weights. So
-it learns without a solver, and without rewards. In this folder, in an environment of its own
-(pip install ../../src/plate_gym -r requirements.txt):
+The network acts for some cycles in a model of the plate in which parts are points. The gradient of
+the parts' distances from their targets is propagated back through friction and motions to its
+weights. So it learns without a solver and without rewards. Run it in this folder, in a separate
+environment (pip install ../../src/plate_gym -r requirements.txt):
 
     python train.py
 
-Writes weights.npz, and curve.csv, a row from time to time: how it does on plates of plate_gym. Some
-20 minutes of a core.
+It writes weights.npz, and curve.csv with the network's results on plates of plate_gym during the
+training. It takes about 20 minutes on one core.
 """
 
 from __future__ import annotations
@@ -31,50 +31,55 @@ from plate_solver import Limits
 from plate_solver.sinusoids import sinusoid_basis
 
 WIDTH = 256
-"""Of both hidden layers."""
+"""Width of both hidden layers."""
 
 PLATES, CYCLES = 512, 8
-"""That learn at once, and cycles through which they look back."""
+"""Number of plates in parallel, and number of cycles through which the gradient is propagated."""
 
 RATE = 3e-3
-"""Of learning, at first; it falls to nothing."""
+"""Initial learning rate. It decreases linearly to 0."""
 
 STEPS = 64
-"""Of a cycle in the model."""
+"""Time steps per cycle in the model."""
 
 LONGEST = 120
-"""Cycles after which a plate of the model begins anew."""
+"""Maximum number of cycles until a plate of the model is reset."""
 
 EDGE_M, EDGE_COST = 0.03, 2.0
-"""Nearer to an edge than this a part costs, at the edge as much [100 mm of way]."""
+"""Width of the zone at the edges in which a part has a cost [m], and the cost at the edge [units of
+100 mm to go]."""
 
 CLEAR_M = 0.02
-"""So far centres are to keep apart [m]."""
+"""Distance between the centres of parts below which they have a cost [m]."""
 
 JUDGED, SEED = 64, 200_000
-"""Plates of plate_gym to be judged on, and the first of their seeds."""
+"""Number of plates of plate_gym for the evaluation, and their first seed."""
 
 JUDGED_CYCLES, ROWS = 400, 20
-"""Cycles in which they are to be done, and how often they are judged."""
+"""Maximum number of cycles per evaluation, and number of evaluations."""
 
 CURVE = Path(__file__).with_name("curve.csv")
 
 
 @njit(fastmath=True, cache=True)
 def slide(state: Any, pose: Any, twist: Any, most: float, dt: float, kept: Any) -> None:
-    """Let parts slide for a cycle: friction changes a velocity towards that of the plate below, by
-    `most` in a step at most.
+    """Simulate the parts for a cycle, with point friction and explicit steps.
+
+    With the slip s = plate velocity below the part - v, each step is
+    v' = v + s min(1, most / norm(s)), then p' = p + dt v'.
 
     Parameters
     ----------
     state : (4, M, N)
-        x, y [m] and velocities of M parts on N plates, changed in place.
+        Positions x, y [m] and velocities [m/s] of M parts on N plates, changed in place.
     pose, twist : (n, 3, N)
-        Of the plates, in the middle of steps.
+        Motion of the plates at the middle of each step.
     most : float
-        mu g dt [m/s].
+        Maximum change of a velocity per step, mu g dt [m/s].
+    dt : float
+        Time step [s].
     kept : (n, 4, M, N)
-        Filled: where parts were, and their slips.
+        Output: positions and slips of the parts at each step.
     """
     x, y, u, v = state
     for i in range(len(pose)):
@@ -97,8 +102,12 @@ def slide_back(
     by_state: Any, by_pose: Any, by_twist: Any, pose: Any, twist: Any, most: float, dt: float,
     kept: Any,
 ) -> None:  # fmt: skip
-    """Turn derivatives by the state after a cycle into such by the state before, in place, and add
-    those by pose and twist; see `slide`."""
+    """Propagate derivatives back through `slide`.
+
+    `by_state` has the derivatives with respect to the state after the cycle, and is overwritten
+    with those for the state before. Those for pose and twist are added to `by_pose` and
+    `by_twist`.
+    """
     x, y, u, v = by_state
     for i in range(len(pose) - 1, -1, -1):
         for m in range(x.shape[0]):
@@ -122,7 +131,7 @@ def slide_back(
 
 
 class Slide(torch.autograd.Function):
-    """`slide` with its derivatives."""
+    """`slide` as a differentiable function of torch."""
 
     @staticmethod
     def forward(ctx: Any, state: Any, pose: Any, twist: Any, most: float, dt: float) -> Any:
@@ -136,14 +145,15 @@ class Slide(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, by_after: Any) -> Any:
-        """Return the derivatives by state, pose and twist."""
+        """Return the derivatives with respect to state, pose and twist."""
         own = by_after.numpy().copy(), *(np.zeros_like(values) for values in ctx.made[:2])
         slide_back(*own, *ctx.made)
         return (*map(torch.from_numpy, own), None, None)
 
 
 class Model:
-    """Plate and parts, and what sorting to sides or corners asks for: N plates at once."""
+    """Differentiable model of N plates with parts, and of the cost of sorting to sides or
+    corners."""
 
     def __init__(self, env: Any) -> None:
         plates = env.unwrapped.plates
@@ -172,7 +182,7 @@ class Model:
         self.parts = len(sides)
 
     def limited(self, actions: Any) -> Any:
-        """Return coefficients (N, 6, 3) of actions (N, 18), scaled down to the limits."""
+        """Return the coefficients (N, 6, 3) of actions (N, 18), scaled down to the rig's limits."""
         own = actions.reshape(len(actions), -1, 3) * self._scale
         used = [(basis @ own @ way).abs() / most for basis, way, most in self._looks]
         along_x, along_y = (self._accel @ own @ way for way in self._corners)
@@ -181,8 +191,8 @@ class Model:
         return own / most.clip(min=1)[:, None, None]
 
     def after(self, place: Any, speed: Any, own: Any) -> tuple[Any, Any]:
-        """Return where parts (N, M, 2) are after a cycle with coefficients (N, 6, 3), and their
-        velocities."""
+        """Return positions and velocities (N, M, 2) of the parts after a cycle with coefficients
+        (N, 6, 3)."""
         flat = own.permute(1, 2, 0).reshape(own.shape[1], -1)
         pose, twist = ((basis @ flat).reshape(STEPS, 3, -1) for basis in (self._pose, self._twist))
         state = torch.cat([place.permute(2, 1, 0), speed.permute(2, 1, 0)]).contiguous()
@@ -190,12 +200,13 @@ class Model:
         return state[:2].permute(2, 1, 0), state[2:].permute(2, 1, 0)
 
     def ways(self, place: Any) -> Any:
-        """Return how far (N, M) parts are from where they belong [m]."""
+        """Return the distances (N, M) of the parts from their targets [m]."""
         ways = (self._goal - place * self._side).clip(min=0)
         return torch.sqrt((ways**2).sum(-1) + 1e-12)
 
     def cost(self, place: Any) -> Any:
-        """Return what places cost (N,): ways to go, and parts near edges or to each other."""
+        """Return the cost (N,) of positions (N, M, 2): distances to go, plus costs of parts near
+        edges and near each other."""
         way = self.ways(place) / 0.1
         beyond = ((place.abs() - self.half) / EDGE_M + 1).clip(min=0)
         gap = torch.sqrt(((place[:, :, None] - place[:, None]) ** 2).sum(-1) + 1e-12)
@@ -205,12 +216,12 @@ class Model:
 
 
 def tensor(values: Any) -> Any:
-    """Return values as a tensor."""
+    """Return values as a float32 tensor."""
     return torch.tensor(np.asarray(values), dtype=torch.float32)
 
 
 class Crowd:
-    """Plates of the model on which the network acts, and begins anew where all is done."""
+    """Plates of the model on which the network acts. Finished plates are reset."""
 
     def __init__(self, model: Model) -> None:
         self._model, parts = model, (PLATES, model.parts, 2)
@@ -219,7 +230,8 @@ class Crowd:
         self._age = torch.zeros(PLATES)
 
     def costs(self, network: Any) -> Any:
-        """Let the network act for `CYCLES`; returns what places cost on the way and in the end."""
+        """Let the network act for `CYCLES`. Return the mean cost of the positions, in which the
+        final one counts twice."""
         model, total = self._model, 0.0
         for _ in range(CYCLES):
             found = network(features(self.place, self.drift, self.last, model.half, torch))
@@ -228,12 +240,12 @@ class Crowd:
             self.place, self.speed = model.after(before, self.speed, self.own)
             self.drift, self.own = (self.place - before) / model.period, model.limited(self.last)
             total = total + model.cost(self.place)
-        place, speed = model.after(self.place, self.speed, self.own)  # what is still to be played
+        place, speed = model.after(self.place, self.speed, self.own)  # play the last action
         return (total + 2 * model.cost(place + model.period / 2 * speed)).mean() / (CYCLES + 2)
 
     def go_on(self) -> None:
-        """Cut what was looked back through; begin anew where parts fell off, all is done, or it has
-        lasted long enough."""
+        """Detach all tensors from the gradient. Reset plates that lost a part, are sorted, or have
+        run for more than `LONGEST` cycles."""
         for name, values in list(vars(self).items()):
             if torch.is_tensor(values):
                 setattr(self, name, values.detach())
@@ -251,7 +263,8 @@ class Crowd:
 
 
 def judged(env: Any, network: Network) -> tuple[float, float, int]:
-    """Return the share of plates that were sorted, their median time [s], and parts lost."""
+    """Return the fraction of plates that were sorted, their median time [s], and the number of lost
+    parts."""
     half = env.unwrapped.plates.rig.plate.half
     seen, _ = env.reset(seed=SEED)
     last, over = np.zeros((JUDGED, 18)), np.zeros(JUDGED, bool)
@@ -269,7 +282,7 @@ def judged(env: Any, network: Network) -> tuple[float, float, int]:
 
 
 def layers_of(network: Any) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return weights and biases as numpy has them."""
+    """Return weights and biases as numpy arrays."""
     linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
     return [tuple(p.detach().numpy().copy() for p in (own.weight, own.bias)) for own in linear]
 

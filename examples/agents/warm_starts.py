@@ -1,5 +1,8 @@
-"""Do proposed starts make our solver faster? A network that imitates it, and a memory of what it
-has solved, in the closed loop: `python warm_starts.py --task Sort4-v1`."""
+"""Measures whether proposed start motions make the project's solver faster, in the closed loop.
+
+Proposals come from a network that imitates the solver, or from the nearest goals that it has solved
+before: `python warm_starts.py --task Sort4-v1`.
+"""
 
 from __future__ import annotations
 
@@ -22,33 +25,33 @@ from plate_solver.goal import Goal
 from plate_solver.sinusoids import BEYOND, PLAYS, ROUGH, SinusoidSteering, limited_sinusoids
 
 Solved = list[tuple[Goal, np.ndarray]]
-"""Goals, and the parameters of the motions that were found for them."""
+"""Goals with the parameters of their solutions."""
 
 Propose = Callable[[Goal], list[np.ndarray]]
-"""A goal to parameters of motions to begin with."""
+"""Function from a goal to the parameters of proposed start motions."""
 
 TAUGHT = 100_000
-"""First of the seeds to learn from; those to judge by are far from it."""
+"""First seed for learning. The seeds for evaluation are far from it."""
 
 NEIGHBOURS = 3
-"""Solved goals whose motions are proposed: the nearest."""
+"""Number of nearest solved goals whose motions are proposed."""
 
 STATE_UNITS = np.array([[0.01], [1.0], [20.0]])
-"""Of the plate's pose [m, rad], velocity and acceleration."""
+"""Units of the plate's pose [m, rad], velocity and acceleration in the features."""
 
 PLACE_M, WAY_M = 0.3, 0.1
-"""Units of places and velocities, and of ways to go [m]."""
+"""Units of positions and velocities, and of distances to go, in the features [m]."""
 
 
 class Steering(SinusoidSteering):
-    """`SinusoidSteering` that begins with what is proposed, too, and keeps what it has solved."""
+    """`SinusoidSteering` that also starts from the proposed motions, and records its solutions."""
 
     def __init__(self, propose: Propose, solved: Solved, *args: Any) -> None:
         super().__init__(*args)
         self._propose, self._solved = propose, solved
 
     def steer(self, goal: Goal, number: int, period: float, *args: Any) -> Any:
-        """Find a motion; only such as may end in motion are learned and proposed."""
+        """Find a motion. Only motions that may end in motion are proposed and recorded."""
         self._proposed = self._propose(goal) if goal.free_end else []
         answer = super().steer(goal, number, period, *args)
         if goal.free_end:
@@ -67,7 +70,7 @@ class Steering(SinusoidSteering):
 def played(
     task: str, seeds: range, restarts: int, propose: Propose
 ) -> tuple[list[dict[str, Any]], Solved]:
-    """Run Method B with so many further starts; returns the episodes, and what was solved."""
+    """Run Method B with `restarts` random starts. Return the episodes and the solved goals."""
     solved: Solved = []
 
     class Tried(Ours):
@@ -84,8 +87,8 @@ def played(
 
 
 def features(goal: Goal) -> np.ndarray:
-    """Return what a goal says, whatever its parts are called: places, velocities, ways to go and
-    their weights from left to right, and the state of the plate."""
+    """Return the features of a goal: positions, velocities, distances to go and weights of its
+    parts, from left to right, and the state of the plate."""
     count, ends = len(goal.position), goal.ends
     low, high = (
         side[: 2 * count].reshape(2, -1).T - goal.position for side in (ends.low, ends.high)
@@ -98,7 +101,7 @@ def features(goal: Goal) -> np.ndarray:
 
 
 def mirrored(goal: Goal, motion: np.ndarray, signs: np.ndarray) -> tuple[Goal, np.ndarray]:
-    """Return a goal and its motion as a mirror shows them, that turns x, y or both round."""
+    """Return a goal and its motion mirrored. `signs` is -1 for each axis that changes its sign."""
     turned = np.append(signs, np.prod(signs))
     plate = None if goal.plate is None else goal.plate * turned
     ways = {name: getattr(goal, name) * signs for name in ("position", "velocity", "displacement")}
@@ -106,8 +109,9 @@ def mirrored(goal: Goal, motion: np.ndarray, signs: np.ndarray) -> tuple[Goal, n
 
 
 def taught(solved: Solved) -> dict[str, Propose]:
-    """Return what proposes starts, by name, after learning from solved goals and their mirrors."""
-    from sklearn.neural_network import MLPRegressor  # --help and `played` do not need it
+    """Return functions that propose starts, by name. They have learned from the solved goals and
+    their mirror images."""
+    from sklearn.neural_network import MLPRegressor  # imported here, because only this needs it
 
     mirrors = [np.array(signs) for signs in itertools.product((1, -1), repeat=2)]
     pairs = [mirrored(*each, signs) for each in solved for signs in mirrors]

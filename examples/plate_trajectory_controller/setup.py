@@ -1,4 +1,4 @@
-"""Build the example as an ament_python package: what makes it a transport is its entry point."""
+"""Build the example as an ament_python package. Its entry point registers the transport."""
 
 from setuptools import setup
 

@@ -1,1 +1,1 @@
-"""Motor tables to a ros2_control joint_trajectory_controller: an example of a transport."""
+"""Example of a transport: sends motor tables to a ros2_control joint_trajectory_controller."""

@@ -1,4 +1,5 @@
-"""The relay's topics: joint_trajectory to the controller, joint_states from its broadcaster."""
+"""ROS topics of the relay. It publishes joint_trajectory for the controller, and subscribes to
+joint_states."""
 
 from __future__ import annotations
 
@@ -21,13 +22,14 @@ TOPIC = "joint_trajectory_controller/joint_trajectory"
 
 
 def make(context: TransportContext) -> Relay:
-    """Return the transport: what the entry point names. The joints are motor_1 to motor_4."""
+    """Return the transport. The package's entry point names this function. The joints are motor_1
+    to motor_4."""
     node = rclpy.create_node("trajectory_controller_relay")
     trajectories = node.create_publisher(JointTrajectory, TOPIC, DATA)
     names = [motor.name for motor in context.rig.motors]
 
     def command(way: Trajectory) -> None:
-        now = Time()  # a stamp of zero means: begin now
+        now = Time()  # the controller starts a trajectory with the stamp zero at once
         states = (way.position, way.velocity, way.acceleration)
         trajectories.publish(trajectory_to_msg(names, way.times, *states, now))
 

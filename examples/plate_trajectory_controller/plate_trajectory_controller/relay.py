@@ -1,9 +1,9 @@
-"""The relay without ROS: which trajectory the controller gets next, and when.
+"""Relay without ROS. It decides which trajectory the controller gets next, and when.
 
-A joint_trajectory_controller follows the newest trajectory at once and holds its last point, so
-each table is handed over when the one before it ends. All begin and end at rest at home (a cycle is
-played with its tail, and one that begins in motion is refused): one that is handed over late makes
-the plate rest a little longer, and nothing else.
+A joint_trajectory_controller follows the newest trajectory at once and holds its last point. So
+each table is sent when the previous one ends. All tables begin and end at rest at home: a cycle is
+played with its tail, and a cycle that begins in motion is refused. If a table is sent late, the
+plate only rests a little longer.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from plate_driver.setpoints import MAX_KNOTS, MotorTable, unspliced
 from plate_driver.transports import Condition, Measured, Order, Report
 
 SILENCE_S = 0.25
-"""Joint states that are older say nothing of the motors now [s]."""
+"""Maximum age of joint states [s]."""
 
 BRAKE_S, STEP_S, HOMEWARD_S = 0.2, 0.005, 0.5
-"""Longest brake, time between its points, and the way home after it [s]."""
+"""Maximum duration of braking, time between its points, and duration of the return to home [s]."""
 
 AT_HOME_M = 1e-3
-"""Distance from home up to which a table may begin [m]."""
+"""Maximum distance of a motor from home at which the motors can be enabled [m]."""
 
 STILL_M, STILL_S = 2e-4, 0.1
-"""Motors that move by less than this in this time rest [m], [s]."""
+"""If motors move by less than this distance within this time, they are at rest [m], [s]."""
 
 STOP_S = BRAKE_S + HOMEWARD_S + 0.5
-"""Longest wait until the joint states show that the motors rest [s]."""
+"""Maximum wait until the joint states show that the motors are at rest [s]."""
 
 CANNOT_CUT = "a trajectory controller cannot cut the current: use the drives' own stop"
 HELD = "at rest, but the drives hold their current: cut it at the drives before you reach in"
@@ -40,8 +40,8 @@ HELD = "at rest, but the drives hold their current: cut it at the drives before 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A command to the controller: times (k,) [s] from now; travel [m], speed [m/s] and
-    acceleration [m/s2] of the motors (k, 4); quintics between."""
+    """Command to the controller: times (k,) from now [s], and travel [m], speed [m/s] and
+    acceleration [m/s2] of the motors (k, 4). The controller interpolates with quintics."""
 
     times: np.ndarray
     position: np.ndarray
@@ -56,11 +56,11 @@ class Relay:
     ----------
     rig : Rig
     command : callable
-        Hands a Trajectory to the controller.
+        Sends a Trajectory to the controller.
     publish : callable
         Publishes a table on motor_setpoints.
     clock : callable
-        Time that never runs back [s].
+        Returns a monotonic time [s].
     """
 
     motors = True
@@ -81,21 +81,21 @@ class Relay:
         self._playing: MotorTable | None = None
         self._left = 0
         self._began = 0.0
-        self._rests_at = float("-inf")  # when the last brake is over
+        self._rests_at = float("-inf")  # end of the last braking
         self._stop: tuple[Order, float] | None = None
         self._states: list[tuple[float, np.ndarray]] = []
 
     def open(self) -> None:
-        """Nothing to open: whether the controller runs, its joint states tell."""
+        """Do nothing. The joint states show whether the controller runs."""
 
     def heard(self, position: np.ndarray) -> None:
-        """Take in the motors' travel (4,) [m] from a joint state."""
+        """Record the motors' travel (4,) [m] from a joint state."""
         now = self._clock()
         recent = [state for state in self._states if now - state[0] <= 2 * STILL_S]
         self._states = [*recent, (now, position)]
 
     def poll(self) -> list[Measured]:
-        """Hand over the next table when the last one has ended."""
+        """Send the next table when the last one has ended. Return no measurements."""
         now = self._clock()
         self._settle_stop(now)
         playing = self._playing
@@ -112,7 +112,8 @@ class Relay:
         return []
 
     def report(self) -> Report:
-        """Say what is known: a joint_trajectory_controller does not tell whether current flows."""
+        """Return the condition of the motors. A joint_trajectory_controller does not report whether
+        current flows."""
         now = self._clock()
         if not self._states or now - self._states[-1][0] > SILENCE_S:
             return Report(Condition.GONE, DriverReason.NO_ANSWER, "no joint_states")
@@ -123,7 +124,8 @@ class Relay:
         return Report(Condition.READY)
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Keep the table until the one that plays has ended."""
+        """Store a table until the playing one has ended. Raises CycleError if the motors are not
+        ready, or the table begins in motion."""
         if self.report().condition is not Condition.READY:
             raise CycleError(f"plate_cycle: the motors are {self.report().condition.value}")
         if not table.cycle.starts_at_rest:
@@ -134,7 +136,8 @@ class Relay:
         self.poll()
 
     def stop(self, cut: bool = False) -> Order:
-        """Brake along the path and go home; current cannot be taken away from here."""
+        """Brake along the path and return to home. The relay cannot cut the current, so an order to
+        cut it fails."""
         now, order = self._clock(), Order(STOP_S)
         self._enabled, self._next = False, None
         playing, self._playing = self._playing, None
@@ -148,7 +151,8 @@ class Relay:
         return order
 
     def enable(self) -> Order:
-        """Let tables through, if the motors are there, at home, and at rest."""
+        """Accept tables from now on, if joint states arrive and the motors are at home and not
+        braking."""
         now, order = self._clock(), Order()
         if not self._states or now - self._states[-1][0] > SILENCE_S:
             return order.settle("no joint_states: does the trajectory controller run?")
@@ -161,19 +165,19 @@ class Relay:
         return order.settle()
 
     def home(self) -> Order:
-        """Not from here: homing belongs to the drives."""
+        """Refuse, because the drives do their own homing."""
         return Order().settle("homing is the drives' own")
 
     def troubles(self) -> list[str]:
-        """Nothing that the report does not say."""
+        """Return no troubles, because the report contains all of them."""
         return []
 
     def values(self) -> dict[str, str]:
-        """Nothing to report."""
+        """Return no values."""
         return {}
 
     def close(self) -> None:
-        """Brake."""
+        """Brake, and return to home."""
         self.stop()
 
     def _play(self, table: MotorTable, now: float) -> None:
@@ -181,7 +185,8 @@ class Relay:
         self._command(Trajectory(table.cycle.times, table.q, table.qd, table.qdd))
 
     def _settle_stop(self, now: float) -> None:
-        """A stop is done when the joint states show that the motors rest."""
+        """Settle a stop when the joint states show that the motors are at rest, or after
+        `STOP_S`."""
         if self._stop is None:
             return
         order, asked = self._stop
@@ -195,9 +200,11 @@ class Relay:
 
 
 def brake(rig: Rig, table: MotorTable, along: float) -> Trajectory:
-    """Return the way from a table's path, `along` [s] into it, to rest and home.
+    """Return the trajectory that brakes on a table's path from the time `along` [s], and returns to
+    home.
 
-    The table's clock is slowed to a stand, as docs/protocol.md has it: the plate stays on its path.
+    The table's clock is slowed down to a standstill (docs/protocol.md), so the plate stays on its
+    path. With u = t / length, its rate is 1 - 3 u^2 + 2 u^3.
     """
     cycle = table.cycle
     length = min(cycle.period, BRAKE_S)
@@ -205,7 +212,8 @@ def brake(rig: Rig, table: MotorTable, along: float) -> Trajectory:
     u = t / length
     rate = (1 - 3 * u**2 + 2 * u**3)[:, None]
     slowing = (6 * u * (u - 1) / length)[:, None]
-    at = np.minimum(along + length * (u - u**3 + u**4 / 2), cycle.period)  # to its end at most
+    # Integral of the rate. The path ends at the end of the table.
+    at = np.minimum(along + length * (u - u**3 + u**4 / 2), cycle.period)
     twist = cycle.twist(at)
     accel = cycle.accel(at) * rate**2 + slowing * twist
     states = motor_state(rig, cycle.pose(at), twist * rate, accel)
