@@ -106,7 +106,7 @@ class Line:
         if drawn["lost"]:
             return
         late = drawn["late"]
-        self.state = self.planner.hear(self.state, cycle, self.now + 0.2 * late, self.now)
+        self.state = self.planner.record_cycle(self.state, cycle, self.now + 0.2 * late, self.now)
         if drawn["refused"]:
             return
         if late:

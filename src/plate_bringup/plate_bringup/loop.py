@@ -527,7 +527,7 @@ def run(
             solve_s = cpu_time() - solving
             table, fitted = prepare(rig, answer.cycle, round(began * 1e9), before=line.running)
             line.send(table)
-            state = planner.hear(state, answer.cycle, now)
+            state = planner.record_cycle(state, answer.cycle, now)
             step_s = cpu_time() - at_work
             error, turned = _true_errors(planner.scenario, rig, state, parts, start, began)
             used = fitted.usage

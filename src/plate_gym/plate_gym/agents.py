@@ -133,7 +133,7 @@ class Ours:
             self._state = replace(self._state, memory=follow)
         self._state, wanted, _ = self._planner.answer(self._state)
         cycle = self._answer(wanted, running)
-        self._state = self._planner.hear(self._state, cycle, time)
+        self._state = self._planner.record_cycle(self._state, cycle, time)
         return cycle
 
     def _parts(self, seen: np.ndarray, time: float) -> Parts:

@@ -228,7 +228,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         self._stamp = msg.header.stamp
         stamp_ns = nanoseconds(self._stamp)
-        self._monitor.inputs = self._monitor.inputs.heard_parts(now, stamp_ns)
+        self._monitor.inputs = self._monitor.inputs.parts_received(now, stamp_ns)
         if self.options.camera_triggered:
             self._lockstep.add_image(msg, stamp_ns, now)
             self._plan_next()
@@ -310,7 +310,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             return
         if not self._schedule.is_new(cycle, begin):
             return
-        self._monitor.inputs = self._monitor.inputs.heard_start(self._monitor.inputs.ran)
+        self._monitor.inputs = self._monitor.inputs.start_received(self._monitor.inputs.ran)
         self._tasks.record_start(cycle, begin, self.options.camera_triggered)
         if self._alarm is not None:
             self._began = msg.header.stamp
@@ -332,7 +332,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _on_cycle(self, msg: JointTrajectory) -> None:
         self._wake()
-        self._monitor.inputs = self._monitor.inputs.heard_cycle()
+        self._monitor.inputs = self._monitor.inputs.cycle_received()
         try:
             cycle = msg_to_cycle(msg)
         except PlateError as error:
@@ -378,7 +378,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         msg = wanted_to_msg(wanted, stamp, start)
         self._lockstep.request_sent(nanoseconds(stamp))
         self._forces.publish(msg)
-        self._monitor.inputs = self._monitor.inputs.asked(time.monotonic())
+        self._monitor.inputs = self._monitor.inputs.request_sent(time.monotonic())
 
     # Supervision
 
@@ -386,7 +386,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         try:
             status = msg_to_driver_status(msg)
-            self._monitor.inputs = self._monitor.inputs.heard_driver(now, status)
+            self._monitor.inputs = self._monitor.inputs.driver_received(now, status)
         except PlateError as error:
             self._warn(str(error))
         self._check_task(now)
@@ -394,7 +394,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = self._wake()
         for report in msg_to_reports(msg):
-            self._monitor.inputs = self._monitor.inputs.heard_node(
+            self._monitor.inputs = self._monitor.inputs.report_received(
                 now, report.node, report.level, report.message
             )
 
@@ -522,7 +522,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _on_order(self, msg: FeedOrder) -> None:
         """Change the order of a running feed."""
-        self._monitor.inputs = self._monitor.inputs.heard_order(self._wake())
+        self._monitor.inputs = self._monitor.inputs.order_received(self._wake())
         try:
             self._tasks.order(msg_to_order(msg))
         except PlateError as error:

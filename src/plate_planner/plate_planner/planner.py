@@ -64,7 +64,7 @@ IN_MOTION_S = 0.1
 """Length of cycles that start from a moving plate [s]. If an answer takes as long, cycles start
 from rest."""
 
-LONGEST_GAP_S = 10.0
+MAX_GAP_S = 10.0
 """Maximum difference between the stamps of two images of a running task [s]. A longer interruption
 of images would end the task, so a larger difference means that the clock was set."""
 
@@ -253,15 +253,15 @@ class Planner:
             raise PlateError("feed_orders: purge, allowed: with a chute in the recipe")
         return replace(self, scenario=replace(self.scenario, task=replace(task, order=order)))
 
-    def hear(
-        self, state: PlannerState, cycle: PlateCycle, arrival: float, asked: float | None = None
+    def record_cycle(
+        self, state: PlannerState, cycle: PlateCycle, arrival: float, requested: float | None = None
     ) -> PlannerState:
         """Record a cycle from the solver that arrived at `arrival` [s, the time of the stamps].
 
-        `asked` is the start of the cycle that it answers [s]. Default: the running cycle. Without
-        any cycle the planner assumes that parts follow the requests.
+        `requested` is the start of the cycle that it answers [s]. Default: the running cycle.
+        Without any cycle the planner assumes that parts follow the requests.
         """
-        return replace(state, estimator=state.estimator.hear(cycle, arrival, asked))
+        return replace(state, estimator=state.estimator.record_cycle(cycle, arrival, requested))
 
     def started(
         self, state: PlannerState, cycle: PlateCycle, begin: float, triggered: bool = False
@@ -276,14 +276,14 @@ class Planner:
         """Record the detected parts of an image and its stamp [s].
 
         If the stamp is earlier than the last one, a running task restarts. If it is more than
-        `LONGEST_GAP_S` later, the task ends.
+        `MAX_GAP_S` later, the task ends.
         """
         clock = state.estimator.clock
         if state.task.phase is not Phase.RUNNING or clock.stamp is None:
             pass
         elif clock.went_back(t):
             state = self.start(state)
-        elif t - clock.stamp > LONGEST_GAP_S:
+        elif t - clock.stamp > MAX_GAP_S:
             gap = f"no parts for {t - clock.stamp:.0f} s by the stamps of the images"
             state = self.stop(state, Failure(Reason.NO_PARTS, f"{gap}: is the camera's clock set?"))
         kept = state.task.active and self.rules.keeps_last(state.memory)
@@ -327,12 +327,12 @@ class Planner:
             last = self._last_seen(last, there, estimator.stamp)
         present = without_surplus(self._on_plate(there), self._labels)
         state = replace(state, last=last, due=np.inf)
-        state, found = self._advance(state, present)
+        state, assessment = self._advance(state, present)
         wanted = NOTHING
         going_on = state.task.active and not state.task.held(estimator.stamp, self.limits)
-        if going_on and found.request is not None and len(present):
-            state, wanted = self._ask(state, present, found.request)
-        progress = self._progress(state, present, found)
+        if going_on and assessment.request is not None and len(present):
+            state, wanted = self._request(state, present, assessment.request)
+        progress = self._progress(state, present, assessment)
         return replace(state, answer=(wanted, progress)), wanted, progress
 
     @property
@@ -388,15 +388,15 @@ class Planner:
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)
         now = self._situation(estimator, state, parts, task.active)
-        memory, found = self.rules.assess(state.memory, now)
+        memory, assessment = self.rules.assess(state.memory, now)
         began = t if task.began is None else task.began
         findings = Findings(
-            missing if found.missing is None else found.missing,
-            found.goal_met,
-            found.to_go_m,
-            found.problem,
-            lambda: shortfall_text(estimator.request, self.rig, parts, found.distance, count),
-            "; ".join(filter(None, (found.outcome, self.others(parts)))),
+            missing if assessment.missing is None else assessment.missing,
+            assessment.goal_met,
+            assessment.to_go_m,
+            assessment.problem,
+            lambda: shortfall_text(estimator.request, self.rig, parts, assessment.distance, count),
+            "; ".join(filter(None, (assessment.outcome, self.others(parts)))),
             lambda name: loss_of(name, state.last.get(name), began, self.rig, count, parts),
             not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
             estimator.at_rest,
@@ -404,7 +404,9 @@ class Planner:
         )
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
-        return replace(state, task=task, estimator=estimator, memory=memory, known=known), found
+        return replace(
+            state, task=task, estimator=estimator, memory=memory, known=known
+        ), assessment
 
     def others(self, parts: Parts) -> str:
         """Return a text on unknown objects on the plate. It is empty for tasks in which parts are
@@ -445,7 +447,7 @@ class Planner:
             resting_since=estimator.resting_since,
         )
 
-    def _ask(
+    def _request(
         self,
         state: PlannerState,
         parts: Parts,
@@ -462,29 +464,29 @@ class Planner:
         mass = np.array([self.rig.part_type(part_class(name)).mass_kg for name in parts.ids], float)
         drift = parts.velocity + force * period / mass[:, None]
         start = estimator.start_of(parts)
-        state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
+        state = replace(state, estimator=estimator.request_drift(parts.ids, drift, force))
         in_time = not estimator.log.reported or self.options.answer_s < IN_MOTION_S
         plate = estimator.next_plate if in_time and len(parts) <= CROWD else None
         return state, Wanted.make(parts, force, tolerance, None, period, start, targets, plate)
 
-    def _progress(self, state: PlannerState, present: Parts, found: Assessment) -> Progress:
+    def _progress(self, state: PlannerState, present: Parts, assessment: Assessment) -> Progress:
         estimator, task = state.estimator, state.task
         doing = ""
         if task.active:
-            doing = "; ".join(filter(None, (found.doing, self.others(present))))
+            doing = "; ".join(filter(None, (assessment.doing, self.others(present))))
         return Progress(
             phase=task.phase,
             text=f"{task.text}: {doing}" if doing else task.text,
             time_s=task.elapsed(estimator.stamp),
-            parts_total=max(self.scenario.count, found.total),
+            parts_total=max(self.scenario.count, assessment.total),
             parts_seen=len(present),
-            parts_sorted=found.count,
-            to_go_m=found.to_go_m,
-            rms_error_m=found.rms_error_m,
-            max_error_m=found.max_error_m,
-            turn_error=found.turn_error,
-            speed_scaling=found.speed_scaling,
-            pace=found.pace,
+            parts_sorted=assessment.count,
+            to_go_m=assessment.to_go_m,
+            rms_error_m=assessment.rms_error_m,
+            max_error_m=assessment.max_error_m,
+            turn_error=assessment.turn_error,
+            speed_scaling=assessment.speed_scaling,
+            pace=assessment.pace,
             period_s=estimator.period,
             image_age_s=estimator.latency.latency,
         )

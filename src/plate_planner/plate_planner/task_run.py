@@ -154,9 +154,11 @@ class TaskRunner:
         """Record a cycle from the solver that arrived at `arrival`. It answers the request with the
         stamp `requested` [s]."""
         if self.run is None:
-            self._idle = self._idle.hear(cycle, arrival, requested)
+            self._idle = self._idle.record_cycle(cycle, arrival, requested)
         else:
-            self.run.state = self.run.planner.hear(self.run.state, cycle, arrival, requested)
+            self.run.state = self.run.planner.record_cycle(
+                self.run.state, cycle, arrival, requested
+            )
 
     # Results
 

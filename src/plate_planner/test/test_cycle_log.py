@@ -19,32 +19,32 @@ def names(log):
 def test_the_answer_to_an_image_runs_from_the_next_image_on():
     log = CycleLog().advance(0.0)
     assert not log.known
-    log = log.hear(SHORT, 0.01).advance(0.1).hear(LONG, 0.11).advance(0.2)
+    log = log.record_cycle(SHORT, 0.01).advance(0.1).record_cycle(LONG, 0.11).advance(0.2)
     assert names(log) == [(0.1, "short"), (0.2, "long")]
     assert log.end == pytest.approx(0.4)
     assert log.period == pytest.approx(0.2)
 
 
 def test_what_comes_too_late_runs_a_cycle_later_and_the_last_is_repeated():
-    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1999).advance(0.2)
+    log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1).record_cycle(LONG, 0.1999).advance(0.2)
     assert names(log) == [(0.1, "short"), (0.2, "short")]
     assert names(log.advance(0.3)) == [(0.1, "short"), (0.2, "short"), (0.3, "long")]
 
 
 def test_a_missed_image_leaves_no_hole():
-    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1).advance(0.6)
+    log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1).record_cycle(LONG, 0.1).advance(0.6)
     assert names(log) == [(0.1, "short"), (0.2, "long"), (0.4, "long"), (0.6, "long")]
 
 
 def test_stamps_that_jitter_are_where_cycles_begin():
-    log = CycleLog().hear(SHORT, 0.0).advance(0.1)
+    log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1)
     for t in (0.203, 0.299, 0.401):
         log = log.advance(t)
     assert [run[0] for run in log.runs] == [0.1, 0.203, 0.299, 0.401]
 
 
 def test_time_that_begins_anew():
-    log = CycleLog().hear(SHORT, 5.0).advance(5.1).hear(LONG, 5.1).advance(0.0)
+    log = CycleLog().record_cycle(SHORT, 5.0).advance(5.1).record_cycle(LONG, 5.1).advance(0.0)
     assert not log.known
     assert log.sent == ()
 
@@ -60,7 +60,7 @@ def test_an_image_of_a_trigger_line_belongs_to_the_last_pulse_before_its_stamp()
 
 
 def test_pieces_cover_the_time_asked_for():
-    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1).advance(0.2)
+    log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1).record_cycle(LONG, 0.1).advance(0.2)
     pieces = list(log.between(0.05, 0.35))
     assert [cycle is SHORT for cycle, *_ in pieces] == [True, False]
     assert np.array([p[1:] for p in pieces]) == pytest.approx(
@@ -73,7 +73,7 @@ def test_pieces_cover_the_time_asked_for():
 
 
 def test_it_forgets_what_is_long_past():
-    log = CycleLog().hear(SHORT, 0.0)
+    log = CycleLog().record_cycle(SHORT, 0.0)
     for k in range(1, 100):
         log = log.advance(0.1 * k)
     assert 15 <= len(log.runs) <= 17
@@ -115,7 +115,7 @@ def test_going_back_is_noticed():
 
 
 def test_reports_say_what_runs_wherever_images_are():
-    log = CycleLog().started(SHORT, 1.0).hear(LONG, 1.05).advance(1.043)
+    log = CycleLog().started(SHORT, 1.0).record_cycle(LONG, 1.05).advance(1.043)
     assert names(log) == [(1.0, "short")]
     # Until the next report the newest one follows at its end, else the same again.
     assert names(log.advance(1.13)) == [(1.0, "short"), (1.1, "long")]
@@ -147,7 +147,7 @@ def played(count, late, log=None):
     """A log of `count` cycles of 0.1 s, each of them `late` cycles later than it was asked for."""
     log = (log or CycleLog()).started(swinging(0), 0.0)
     for k in range(1, count):
-        log = log.hear(swinging(k), 0.1 * k - 0.02, 0.1 * (k - 1))
+        log = log.record_cycle(swinging(k), 0.1 * k - 0.02, 0.1 * (k - 1))
         log = log.started(swinging(max(k - late, 0)), 0.1 * k)
     return log
 
@@ -173,21 +173,25 @@ def test_until_those_that_are_sent_come_the_plate_repeats_what_runs():
 
 def test_one_late_answer_is_not_expected_of_the_next():
     log = played(8, 0)
-    log = log.hear(swinging(50), 0.75, 0.7).started(swinging(7), 0.8).started(swinging(50), 0.9)
+    log = (
+        log.record_cycle(swinging(50), 0.75, 0.7)
+        .started(swinging(7), 0.8)
+        .started(swinging(50), 0.9)
+    )
     assert log.delay == 0
     assert log.until_answer == log
 
 
 def test_a_cycle_that_is_due_is_expected_before_it_is_reported():
     log = played(12, 1)  # 1.1 to 1.2 s runs what was sent tenth
-    for one in (log, log.hear(swinging(12), 1.19, 1.1)):
+    for one in (log, log.record_cycle(swinging(12), 1.19, 1.1)):
         assert one.advance(1.21).runs[-1][1].knot_pose[1, 0] == pytest.approx(11e-4)
 
 
 def test_rest_and_cycles_that_nobody_sent_tell_nothing():
     log = played(12, 1)
     for k in range(12, 20):
-        log = log.hear(PlateCycle.rest(0.1), 0.1 * k - 0.02, 0.1 * (k - 1))
+        log = log.record_cycle(PlateCycle.rest(0.1), 0.1 * k - 0.02, 0.1 * (k - 1))
         log = log.started(PlateCycle.rest(0.1), 0.1 * k)
     assert log.delay == 1
     assert log.started(swinging(99), 2.0).delay == 1
@@ -215,8 +219,8 @@ def reported(*runs):
 
 def test_the_state_of_the_plate_is_certain_only_while_reports_come():
     assert not CycleLog().certain
-    assert not CycleLog().hear(LEAVES, 0.95).advance(1.0).certain
-    log = reported((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0)
+    assert not CycleLog().record_cycle(LEAVES, 0.95).advance(1.0).certain
+    log = reported((1.0, LEAVES)).record_cycle(GOES_ON, 1.05, 1.0)
     assert log.certain
     assert np.array_equal(log.until_answer.plate, STATE)
     log = log.advance(1.1)  # the report may come after the image
@@ -229,7 +233,7 @@ def test_the_state_of_the_plate_is_certain_only_while_reports_come():
 
 
 def test_a_report_says_what_has_begun_in_spite_of_what_was_expected():
-    expected = reported((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0).advance(1.1)
+    expected = reported((1.0, LEAVES)).record_cycle(GOES_ON, 1.05, 1.0).advance(1.1)
     log = expected.started(LEAVES.tail, 1.1, triggered=True)
     assert [cycle for _, cycle in log.runs] == [LEAVES, LEAVES.tail]
     assert np.array_equal(log.until_answer.plate, HOME)
@@ -239,13 +243,19 @@ def test_a_report_says_what_has_begun_in_spite_of_what_was_expected():
 
 
 def test_a_report_that_comes_again_changes_nothing():
-    log = reported((1.0, LEAVES), (1.1, GOES_ON)).hear(SHORT, 1.15, 1.1)
+    log = reported((1.0, LEAVES), (1.1, GOES_ON)).record_cycle(SHORT, 1.15, 1.1)
     for begin, cycle in log.runs:
         assert log.started(cycle, begin, triggered=True) is log
 
 
 def test_a_cycle_that_has_begun_does_not_begin_again_without_its_report():
-    log = reported((1.0, SHORT)).hear(LEAVES, 1.05, 1.0).advance(1.1).advance(1.2).advance(1.25)
+    log = (
+        reported((1.0, SHORT))
+        .record_cycle(LEAVES, 1.05, 1.0)
+        .advance(1.1)
+        .advance(1.2)
+        .advance(1.25)
+    )
     assert [cycle.moves for _, cycle in log.runs] == [False, True, True, False]
     assert not log.advance(1.35).runs[-1][1].moves
 
@@ -263,7 +273,7 @@ def test_a_tail_is_no_cycle_as_others():
     assert log.end == pytest.approx(1.15)
     assert log.advance(1.15).period == pytest.approx(0.1)
     # One that waits for the end of a tail is not late.
-    log = CycleLog().started(LEAVES, 1.0).hear(swinging(3), 1.05, 1.0)
+    log = CycleLog().started(LEAVES, 1.0).record_cycle(swinging(3), 1.05, 1.0)
     log = log.started(LEAVES.tail, 1.1).started(swinging(3), 1.15)
     assert log.delays == (0,)
 
@@ -274,7 +284,7 @@ def test_nothing_is_certain_where_answers_begin_late():
 
 
 def test_a_cycle_is_known_again_in_spite_of_rounding():
-    log = played(12, 0).hear(swinging(12), 1.15, 1.1)
+    log = played(12, 0).record_cycle(swinging(12), 1.15, 1.1)
     rounded = replace(swinging(12), knot_pose=swinging(12).knot_pose + 1e-16)
     assert log.started(rounded, 1.2).sent == ()
 
@@ -283,8 +293,8 @@ def test_a_cycle_is_known_again_in_spite_of_rounding():
 def test_a_cycle_with_a_tail_that_no_driver_plays_is_not_believed(tail_s):
     still, times = np.zeros((4, 3)), np.array([0.0, 0.1, 0.1, 0.1 + tail_s])
     odd = PlateCycle.from_knots(times, still, still, still)
-    log = CycleLog().hear(PlateCycle.rest(0.1), 0.0).advance(0.1)
-    assert log.hear(odd, 0.11) == log
+    log = CycleLog().record_cycle(PlateCycle.rest(0.1), 0.0).advance(0.1)
+    assert log.record_cycle(odd, 0.11) == log
     assert log.started(odd, 0.2) == log
 
 
@@ -296,13 +306,13 @@ def test_cycles_that_move_the_plate_without_an_answer_are_counted():
     assert again.started(swinging(11), 1.2) == again  # reported once more
     assert log.started(SHORT, 1.2).unanswered == 0  # rest
     # A tail is what no answer leads to, unless it was rest that was asked.
-    log = CycleLog().started(SHORT, 0.9).hear(LEAVES, 0.95, 0.9).started(LEAVES, 1.0)
+    log = CycleLog().started(SHORT, 0.9).record_cycle(LEAVES, 0.95, 0.9).started(LEAVES, 1.0)
     assert log.started(LEAVES.tail, 1.1).unanswered == 1
-    assert log.hear(SHORT, 1.05, 1.0).started(LEAVES.tail, 1.1).unanswered == 0
+    assert log.record_cycle(SHORT, 1.05, 1.0).started(LEAVES.tail, 1.1).unanswered == 0
 
 
 def test_a_cycle_that_is_played_otherwise_than_sent_is_no_lack_of_an_answer():
-    log = played(12, 0).hear(swinging(12), 1.15, 1.1)
+    log = played(12, 0).record_cycle(swinging(12), 1.15, 1.1)
     smaller = swinging(12).scaled(0.9)  # beyond a limit
     log = log.started(smaller, 1.2)
     assert (log.begun, log.unanswered) == (13, 0)
@@ -312,7 +322,7 @@ def test_a_cycle_that_is_played_otherwise_than_sent_is_no_lack_of_an_answer():
 
 
 def test_a_clock_that_was_set_back_makes_all_older_things_forgotten():
-    log = played(12, 1).hear(swinging(12), 1.15, 1.1)
+    log = played(12, 1).record_cycle(swinging(12), 1.15, 1.1)
     new = log.started(SHORT, log.begin - MEMORY_S - 1e-3)
     assert new == CycleLog(((new.begin, SHORT),), reported=True, last_report=new.begin)
     assert not log.started(SHORT, log.begin - MEMORY_S - 1e-3, triggered=True).reported
@@ -328,7 +338,7 @@ def test_reports_say_whether_images_are_taken_at_starts_too():
 
 
 def test_what_was_sent_is_kept_where_no_image_came_for_long():
-    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(swinging(3), 0.15)
+    log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1).record_cycle(swinging(3), 0.15)
     late = 0.2 + MEMORY_S + 1e-3
     log = log.advance(late)
     assert [begin for begin, _ in log.runs] == [late]
@@ -337,19 +347,23 @@ def test_what_was_sent_is_kept_where_no_image_came_for_long():
 
 
 def test_what_is_awaited_may_move_the_plate_until_it_has_begun():
-    log = reported((1.0, SHORT)).hear(LEAVES, 1.05, 1.0)
+    log = reported((1.0, SHORT)).record_cycle(LEAVES, 1.05, 1.0)
     assert log.may_move(1.1)
     assert not log.may_move(1.0 - MEMORY_S - 1e-3)  # the clock was put back
     assert log.started(SHORT, 1.1).may_move(1.1)
     assert not log.started(LEAVES, 1.1).may_move(1.1)
-    assert log.hear(SHORT, 1.06, 1.0).may_move(1.1)  # rest does not call it back
+    assert log.record_cycle(SHORT, 1.06, 1.0).may_move(1.1)  # rest does not call it back
     ends = 1.0 + MOST_AGE_S + LEAVES.period
     assert log.may_move(ends - 1e-6)
     assert not log.may_move(ends)
 
 
 def test_a_cycle_that_waits_for_its_report_is_sent_until_then():
-    log = reported((1.0, SHORT)).hear(swinging(1), 1.02, 1.0).hear(swinging(2), 1.05, 1.0)
+    log = (
+        reported((1.0, SHORT))
+        .record_cycle(swinging(1), 1.02, 1.0)
+        .record_cycle(swinging(2), 1.05, 1.0)
+    )
     assert log.advance(1.1).sent == log.sent
     assert [one.cycle.knot_pose[1, 0] for one in log.started(swinging(1), 1.1).sent] == [2e-4]
     assert log.started(swinging(2), 1.1).sent == ()

@@ -87,7 +87,7 @@ def estimated(world, cycles, latency=0.0, given=0.0, edit=lambda k, parts: parts
         yield estimator, world.place
         world.run(cycle)
         cycle = shaken(world.rng)
-        estimator = estimator.hear(cycle, k * T)
+        estimator = estimator.record_cycle(cycle, k * T)
 
 
 @pytest.mark.parametrize("age", [0.0, 0.05])
@@ -361,7 +361,7 @@ def test_the_search_for_the_latency_bears_an_empty_plate():
     """Parts that are taken before it has ended leave nothing to move."""
     found = LatencyHypotheses.of(None)
     later = np.full(len(found.latencies), 0.01)
-    log = CycleLog().hear(PlateCycle.rest(T), 0.0).advance(0.0)
+    log = CycleLog().record_cycle(PlateCycle.rest(T), 0.0).advance(0.0)
     assert found.estimate.moved(log, later, ACCEL).mean.shape == found.estimate.mean.shape
 
 
@@ -396,7 +396,7 @@ def test_it_says_when_images_do_not_come_as_they_should():
         estimator = none
         for k in range(30):
             estimator = estimator.update(world.seen(), k / rate)
-            estimator = estimator.hear(PlateCycle.rest(T), k / rate)
+            estimator = estimator.record_cycle(PlateCycle.rest(T), k / rate)
         assert estimator.image_problem.startswith(problem)
         assert bool(estimator.image_problem) == bool(problem)
         assert estimator.image_rate == pytest.approx(rate, rel=1e-3)
@@ -425,7 +425,7 @@ def test_it_says_how_many_cycles_had_no_answer_and_what_may_lack(triggered):
     for k in range(100):
         if k % 10:  # else it begins again
             cycle = shaken(rng)
-            estimator = estimator.hear(cycle, T * (k - 0.5), T * (k - 1))
+            estimator = estimator.record_cycle(cycle, T * (k - 0.5), T * (k - 1))
         if k == 20:
             estimator = estimator.begin_task()
             assert not estimator.unanswered
@@ -442,7 +442,7 @@ def test_a_type_is_as_slippery_as_its_file_says_until_it_is_seen_to_be_otherwise
     parts = Parts.make(("black_1", "nut_1"), np.zeros((2, 2)))
     estimator = Estimator.of(rig, 0.1, 0.0).update(parts, 0.0)
     assert estimator.friction == pytest.approx([1.0, 0.1 / rig.friction.mu])
-    moving = estimator.hear(PlateCycle.rest(0.1), 0.0).update(parts, 0.1).parts
+    moving = estimator.record_cycle(PlateCycle.rest(0.1), 0.0).update(parts, 0.1).parts
     bounds = estimator.latency.estimate.usual
     assert bounds == pytest.approx([0, np.log(0.1 / rig.friction.mu)])
     assert moving.friction_limit == pytest.approx([rig.force_unit, 0.1 * 9.81 * 0.01])

@@ -136,7 +136,7 @@ def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begi
         elif k >= 3:
             for asked in range(4) if k == 3 else [k]:
                 answer = rest if asked else push
-                state = feed.hear(state, answer, max(came, k) * T, asked * T)
+                state = feed.record_cycle(state, answer, max(came, k) * T, asked * T)
     assert still == [k > begins + 1 for k in range(12)]
 
 
@@ -163,7 +163,7 @@ def _at_rest_while_a_motion_is_awaited(begins, count):
         state = feed.started(state, push if k == begins else rest, k * T, triggered=True)
         state, _, _ = feed.plan(state, parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0)), k * T)
         still.append(state.memory.report.at_rest)
-        state = feed.hear(state, rest if k else push, (k + 0.5) * T, k * T)
+        state = feed.record_cycle(state, rest if k else push, (k + 0.5) * T, k * T)
         if k == 0:
             feed = feed.order(state, FeedOrder(FeedMode.REST))
     return still
@@ -176,7 +176,7 @@ def test_a_plate_whose_starts_are_reported_no_more_is_at_rest_again():
         if k < 3:
             state = feed.started(state, rest, k * T, triggered=True)
         state, _, _ = feed.plan(state, parts(**LONE), k * T)
-        state = feed.hear(state, rest, (k + 0.5) * T, k * T)
+        state = feed.record_cycle(state, rest, (k + 0.5) * T, k * T)
     assert state.memory.report.at_rest
 
 

@@ -41,12 +41,14 @@ def test_a_part_is_asked_to_its_target_and_the_others_to_stay_but_to_make_room_t
     near, far = ([x, 0.05] for x in (0.095, -0.2))
     for place, first in ((near, True), (far, False)):
         seen = parts([place, [0.01, -0.1]])
-        ways = mover.ways(MoveMemory({"black_1": (0.0, 0.0), "black_2": (0.0, -0.1)}), seen)
-        (target, *_), (home, *_) = mover.request(seen, ways).weight
+        remaining = mover.remaining(
+            MoveMemory({"black_1": (0.0, 0.0), "black_2": (0.0, -0.1)}), seen
+        )
+        (target, *_), (home, *_) = mover.request(seen, remaining).weight
         assert (home < target) == first
     seen = parts([[0.0, 0.0], [0.01, -0.1]])
     memory = MoveMemory({"black_1": (0.0, 0.0), "black_2": (0.0, -0.1)})
-    to = mover.request(seen, mover.ways(memory, seen))
+    to = mover.request(seen, mover.remaining(memory, seen))
     assert (to.low + to.high)[0] / 2 == pytest.approx(THERE.place)
     assert (to.low + to.high)[1] / 2 == pytest.approx([0.0, -0.1])
     assert to.angles is None
@@ -56,9 +58,9 @@ def test_an_angle_is_asked_of_those_that_have_one():
     turned = replace(THERE, angle=np.radians(-170))
     mover = Mover(task(turned), RIG)
     seen = parts([THERE.place, [0.0, 0.0]], np.radians([170.0, 40.0]))
-    ways = mover.ways(MoveMemory({"black_1": (0, 0), "black_2": (0, 0)}), seen)
-    assert np.degrees(ways.missing) == pytest.approx([20.0, 0.0])
-    angles = mover.request(seen, ways).angles
+    remaining = mover.remaining(MoveMemory({"black_1": (0, 0), "black_2": (0, 0)}), seen)
+    assert np.degrees(remaining.missing) == pytest.approx([20.0, 0.0])
+    angles = mover.request(seen, remaining).angles
     assert np.degrees(angles.low + angles.high)[0] / 2 == pytest.approx(190.0)
     assert list(angles.weight > 0) == [True, False]
 

@@ -75,7 +75,7 @@ def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(h
             break
         if heard:
             swing = PlateCycle.from_samples(T, SWING) if len(asked.parts) else PlateCycle.rest(T)
-            state = planner.hear(state, swing, k * T + T / 2)
+            state = planner.record_cycle(state, swing, k * T + T / 2)
     if falls is None:
         assert (progress.phase, k) == ("done", 7)
     else:
@@ -186,7 +186,7 @@ def test_a_part_that_is_only_carried_on_is_not_seen_twice():
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state = planner.start(planner.initial())
     for k in range(4):  # in the second and fourth image black_1 is where it should still be
-        state = planner.hear(state, PlateCycle.rest(T), (k - 1) * T)
+        state = planner.record_cycle(state, PlateCycle.rest(T), (k - 1) * T)
         parts = without(plant.seen(), "black_1") if k % 2 else plant.seen()
         state, asked, progress = planner.plan(state, parts, k * T)
         assert (progress.parts_seen, len(asked.parts)) == (2, 0 if k < 2 else 2)

@@ -37,8 +37,8 @@ class Loop:
     def hear(self, now, period=T):
         """Receive all inputs, at most a period apart."""
         assert self.monitor.wake(now, period) is None
-        inputs = self.monitor.inputs.heard_driver(now, READY)
-        self.monitor.inputs = inputs.heard_parts(now, round(1e9 * now))
+        inputs = self.monitor.inputs.driver_received(now, READY)
+        self.monitor.inputs = inputs.parts_received(now, round(1e9 * now))
 
     def begin(self, name="sort_4", now=0.0):
         self.tasks.begin(Planner(RIG, load_scenario(name)), object(), now)

@@ -56,13 +56,13 @@ class Sent:
     arrival : float
         Time of sending [s, the time of the stamps].
     cycle : PlateCycle
-    asked : float
+    requested : float
         Start of the cycle whose image it answers [s].
     """
 
     arrival: float
     cycle: PlateCycle
-    asked: float
+    requested: float
 
 
 @dataclass(frozen=True)
@@ -174,19 +174,21 @@ class CycleLog:
         cycles sent, the newest one last."""
         return next_cycle(self.runs[-1][1], sent, idle_s=self.period)
 
-    def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> CycleLog:
+    def record_cycle(
+        self, cycle: PlateCycle, arrival: float, requested: float | None = None
+    ) -> CycleLog:
         """Record a cycle sent at `arrival` [s, the time of the stamps].
 
-        `asked` is the start of the cycle that it answers [s]. Default: the running cycle.
+        `requested` is the start of the cycle that it answers [s]. Default: the running cycle.
         """
         if not _playable(cycle):
             return self
-        if asked is None:
-            asked = self.begin if self.runs else arrival
+        if requested is None:
+            requested = self.begin if self.runs else arrival
         before = self.sent[-LATEST:] if math.isfinite(self.last_report) else ()
-        one = Sent(arrival, cycle, asked)
+        one = Sent(arrival, cycle, requested)
         awaited = one if cycle.moves else self.awaited
-        return replace(self, sent=(*before, one), answered=asked, awaited=awaited)
+        return replace(self, sent=(*before, one), answered=requested, awaited=awaited)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at `begin` [s]. A repeated report changes
@@ -238,9 +240,9 @@ class CycleLog:
         `kept`. Rest adds none: one cycle of rest cannot be distinguished from another."""
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
-        asked = self.sent[answer].asked
+        requested = self.sent[answer].requested
         late = sum(  # short cycles at rest, and tails, do not delay others
-            start > asked + SNAP * run.period and run.moves and not _is_tail(run)
+            start > requested + SNAP * run.period and run.moves and not _is_tail(run)
             for start, run in kept
         )
         return (*self.delays, late)[-DELAYS_KEPT:]
@@ -297,7 +299,7 @@ class CycleLog:
         came = [one for one in self.sent if in_time(one.arrival, t)]
         if self.delay:
             turn = self.delay + 1 - SNAP
-            came = [one for one in came if one.asked + turn * one.cycle.period <= t]
+            came = [one for one in came if one.requested + turn * one.cycle.period <= t]
         waiting = [one.cycle for one in came if not any(one.cycle is run for _, run in self.runs)]
         if not (self.runs or waiting):
             return self
@@ -319,9 +321,9 @@ class CycleLog:
         The driver may have accepted it, and it starts at the end of a cycle.
         """
         one = self.awaited
-        if one is None or one.asked > t + MEMORY_S:  # the clock was set back
+        if one is None or one.requested > t + MEMORY_S:  # the clock was set back
             return False
-        return t < one.asked + MOST_AGE_S + one.cycle.period
+        return t < one.requested + MOST_AGE_S + one.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the pieces of runs between `begin` and `end` [s]: cycle, its start time, and start

@@ -297,9 +297,11 @@ class Estimator:
         """mu g of the rig [m/s2]."""
         return self.rig.friction.accel
 
-    def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> Estimator:
+    def record_cycle(
+        self, cycle: PlateCycle, arrival: float, requested: float | None = None
+    ) -> Estimator:
         """Record a cycle sent to the plate, as in `CycleLog.hear`."""
-        return replace(self, log=self.log.hear(cycle, arrival, asked))
+        return replace(self, log=self.log.record_cycle(cycle, arrival, requested))
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> Estimator:
         """Record that the plate began a cycle at `begin` [s, the time of the stamps], as in
@@ -389,7 +391,9 @@ class Estimator:
             "or the line is too slow"
         )
 
-    def ask(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
+    def request_drift(
+        self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray
+    ) -> Estimator:
         """Record the request for the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
         return replace(self, request=LastRequest(ids, drift, self.stamp, force))
 
@@ -420,8 +424,8 @@ class Estimator:
         """Start of the plate's rest [s], from reported cycles, sent cycles or requests."""
         if self.log.known:
             return self.log.resting_since
-        asked = self.request.stamp  # executed in the cycle after the image
-        return asked + 2 * self.period if asked <= self.stamp else -np.inf
+        requested = self.request.stamp  # executed in the cycle after the image
+        return requested + 2 * self.period if requested <= self.stamp else -np.inf
 
     @property
     def resting_since(self) -> float:
@@ -430,12 +434,12 @@ class Estimator:
         It is infinite if the plate moves or may move: if the cycle of the last image has not been
         reported, or if the last request may still begin.
         """
-        log, asked = self.log, self.request.stamp
+        log, requested = self.log, self.request.stamp
         if not log.known:
             return self._known_rest
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
         reports = log.last_report > self.taken - MEMORY_S  # False: no recent report
-        unanswered = log.answered < asked < self.taken + MEMORY_S  # False: clock set back
+        unanswered = log.answered < requested < self.taken + MEMORY_S  # False: clock set back
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
         return np.inf if may_come or (reports and log.last_report < shown) else log.resting_since
 
@@ -578,5 +582,7 @@ class Estimator:
 def warm_up(rig: Rig) -> None:
     """Track a part for one step, so that all code is loaded before the first image arrives."""
     part = Parts.make(("part_1",), np.zeros((1, 2)))
-    estimator = Estimator.of(rig, 0.1, None).update(part, 0.0).hear(PlateCycle.rest(0.1), 0.0)
+    estimator = (
+        Estimator.of(rig, 0.1, None).update(part, 0.0).record_cycle(PlateCycle.rest(0.1), 0.0)
+    )
     estimator.update(part, 0.1).predict(part)

@@ -17,7 +17,7 @@ import numpy as np
 WANDER_S, DRIFT_S = 0.05e-3, 1e-6
 """Process noise per frame: standard deviations of the frame time and of the interval [s]."""
 
-FIRST_S, LEAST_S = 5e-3, 0.05e-3
+FIRST_S, MIN_S = 5e-3, 0.05e-3
 """Initial and minimum standard deviation of the stamps [s]."""
 
 FIRST_INTERVAL_S = 1.5e-3
@@ -173,5 +173,5 @@ class FrameClock:
         scatter = self.scatter * np.sqrt(1 + (square - 1) / SCATTER_FRAMES)
         return FrameClock(
             (stamp,), numbers - numbers[best], likely - likely[best], time,
-            covariance - np.outer(gain, covariance[0]), max(float(scatter), LEAST_S),
+            covariance - np.outer(gain, covariance[0]), max(float(scatter), MIN_S),
         )  # fmt: skip

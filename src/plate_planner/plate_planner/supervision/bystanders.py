@@ -78,14 +78,14 @@ class Overlooked:
         low = np.sqrt(PLAUSIBLE_AREA[0] * min(areas) / np.pi)
         high = np.sqrt(PLAUSIBLE_AREA[1] * max(areas) / np.pi)
         inner = self.rig.plate.half - self.rig.limits.stroke_m  # beyond: the plate's edge
-        found = []
+        candidates = []
         for thing in things:
             place = np.array([thing.x, thing.y])
             whole = bool(np.all(np.abs(place) + thing.radius <= inner))
             away = np.hypot(*(parts.position - place).T)  # distance from published parts
             if low <= thing.radius <= high and whole and not np.any(away < thing.radius):
-                found.append(thing)
-        self.images.append(tuple(found))
+                candidates.append(thing)
+        self.images.append(tuple(candidates))
 
     @property
     def count(self) -> int:

@@ -111,31 +111,31 @@ class Inputs:
 
     # Messages received
 
-    def heard_parts(self, now: float, stamp_ns: int) -> Inputs:
+    def parts_received(self, now: float, stamp_ns: int) -> Inputs:
         """Record received parts."""
         if stamp_ns == self.stamp:
             return self
         return replace(self, parts=self.parts.heard(now), stamp=stamp_ns)
 
-    def heard_start(self, now: float) -> Inputs:
+    def start_received(self, now: float) -> Inputs:
         """Record a reported cycle start."""
         return self if self.starts is None else replace(self, starts=self.starts.heard(now))
 
-    def heard_order(self, now: float) -> Inputs:
+    def order_received(self, now: float) -> Inputs:
         """Record an order of a feeder."""
         question = "does the feeder run, or is the computer too slow?"
         orders = Input("feed_orders", "feed_orders", question, FEEDER_S, now, now)
         return replace(self, orders=orders)
 
-    def asked(self, now: float) -> Inputs:
+    def request_sent(self, now: float) -> Inputs:
         """Record that the planner has published part_forces."""
         return self if self.unanswered is not None else replace(self, unanswered=now)
 
-    def heard_cycle(self) -> Inputs:
+    def cycle_received(self) -> Inputs:
         """Record a cycle from the solver."""
         return replace(self, unanswered=None)
 
-    def heard_driver(self, now: float, status: DriverStatus) -> Inputs:
+    def driver_received(self, now: float, status: DriverStatus) -> Inputs:
         """Record a driver_status."""
         ready = status.state is DriverState.READY
         again = ready and self.enabled_ns not in (None, status.enabled_ns)
@@ -149,7 +149,7 @@ class Inputs:
             enabled_again=now if again else self.enabled_again,
         )
 
-    def heard_node(self, now: float, name: str, level: Level, message: str) -> Inputs:
+    def report_received(self, now: float, name: str, level: Level, message: str) -> Inputs:
         """Record the diagnostics of a node. Nodes outside `LOOP` are ignored."""
         if name not in LOOP:
             return self

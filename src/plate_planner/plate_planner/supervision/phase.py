@@ -120,7 +120,7 @@ class TaskState:
         Why the task ended.
     detail : str
         Text on the end: the result if the task is done, otherwise the cause and a remedy.
-    asked : float or None
+    waiting_since : float or None
         Stamp of the first image after `start`.
     began : float or None
         Start of the task: stamp of the second image with the same complete set of parts.
@@ -137,7 +137,7 @@ class TaskState:
     phase: Phase = Phase.IDLE
     reason: Reason = Reason.NONE
     detail: str = ""
-    asked: float | None = None
+    waiting_since: float | None = None
     began: float | None = None
     ended: float | None = None
     missing_since: tuple[tuple[str, float], ...] = ()
@@ -221,14 +221,14 @@ def begin(
     """
     if state.phase is not Phase.RUNNING or state.began is not None:
         return state
-    asked = t if state.asked is None else state.asked
+    waiting_since = t if state.waiting_since is None else state.waiting_since
     if again and not missing:
-        return replace(state, asked=asked, began=t)
-    if t - asked > limits.start_timeout_s + TIME_TOLERANCE_S:
+        return replace(state, waiting_since=waiting_since, began=t)
+    if t - waiting_since > limits.start_timeout_s + TIME_TOLERANCE_S:
         what = f"{_listed(missing)} not seen" if missing else "no two images with the same parts"
         why = _joined(f"{what} within {limits.start_timeout_s:g} s of start", others, LOOK)
         return _end(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
-    return replace(state, asked=asked)
+    return replace(state, waiting_since=waiting_since)
 
 
 STOP = Failure(Reason.STOPPED, "stopped")

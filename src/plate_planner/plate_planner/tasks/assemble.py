@@ -10,7 +10,7 @@ import numpy as np
 from plate_core import Parts, Rig, Targets
 from plate_core.tasks import AssembleTask
 
-from .targets import GAP, assign, way_weight
+from .targets import GAP, assign, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
@@ -55,7 +55,7 @@ class Assembler(TaskRules):
         """Return the targets of M parts. A part without a place is only kept on the plate."""
         aim, placed = self._aim(parts)
         band, rows = BAND * self.task.tolerance_m, placed[:, None] & [True, True]
-        weight = np.where(rows, way_weight(aim - parts.position), 0.0)
+        weight = np.where(rows, distance_weight(aim - parts.position), 0.0)
         return Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:

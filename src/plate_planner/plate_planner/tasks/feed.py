@@ -34,7 +34,7 @@ from plate_core.tasks import (
 )
 
 from ..estimation import SETTLE_S
-from .targets import FULL_WAY_M, way_weight
+from .targets import FULL_DISTANCE_M, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 STILL_M = 1e-3
@@ -189,9 +189,9 @@ class Feeder(TaskRules):
         if now.kept:  # parts that the robot takes are not lost
             taken = memory.report.ready.ids
             place = {name: at for name, at in memory.place.items() if name not in taken}
-        ready, asked = len(report.ready), sum(pick.ready for pick in self._picks)
+        ready, ordered = len(report.ready), sum(pick.ready for pick in self._picks)
         left = sum(report.seen.values())
-        doing = f"{ready} of {asked} parts ready, {left} on the plate"
+        doing = f"{ready} of {ordered} parts ready, {left} on the plate"
         if self._mode is FeedMode.PURGE:
             doing = f"{left} parts left to purge"
         elif self._mode is FeedMode.REST:
@@ -405,22 +405,22 @@ class Aims:
     @property
     def left(self) -> np.ndarray:
         """Distances to go (M,) plus arc lengths of the remaining rotations at the edge [m]."""
-        way = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
-        return np.asarray(way + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
+        distance = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
+        return np.asarray(distance + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
 
     def targets(self, gap_m: float) -> Targets:
         """Return the targets of the parts, with a minimum gap [m].
 
-        The weight scales the longest distance with full weight to `FULL_WAY_M`, separately for
+        The weight scales the longest distance with full weight to `FULL_DISTANCE_M`, separately for
         leaving and for other parts. If a part must get ready at an angle, its own distance is
         scaled instead.
         """
         left = self.left
-        counts, way = np.zeros(len(left)), np.column_stack([left, 0 * left])
+        counts, offset = np.zeros(len(left)), np.column_stack([left, 0 * left])
         for who in (self.leaving, ~self.leaving):
-            counts[who] = way_weight(way[self.full & who])
+            counts[who] = distance_weight(offset[self.full & who])
         needed = self.full & ~self.leaving & self.angled
-        counts[needed] = FULL_WAY_M / np.maximum(left[needed], NEAREST_M)
+        counts[needed] = FULL_DISTANCE_M / np.maximum(left[needed], NEAREST_M)
         weight = counts * np.where(self.full, np.maximum(self.weight, 1.0), self.weight)
         angles, turned = None, self.angled & self.full
         if np.any(turned):

@@ -17,13 +17,13 @@ from plate_core.rig import PartType
 from plate_core.tasks import MoveTask
 
 from ..estimation import rows_of
-from .targets import GAP, way_weight
+from .targets import GAP, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
 """Half width of the target intervals of position and angle [tolerance]."""
 
-HOME, HOME_MOST, HOME_BAND_M = 2.0, 0.2, 5e-3
+HOME, MAX_HOME_WEIGHT, HOME_BAND_M = 2.0, 0.2, 5e-3
 """Weight of a part without a target relative to parts with one, and its maximum [-]. So the part is
 not swept along while distances are long, and makes room when they are short. The third value is the
 deviation from its home that has no error [m]."""
@@ -38,12 +38,12 @@ class MoveMemory:
 
 
 @dataclass(frozen=True)
-class Ways:
+class RemainingMotion:
     """Remaining motion of M parts.
 
     Attributes
     ----------
-    asked : (M,) bool
+    requested : (M,) bool
         Whether the part has a target.
     aim : (M, 2)
         Target or, without one, home [m, plate_home].
@@ -55,7 +55,7 @@ class Ways:
         Whether an angle is requested.
     """
 
-    asked: np.ndarray
+    requested: np.ndarray
     aim: np.ndarray
     distance: np.ndarray
     missing: np.ndarray
@@ -88,17 +88,19 @@ class Mover(TaskRules):
         parts, before = now.parts, {} if memory is None else memory.home
         places = zip(parts.ids, parts.position.tolist(), strict=True)
         memory = MoveMemory({name: before.get(name, (x, y)) for name, (x, y) in places})
-        ways = self.ways(memory, parts)
-        there = ways.asked & (ways.distance <= self.task.tolerance_m)
-        there &= np.abs(ways.missing) <= self.task.tolerance_rad
+        remaining = self.remaining(memory, parts)
+        there = remaining.requested & (remaining.distance <= self.task.tolerance_m)
+        there &= np.abs(remaining.missing) <= self.task.tolerance_rad
         reach = np.array([part.reach_m for part in self._types(parts)])
-        distance = np.where(ways.asked, ways.distance + reach * np.abs(ways.missing), 0.0)
-        error, count = ways.distance[ways.asked], int(np.count_nonzero(there))
+        distance = np.where(
+            remaining.requested, remaining.distance + reach * np.abs(remaining.missing), 0.0
+        )
+        error, count = remaining.distance[remaining.requested], int(np.count_nonzero(there))
         wanted = [target.id for target in self.task.targets]
         to_go = float(np.sum(distance))
         text = f"{count} of {len(wanted)} at their targets, {1e3 * to_go:.0f} mm to go"
         return memory, Assessment(
-            request=self.request(parts, ways),
+            request=self.request(parts, remaining),
             goal_met=count == len(wanted),
             count=count,
             distance=distance,
@@ -106,12 +108,12 @@ class Mover(TaskRules):
             missing=tuple(name for name in wanted if name not in parts.ids) or None,
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
             max_error_m=float(np.max(error, initial=0.0)),
-            turn_error=float(np.max(np.abs(ways.missing), initial=0.0)),
+            turn_error=float(np.max(np.abs(remaining.missing), initial=0.0)),
             outcome=text,
-            doing="; ".join([text, *self._in_the_way(parts, ways, there)]),
+            doing="; ".join([text, *self._in_the_way(parts, remaining, there)]),
         )
 
-    def ways(self, memory: MoveMemory, parts: Parts) -> Ways:
+    def remaining(self, memory: MoveMemory, parts: Parts) -> RemainingMotion:
         """Return the remaining motion of M parts."""
         row = rows_of(parts.ids, tuple(target.id for target in self.task.targets))
         aim = np.array([memory.home[name] for name in parts.ids]).reshape(-1, 2)
@@ -126,33 +128,36 @@ class Mover(TaskRules):
                 period = 2 * np.pi / max(self._types(parts)[part].symmetry, 1)
                 missing[part] = (target.angle - parts.angle[part] + period / 2) % period
                 missing[part] -= period / 2
-        return Ways(row >= 0, aim, np.hypot(*(aim - parts.position).T), missing, turned)
+        return RemainingMotion(row >= 0, aim, np.hypot(*(aim - parts.position).T), missing, turned)
 
-    def request(self, parts: Parts, ways: Ways) -> Targets:
+    def request(self, parts: Parts, remaining: RemainingMotion) -> Targets:
         """Return the targets of M parts."""
         reach = np.array([part.reach_m for part in self._types(parts)])
-        left = np.where(ways.asked, np.maximum(ways.distance, reach * np.abs(ways.missing)), 0.0)
-        counts = way_weight(np.column_stack([left, 0 * left]))
-        weight = np.where(ways.asked, counts, min(HOME * counts, HOME_MOST))[:, None] * np.ones(2)
-        band = np.where(ways.asked, BAND * self.task.tolerance_m, HOME_BAND_M)[:, None]
+        left = np.maximum(remaining.distance, reach * np.abs(remaining.missing))
+        left = np.where(remaining.requested, left, 0.0)
+        counts = distance_weight(np.column_stack([left, 0 * left]))
+        weight = np.where(remaining.requested, counts, min(HOME * counts, MAX_HOME_WEIGHT))
+        band = np.where(remaining.requested, BAND * self.task.tolerance_m, HOME_BAND_M)[:, None]
         angles = None
-        if np.any(ways.turned):
-            goal, slack = parts.angle + ways.missing, BAND * self.task.tolerance_rad
-            angles = AngleTargets(goal - slack, goal + slack, counts * reach * ways.turned)
+        if np.any(remaining.turned):
+            goal, slack = parts.angle + remaining.missing, BAND * self.task.tolerance_rad
+            angles = AngleTargets(goal - slack, goal + slack, counts * reach * remaining.turned)
         gap = GAP * self.rig.parts.radius_m
-        return Targets(ways.aim - band, ways.aim + band, weight, gap, angles)
+        return Targets(
+            remaining.aim - band, remaining.aim + band, weight[:, None] * np.ones(2), gap, angles
+        )
 
-    def _in_the_way(self, parts: Parts, ways: Ways, there: np.ndarray) -> list[str]:
+    def _in_the_way(self, parts: Parts, remaining: RemainingMotion, there: np.ndarray) -> list[str]:
         """Return texts on the parts that occupy targets of other parts."""
         reach = np.array([part.reach_m for part in self._types(parts)])
-        found = []
-        for k in np.flatnonzero(ways.asked & ~there):
-            away = np.hypot(*(parts.position - ways.aim[k]).T)
+        texts = []
+        for k in np.flatnonzero(remaining.requested & ~there):
+            away = np.hypot(*(parts.position - remaining.aim[k]).T)
             on = away < reach + reach[k]
             on[k] = False
             name = parts.ids[k]
-            found += [f"{parts.ids[j]} lies on the target of {name}" for j in np.flatnonzero(on)]
-        return found
+            texts += [f"{parts.ids[j]} lies on the target of {name}" for j in np.flatnonzero(on)]
+        return texts
 
     def _types(self, parts: Parts) -> list[PartType]:
         return [self.rig.part_type(part_class(name)) for name in parts.ids]

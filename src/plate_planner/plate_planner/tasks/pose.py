@@ -14,7 +14,7 @@ import numpy as np
 from plate_core import AngleTargets, Parts, Rig, Targets, part_class
 from plate_core.tasks import Pose, PoseTask
 
-from .targets import GAP, UNMATCHED, match_by_cost, matched_rows, way_weight
+from .targets import GAP, UNMATCHED, distance_weight, match_by_cost, matched_rows
 from .task import Assessment, Situation, TaskRules
 
 BAND = 0.3
@@ -84,9 +84,9 @@ class Poser(TaskRules):
         arcs."""
         poses = self.task.poses
         place = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
-        way = place[:, None] - parts.position
+        offset = place[:, None] - parts.position
         arc = np.array([self._reach(p.label) * self._missing(p, parts.angle) for p in poses])
-        square = np.nan_to_num(np.sum(way**2, axis=2)) + arc.reshape(len(poses), len(parts)) ** 2
+        square = np.nan_to_num(np.sum(offset**2, axis=2)) + arc.reshape(len(poses), len(parts)) ** 2
         match = match_by_cost(tuple(pose.label for pose in poses), square, parts)
         for row in np.flatnonzero(np.isnan(place[:, 0])):
             if match[row] != UNMATCHED and not self.task.anywhere:
@@ -139,7 +139,9 @@ class Poser(TaskRules):
         aim[part[placed]] = memory.place[pose[placed]]
         reach = np.array([self._reach(self.task.poses[k].label) for k in pose])
         arcs = reach * missing[part]
-        counts = way_weight(np.vstack([aim - parts.position, np.column_stack([arcs, 0 * arcs])]))
+        counts = distance_weight(
+            np.vstack([aim - parts.position, np.column_stack([arcs, 0 * arcs])])
+        )
         stays = np.array([self.task.poses[k].place is None for k in pose], dtype=bool)
         weight[part[placed]] = np.where(stays[placed], max(STAY, counts), counts)[:, None]
         turned[part] = counts * reach

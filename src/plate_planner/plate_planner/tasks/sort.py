@@ -17,7 +17,7 @@ from plate_core import Parts, Rig, ScenarioError, Targets, part_class
 from plate_core.rig import contains, rim_distance
 from plate_core.tasks import Bin, Scenario, Side, SortTask, behind_wall
 
-from .targets import CROWD, GAP, assign, way_weight
+from .targets import CROWD, GAP, assign, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 MARGIN, END = 0.03, 0.85
@@ -136,8 +136,10 @@ class Sorter(TaskRules):
         sign = self._signs(parts)
         if diagonal := _diagonal(sign):
             return diagonal
-        way = self._ways(parts, sign)[:, 0] * sign[:, 0]
-        above = float(np.sum(way * parts.position[:, 1])) / max(float(np.sum(np.abs(way))), 1e-9)
+        along = self._displacements(parts, sign)[:, 0] * sign[:, 0]
+        above = float(np.sum(along * parts.position[:, 1])) / max(
+            float(np.sum(np.abs(along))), 1e-9
+        )
         if before is None or above * before < -SWITCH * self.rig.plate.half[1]:
             return 1.0 if above >= 0 else -1.0
         return before
@@ -146,7 +148,7 @@ class Sorter(TaskRules):
         """Return the targets of M parts, for a direction of the swirl."""
         sign, half = self._signs(parts), self.rig.plate.half
         line = (self.task.goal_fraction + MARGIN) * half
-        way = self._ways(parts, sign)
+        displacement = self._displacements(parts, sign)
         low, high = np.where(sign > 0, line, -half), np.where(sign < 0, -line, half)
         for rows, corner, slot in self._binned(parts):
             mine = parts.take(rows)
@@ -155,13 +157,13 @@ class Sorter(TaskRules):
             room = max(float(rim_distance(corner, place).min()) - self.rig.parts.radius_m, 0.0)
             inside = behind_wall(place - room, place + room, label, self.rig)
             low[rows], high[rows] = inside
-            way[rows] = place - parts.position[rows]
-        asked = (low > -half) | (high < half)
-        weight = np.where(asked, way_weight(way), 0.0)
+            displacement[rows] = place - parts.position[rows]
+        requested = (low > -half) | (high < half)
+        weight = np.where(requested, distance_weight(displacement), 0.0)
         # Far from their sides, parts to the left and to the right use different lanes, so that one
         # swirl moves all of them.
         most = CROWDED_LANE if len(parts) > CROWD else LANE
-        lane = most * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
+        lane = most * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
@@ -174,7 +176,7 @@ class Sorter(TaskRules):
         weight[:, 1] = np.where(lane > 0, lane, weight[:, 1])
         return Targets(low, high, weight, GAP * self.rig.parts.radius_m)
 
-    def _ways(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
+    def _displacements(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
         """Return the distances (M, 2) [m] to the targets, `MARGIN` beyond the goal lines. `sign`
         (M, 2) are the signs of the sides."""
         line = (self.task.goal_fraction + MARGIN) * self.rig.plate.half

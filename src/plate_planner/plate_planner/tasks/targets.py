@@ -1,7 +1,7 @@
 """Assignment of parts to targets, and weights of their distances.
 
 The assignment minimises the sum of squared distances (scipy's linear_sum_assignment), with parts of
-the correct class only. `way_weight` scales the longest distance to a fixed length, so that it
+the correct class only. `distance_weight` scales the longest distance to a fixed length, so that it
 dominates the squared errors.
 """
 
@@ -22,7 +22,7 @@ UNMATCHED = ""
 WRONG_CLASS_M = 1e3
 """Cost of a part of the wrong class [m]. It exceeds any sum of distances on a plate."""
 
-FULL_WAY_M, LEAST_WAY_M = 0.006, 0.005
+FULL_DISTANCE_M, MIN_DISTANCE_M = 0.006, 0.005
 """Weights scale the longest distance to go to the first length, in comparison with errors at edges,
 so that the parts with the longest distances come first. Distances below the second length are not
 scaled further [m]."""
@@ -120,9 +120,9 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarr
     return rows_of(parts.ids, match_targets(labels, place, parts))
 
 
-def way_weight(way: np.ndarray) -> float:
+def distance_weight(offset: np.ndarray) -> float:
     """Return the weight per metre for parts with distances (M, 2) [m] to go."""
-    return FULL_WAY_M / max(float(np.max(np.hypot(*way.T), initial=0.0)), LEAST_WAY_M)
+    return FULL_DISTANCE_M / max(float(np.max(np.hypot(*offset.T), initial=0.0)), MIN_DISTANCE_M)
 
 
 def stay_within(
