@@ -89,7 +89,7 @@ class PageNode(SafeLifecycleNode[Options]):
         work = self.create_guard_condition(self._work)
         self.keep(self.destroy_guard_condition, work)
         self._wake = work.trigger
-        self.managed_timer(FRAME_S, self._tick)
+        self._frames = self.managed_timer(FRAME_S, self._tick)
         self.managed_timer(SLOW_S, self._tick_slowly)
 
     def begin(self) -> None:
@@ -103,6 +103,8 @@ class PageNode(SafeLifecycleNode[Options]):
         self._operator.begin(self._server, self._listener)
         if self._replay is not None:
             self._replay.seek(self._replay.begin)
+        else:
+            self._frames.cancel()  # until there is a browser
         self.get_logger().info(f"page at {self._server.url}")
 
     def rest(self) -> None:
@@ -182,6 +184,10 @@ class PageNode(SafeLifecycleNode[Options]):
         self._adapts = False
         if self._listener is not None and not self.options.bag:
             self._listener.adapt()
+            if self._server.browsers:
+                self._frames.reset()
+            else:
+                self._frames.cancel()
 
     def _do_next(self) -> None:
         browser, command, old = self._inbox.take()

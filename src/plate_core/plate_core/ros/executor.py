@@ -6,6 +6,8 @@ import time
 from rclpy.event_handler import EventHandler
 from rclpy.executors import SingleThreadedExecutor
 
+from .rclpy_workarounds import can_execute
+
 EVENTS_S = 1.0
 """Period of the checks for middleware events [s]."""
 
@@ -30,6 +32,4 @@ class NodeExecutor(SingleThreadedExecutor):
 
     def can_execute(self, entity: object) -> bool:
         """Return whether to wait for an entity in this round."""
-        return (self._looking or not isinstance(entity, EventHandler)) and super().can_execute(
-            entity
-        )
+        return (self._looking or not isinstance(entity, EventHandler)) and can_execute(entity)

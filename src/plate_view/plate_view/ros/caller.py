@@ -41,7 +41,7 @@ class Caller:
     Attributes
     ----------
     pollers : set of callables
-        Called every `POLL_S`.
+        Called every `POLL_S`, see `poll`.
     """
 
     def __init__(self, node: Node) -> None:
@@ -56,9 +56,17 @@ class Caller:
         for client in self._clients.values():
             self._node.destroy_client(client)
 
+    def poll(self, poller: Callable[[], None]) -> None:
+        """Call `poller` every `POLL_S` while it is one of `pollers`."""
+        if not self.pollers:
+            self._timer.reset()
+        self.pollers.add(poller)
+
     def _poll(self) -> None:
-        for poll in list(self.pollers):
-            poll()
+        for poller in list(self.pollers):
+            poller()
+        if not self.pollers:  # without calls the node has nothing to do
+            self._timer.cancel()
 
     def client(self, kind: Any, name: str) -> Any:
         """Return the client of a service. Create it early, so that discovery is complete when it is
@@ -107,5 +115,5 @@ class Caller:
                     client.remove_pending_request(future)
                 pending.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
 
-        self.pollers.add(tick)
+        self.poll(tick)
         tick()

@@ -354,7 +354,7 @@ class Operator:
                 why = "does not answer" if sent else "is not there"
                 never_began(f"the action {name} {why}: does the planner run, and is it configured?")
 
-        self._caller.pollers.add(tick)
+        self._caller.poll(tick)
         tick()
 
     def _cancel(self, pending: PendingCommand) -> None:
