@@ -3,7 +3,8 @@
 Most files of test/ start nodes or programs and mostly wait for them. All others compute: those of
 the packages, in src/, and those of test/ that name neither. The first half of the workers runs the
 files that wait, then the other files. The other half runs the files that compute, at a lower
-priority: it uses the time in which the first half waits.
+priority: it uses the time in which the first half waits. When no file of its kind is left, a worker
+takes the others, so that all processors are busy until the end.
 """
 
 import os
@@ -50,15 +51,9 @@ class Lanes(LoadFileScheduling):
         """The file that a worker is to take, if any."""
         front = in_front(node.workerinput)
         own = (name for name in self.workqueue if computes(name) != front)
-        return next(own, next(iter(self.workqueue), None) if front else None)
+        return next(own, next(iter(self.workqueue), None))
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         if name := self._next(node):
             self.workqueue.move_to_end(name, last=False)
             super()._assign_work_unit(node)
-
-    def _reschedule(self, node: WorkerController) -> None:
-        if self.workqueue and not self._next(node) and not node.shutting_down:
-            node.shutdown()
-        else:
-            super()._reschedule(node)

@@ -86,12 +86,16 @@ def test_workers_behind_run_what_computes_in_either_folder():
     assert found.tests_finished
 
 
-def test_no_test_of_real_nodes_gives_way():
-    tests = [f"test/{n}.py::test" for n in range(9)]
+def test_tests_of_real_nodes_give_way_only_when_nothing_else_is_left():
+    nodes = [f"test/{n}.py::test" for n in range(9)]
+    tests = [*nodes, "src/a.py::test", "src/c.py::test"]
     found, workers = started(tests, 4)
     first, second, *behind = run(found, workers, tests)
-    assert len(first) + len(second) == len(tests)
-    assert behind == [[], []]
+    assert all(name.startswith("test/") for name in first + second)
+    assert [names[0] for names in behind] == ["src/a.py", "src/c.py"]
+    assert all(name.startswith("test/") for names in behind for name in names[1:])
+    assert sum(map(len, (first, second, *behind))) == len(tests)
+    assert min(map(len, behind)) > 1
     assert all(worker.shutting_down for worker in workers)
     assert found.tests_finished
 
