@@ -74,7 +74,7 @@ class RotationSolver(ForceSolver, RotationCycles):
     def _solve(self, request: Request) -> Solution:
         options, tolerance = self.options, self.options.tolerance
 
-        def attempt(_: None, start: Start, __: int, ___: float) -> tuple[Try, float, int, bool]:
+        def attempt(start: Start, _: int) -> tuple[Try, float, int, bool]:
             found = fit_mean_force(request, *start, tolerance / 4, options.iterations)
             good = np.max(np.abs(found.error)) <= tolerance
             return Try(start.family, found), found.cost, found.iterations, bool(good)
@@ -84,14 +84,13 @@ class RotationSolver(ForceSolver, RotationCycles):
             plan = plan.in_order(nearest_order(plan.twist, self._limits.half))
             return self._family(plan, options.period, COARSE, within_stroke=True)
 
-        def propose(_: None, __: int, near: Try, fresh: bool) -> Start:
+        def propose(_: int, near: Try, fresh: bool) -> Start:
             return planned(spread=True) if fresh else self._shaken(near)
 
         last = self._last
         known = last is not None and np.array_equal(last[0], request.position)
         begin = last[1] if last is not None and known else planned(spread=False)
-        search = basin_hopping(propose, attempt)
-        best, iterations, _ = search(None, begin, 1 + options.restarts, 1, False, 0)
+        best, iterations = basin_hopping(propose, attempt, begin, 1 + options.restarts)
         family, found = best
         self._last = request.position, Start(family, found.parameters)
         cycle, error = self._judged(request, family, found.parameters)

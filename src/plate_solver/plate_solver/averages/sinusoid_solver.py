@@ -164,9 +164,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         fine = SinusoidFamily(sinusoid_basis(*key, steps=CURL_SAMPLES), self._limits)
         tolerance, most = options.tolerance, options.iterations
 
-        def attempt(
-            _: None, start: np.ndarray, __: int, ___: float
-        ) -> tuple[Fit, float, int, bool]:
+        def attempt(start: np.ndarray, _: int) -> tuple[Fit, float, int, bool]:
             found = fit_curl(request, family, start, tolerance / 10, most)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
             if good:  # coarse samples do not resolve dips, so refine
@@ -174,14 +172,13 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)
 
-        def propose(_: None, __: int, near: Fit, fresh: bool) -> np.ndarray:
+        def propose(_: int, near: Fit, fresh: bool) -> np.ndarray:
             start = family.random(self._rng)
             return start if fresh else near.parameters + SPREAD * start
 
         start = self._warm.get(key)
         begin = family.random(self._rng) if start is None else start
-        search = basin_hopping(propose, attempt)
-        best, iterations, _ = search(None, begin, 1 + options.restarts, 1, False, 0)
+        best, iterations = basin_hopping(propose, attempt, begin, 1 + options.restarts)
         best = fit_curl(request, fine, best.parameters, tolerance / 10, most)
         self._warm[key] = best.parameters
         cycle = within_limits(family.cycle(best.parameters), self._full)

@@ -3,6 +3,7 @@
 #pragma once
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -10,7 +11,6 @@
 #include <plate/view.hpp>
 
 #include "averages/sinusoid_force.hpp"
-#include "fit/basin_hopping.hpp"
 #include "fit/levenberg_marquardt.hpp"
 #include "limits.hpp"
 #include "sinusoids/limits.hpp"
@@ -23,10 +23,15 @@ using namespace sinusoids;
 constexpr Damping AFRESH{1.25e-3, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
 constexpr Damping NEAR{1.25e-5, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
 
+constexpr int FIRST = 0;  // number of the first start
+
 // Number of consecutive failed perturbations after which a round ends, and size of a perturbation
 // relative to the best motion of the round.
 constexpr int HOPS = 12;
 constexpr double HOP = 0.15;
+
+// A perturbation is successful if its cost is below this factor times the best cost of the round.
+constexpr double BETTER = 0.99;
 
 // A motion is corrected at dips if its error exceeds this fraction of the tolerance.
 constexpr double SURE = 0.7;
@@ -123,19 +128,44 @@ private:
         return pool[backwards ? pool.size(0) - 1 - number : number];
     }
 
-    Searched<Fit> search(std::vector<double> begin) {
-        const auto propose = [&](int number, const Fit& near, bool afresh) {
-            return afresh ? led(number) : disturbed(number, near.parameters);
-        };
-        const auto attempt = [&](const std::vector<double>& start, int number, double least) {
-            return attempted(start, number, least);
-        };
-        return basin_hopping<Fit>(propose, attempt, begin, request.tries, HOPS, true, 0);
+    // Result of one start: motion, cost, number of steps, and whether it is good enough.
+    struct Attempted {
+        Fit fit;
+        double cost;
+        int steps;
+        bool enough;
+    };
+
+    // Best motion, total number of steps, and number of starts.
+    struct Searched {
+        Fit best;
+        int steps, tried;
+    };
+
+    // Basin hopping: perturbs the best motion of a round until this fails `HOPS` times in a row.
+    // Then a new round begins from a fresh motion.
+    Searched search(const std::vector<double>& begin) {
+        Attempted now = attempted(begin, FIRST, std::numeric_limits<double>::infinity());
+        Attempted near = now;
+        Searched all{now.fit, now.steps, FIRST + 1};
+        double least = now.cost;
+        int failed = 0;
+        while (!now.enough && all.tried < request.tries) {
+            const bool afresh = failed >= HOPS;
+            now = attempted(afresh ? led(all.tried) : disturbed(all.tried, near.fit.parameters),
+                            all.tried, least);
+            all.steps += now.steps;
+            all.tried++;
+            if (now.enough || now.cost < least) all.best = now.fit, least = now.cost;
+            failed = afresh || now.cost < BETTER * near.cost ? 0 : failed + 1;
+            if (now.cost < near.cost || afresh) near = now;
+        }
+        return all;
     }
 
     // Runs a descent from a start on equal steps. If the result is good there, it is evaluated with
-    // corrected dips and, if necessary, improved further.
-    Attempted<Fit> attempted(const std::vector<double>& start, int number, double least) {
+    // corrected dips and, if necessary, improved further. `least` is the minimum cost so far.
+    Attempted attempted(const std::vector<double>& start, int number, double least) {
         const double tolerance = request.tolerance;
         const bool known = number == FIRST && is_warm;
         Fit fit = descend(known ? ADAPTIVE : USUAL, wanted, start, known ? NEAR : AFRESH,

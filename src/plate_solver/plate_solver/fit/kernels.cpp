@@ -1,5 +1,4 @@
 // Python bindings of the kernels in this folder.
-#include "fit/basin_hopping.hpp"
 #include "fit/fit_record.hpp"
 
 namespace plate {
@@ -41,25 +40,8 @@ static nb::tuple fit(nb::callable evaluate, nb::callable admissible, Numbers sta
                                          DAMPING, tolerance, iterations));
 }
 
-static nb::tuple hop(nb::callable propose, nb::callable attempt, nb::object problem,
-                     nb::object begin, int tries, int hops, bool rounds, int failed) {
-    const auto propose_one = [&](int number, const nb::object& near, bool fresh) {
-        return propose(problem, number, near, fresh);
-    };
-    const auto attempt_one = [&](const nb::object& start, int number, double least) {
-        const nb::object answer = attempt(problem, start, number, least), enough = answer[3];
-        return Attempted<nb::object>{answer[0], nb::cast<double>(answer[1]),
-                                     nb::cast<int>(answer[2]), bool(nb::bool_(nb::handle(enough)))};
-    };
-    auto found = basin_hopping<nb::object>(propose_one, attempt_one, begin, tries, hops, rounds,
-                                           failed);
-    return nb::make_tuple(found.best, found.steps, found.tried);
-}
-
 void bind_fit(nb::module_& m) {
     m.def("fit", fit);
-    m.def("basin_hopping", hop, "propose"_a, "attempt"_a, "problem"_a.none(), "begin"_a.none(),
-          "tries"_a, "hops"_a, "rounds"_a, "failed"_a);
     m.def("least_norm_step", [](Table jacobian, Numbers error, double damping) {
         check("error", error, {jacobian.shape(0)});
         const Matrix matrix = matrix_of(jacobian);

@@ -146,24 +146,21 @@ class RotationCycles(MotionSolver):
             self._warm = None  # the number of parts has changed
         warm = self._warm is not None
 
-        def attempt(
-            _: None, start: Start | Try, n: int, ___: float
-        ) -> tuple[Try, float, int, bool]:
+        def attempt(start: Start | Try, n: int) -> tuple[Try, float, int, bool]:
             if isinstance(start, Try):
                 return start, start.fit.cost, 0, True
             most = options.iterations if warm and n == 0 else 2 * options.iterations
             found = fit_goal(goal, *start, tolerance, most)
             return Try(start.family, found), found.cost, found.iterations, found.cost <= enough
 
-        def propose(_: None, number: int, near: Try, fresh: bool) -> Start | Try:
+        def propose(number: int, near: Try, fresh: bool) -> Start | Try:
             if time.monotonic() > until:
                 self.cut_short += 1
                 return near
             return self.planned(goal, spread=number > warm) if fresh else self._shaken(near)
 
         begin, tries = self._warm or self.planned(goal), 1 + options.restarts + warm
-        search = basin_hopping(propose, attempt)
-        best, iterations, _ = search(None, begin, tries, 1, False, int(warm))
+        best, iterations = basin_hopping(propose, attempt, begin, tries, fresh=warm)
         family, found = best
         self._warm = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
