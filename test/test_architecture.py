@@ -28,6 +28,7 @@ LIBRARIES = {
     "scipy": "python3-scipy",
     "serial": "python3-serial",
     "setuptools": "python3-setuptools",
+    "shapely": "python3-shapely",
     "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }

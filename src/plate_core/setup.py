@@ -14,7 +14,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=["numpy", "PyYAML", "scipy"],
+    install_requires=["numpy", "PyYAML", "scipy", "shapely"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="The plate developers",

@@ -15,7 +15,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=["plate_core", "numpy", "scipy"],
+    install_requires=["plate_core", "numpy", "scipy", "shapely"],
     extras_require={"test": ["pytest"]},
     ext_modules=[kernels(NAME)],
     cmdclass={"build_ext": CompileKernels, "install_scripts": node_programs("simulator", "device")},

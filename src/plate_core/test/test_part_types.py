@@ -67,6 +67,31 @@ def test_moments_of_a_polygon_agree_with_a_grid():
         ("nut: {radius_m: 0.01, outline_m: [[0, 0]]}", "outline_m and radius_m are given"),
         ("nut: {outline_m: [[0, 0], [1, 1], [1, 0], [0, 1]]}", "no two edges of which cross"),
         ("nut: {outline_m: [[0, 0], [1, 1]]}", "3 to 32 corners"),
+        *(
+            (f"nut: {{outline_m: [{corners}]}}", "outline_m is .*no two edges of which cross")
+            for corners in (
+                "[0, 0], [0.1, 0], [0.1, 0.1], [0, 0]",  # the first corner again
+                "[0, 0], [0.1, 0], [0.1, 0], [0.1, 0.1]",
+                "[0, 0], [0.1, 0], [0.2, 0]",  # a line
+                "[0, 0], [0.2, 0], [0.1, 0], [0.1, 0.1]",  # back along an edge
+                "[0, 0], [0.2, 0], [0.2, 0.2], [0.1, 0], [0, 0.2]",  # a corner on an edge
+            )
+        ),
+        ("nut: {outline_m: [[0, 0], [1, .nan], [1, 1]]}", "outline_m is .*allowed: .*numbers"),
+        ("nut: {outline_m: [[0, 0], [1.0e-5, 0], [0, 1.0e-5]]}", "at least 1e-08 m2"),
+        *(
+            (
+                "nut: {outline_m: [[0, 0], [0.02, 0], [0.02, 0.02], [0, 0.02]], "
+                f"holes_m: [{holes}]}}",
+                "holes wholly in the part, and none in another",
+            )
+            for holes in (
+                "[[0.01, 0.005], [0.02, 0.005], [0.02, 0.01]]",  # along an edge of the outline
+                "[[0.005, 0.005], [0.01, 0.005], [0.01, 0.01]], "
+                "[[0.005, 0.005], [0.01, 0.005], [0.01, 0.01]]",
+                "[[0, 0], [0.02, 0], [0.02, 0.02], [0, 0.02]]",
+            )
+        ),
         ("nut: {radius_m: 0.01, symmetry: 3}", "symmetry is 3, allowed: 0 for a disc"),
         ("nut: {radius_m: 0.01, colour: red}", "unknown key colour"),
         ("nut: {radius_m: 0.01, holes_m: [[[0, 0], [0.009, 0], [0, 0.009]]]}", "about its centre"),

@@ -7,7 +7,7 @@ import pytest
 from footprints import friction_gap
 
 from plate_core import PlateCycle, config_path, load_rig
-from plate_core.rig import PartType, contains, load_part_types, rim_distance
+from plate_core.rig import PartType, load_part_types
 from plate_sim.friction import bar, disc, quadrature
 from plate_sim.friction.outline import convex_pieces, footprint_of
 from plate_sim.world import WorldState, run_cycle
@@ -64,13 +64,6 @@ def test_a_square_of_a_type_is_the_square():
     assert friction_gap(square, bar(0.016, 0.016)) < 1e-9
     assert footprint_of(TYPES["coin_small"]).even
     assert disc(0.008).even
-
-
-def test_inside_and_rim():
-    corner = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2.0]])
-    point = np.array([[0.5, 0.5], [1.5, 1.5], [1.5, 0.5]])
-    assert contains(corner, point).tolist() == [True, False, True]
-    np.testing.assert_allclose(rim_distance(corner, point), [0.5, 0.5, 0.5])
 
 
 def test_parts_of_types_move_turn_and_keep_apart():

@@ -36,7 +36,7 @@ from .part_types import (
     load_part_types,
     read_part_types,
 )
-from .polygons import contains, is_simple, moments, overlap, rim_distance
+from .polygons import is_simple, moments
 from .rig import (
     SECTIONS,
     Camera,
@@ -86,7 +86,6 @@ __all__ = [
     "Suspension",
     "camera_place",
     "camera_pose",
-    "contains",
     "default_rig_path",
     "doubts",
     "edit_rig",
@@ -102,14 +101,12 @@ __all__ = [
     "moments",
     "motor_levers",
     "motor_reach",
-    "overlap",
     "part_radius_px",
     "plate_mass",
     "project",
     "read_part_types",
     "rig_names",
     "rig_path",
-    "rim_distance",
     "row_delay",
     "surface_velocity",
     "to_home",

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +29,10 @@ from ..yaml_fields import (
     read_yaml,
     required,
 )
-from .polygons import cross, is_inside, is_simple, moments, overlap
+from .polygons import is_simple, moments
+
+if TYPE_CHECKING:
+    from shapely import Geometry
 
 MOST_CORNERS = 32
 """Maximum number of corners of an outline or a hole. A contour with more must be simplified."""
@@ -164,6 +168,16 @@ class PartType:
         area, _, second = self._moments
         return np.asarray(second / area)
 
+    def placed(self, position: np.ndarray, angle: float) -> Geometry:
+        """Return the part at a pose [m, rad] for calculations with shapely: its outline without
+        holes, or the centre of a disc. A disc extends `radius_m` beyond it."""
+        from shapely import Point, Polygon
+
+        if self.radius_m:
+            return Point(position)
+        cos, sin = np.cos(angle), np.sin(angle)
+        return Polygon(self.polygon @ np.array([[cos, sin], [-sin, cos]]) + position)
+
     @property
     def _moments(self) -> tuple[float, np.ndarray, np.ndarray]:
         return moments(self.polygon, [np.array(hole) for hole in self.holes])
@@ -195,6 +209,9 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
 
 
 def _part_type(name: str, fields: Fields) -> PartType:
+    # imported here, because the stop command must not wait for this import
+    from shapely import Polygon
+
     outline, radius, holes = np.empty((0, 2)), 0.0, fields.value(PART_TYPE["holes_m"]) or []
     if fields.one_of("outline_m", "radius_m") == "radius_m":
         radius = fields.value(required(PART_TYPE["radius_m"]))
@@ -203,10 +220,8 @@ def _part_type(name: str, fields: Fields) -> PartType:
         outline = fields.value(required(PART_TYPE["outline_m"]))
         body = outline = _ordered(fields, "outline_m", outline)
     holes = [_ordered(fields, "holes_m", hole) for hole in holes]
-    for index, hole in enumerate(holes):
-        others = [body, *holes[:index]]
-        if not is_inside(hole, body) or any(overlap(hole, other) for other in others[1:]):
-            raise fields.fail("holes_m", "holes wholly in the part, and none in another")
+    if not Polygon(body, holes).is_valid:
+        raise fields.fail("holes_m", "holes wholly in the part, and none in another")
     area, centre, _ = moments(body, holes)
     if area < SMALLEST_M2:
         raise fields.fail("holes_m", "holes smaller than the part")
@@ -270,7 +285,8 @@ def symmetry_of(outline: np.ndarray) -> int:
     must coincide after the rotation, within `CENTRED` of the polygon's reach."""
     near = CENTRED * np.max(np.hypot(*outline.T))
     before, after = np.roll(outline, 1, axis=0) - outline, np.roll(outline, -1, axis=0) - outline
-    height = np.abs(cross(before, after)) / np.linalg.norm(after - before, axis=1)
+    turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    height = np.abs(turn) / np.linalg.norm(after - before, axis=1)
     outline = outline[height > near / 3]  # remove corners on a straight edge
     for count in range(len(outline), 1, -1):
         c, s = np.cos(2 * np.pi / count), np.sin(2 * np.pi / count)

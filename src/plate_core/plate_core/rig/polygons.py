@@ -30,71 +30,13 @@ def moments(
     return area, first / area, second
 
 
-def contains(corner: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Whether points (..., 2) are inside a polygon (n, 2). A point is inside if a ray from it
-    crosses an odd number of edges."""
-    after = np.roll(corner, -1, axis=0)
-    x, y = point[..., 0, None], point[..., 1, None]
-    crosses = (corner[:, 1] > y) != (after[:, 1] > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fraction = (y - corner[:, 1]) / (after[:, 1] - corner[:, 1])
-        right = x < corner[:, 0] + fraction * (after[:, 0] - corner[:, 0])
-    return np.asarray(np.sum(crosses & right, axis=-1) % 2 == 1)
-
-
-def rim_distance(corner: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the distance (...) [m] of points (..., 2) from the edges of a polygon (n, 2) [m]."""
-    edge = np.roll(corner, -1, axis=0) - corner
-    offset = point[..., None, :] - corner
-    fraction = np.clip(np.sum(offset * edge, axis=-1) / np.sum(edge**2, axis=-1), 0, 1)
-    nearest = offset - fraction[..., None] * edge
-    return np.asarray(np.min(np.hypot(nearest[..., 0], nearest[..., 1]), axis=-1))
-
-
 def is_simple(corner: np.ndarray) -> bool:
-    """Whether a polygon (n, 2) [m] has a positive area and none of its edges cross or touch."""
-    if len(corner) < 3:
+    """Whether a polygon (n, 2) [m] has a positive area, no corner twice, and no two of its edges
+    cross or touch, except neighbours at their corner."""
+    # imported here, because the stop command must not wait for this import
+    from shapely import Polygon
+
+    if len(np.unique(corner, axis=0)) < max(len(corner), 3):
         return False
-    after = np.roll(corner, -1, axis=0)
-    if abs(np.sum(cross(corner, after))) < APART_M2:
-        return False
-    for i in range(len(corner)):
-        for j in range(i + 2, len(corner) - (i == 0)):
-            a, b, c, d = corner[i], after[i], corner[j], after[j]
-            near = np.maximum(np.minimum(a, b), np.minimum(c, d)) <= np.minimum(
-                np.maximum(a, b), np.maximum(c, d)
-            )
-            if (
-                np.all(near)  # needed because collinear edges need not touch
-                and cross(b - a, c - a) * cross(b - a, d - a) <= 0
-                and cross(d - c, a - c) * cross(d - c, b - c) <= 0
-            ):
-                return False
-    return True
-
-
-def is_inside(inner: np.ndarray, outer: np.ndarray) -> bool:
-    """Whether a polygon (n, 2) is inside another (k, 2): all its corners are inside, and no edges
-    cross."""
-    return bool(np.all(contains(outer, inner))) and not _cross_each_other(inner, outer)
-
-
-def overlap(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two polygons (n, 2), (k, 2) have an area in common."""
-    within = np.any(contains(one, other)) or np.any(contains(other, one))
-    return bool(within) or _cross_each_other(one, other)
-
-
-def _cross_each_other(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether an edge of a polygon (n, 2) crosses one of another (k, 2)."""
-    a, b = one[:, None], np.roll(one, -1, axis=0)[:, None]
-    c, d = other[None], np.roll(other, -1, axis=0)[None]
-    crosses = (cross(b - a, c - a) * cross(b - a, d - a) < 0) & (
-        cross(d - c, a - c) * cross(d - c, b - c) < 0
-    )
-    return bool(np.any(crosses))
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross products (...) of vectors (..., 2)."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    polygon = Polygon(corner)
+    return bool(polygon.is_valid and 2 * polygon.area >= APART_M2)

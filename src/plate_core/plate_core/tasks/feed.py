@@ -14,9 +14,7 @@ import numpy as np
 
 from ..errors import ScenarioError, did_you_mean
 from ..parts import MOST_PARTS, Parts, part_class
-from ..rig import Rig
-from ..rig.part_types import PartType
-from ..rig.polygons import contains, rim_distance
+from ..rig import PartType, Rig
 from ..yaml_fields import Fields
 from . import keys
 from .edges import nowhere_text
@@ -147,11 +145,13 @@ def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     half the clearance. These discs cannot overlap, and they lie in the window enlarged by their
     radius.
     """
-    (low, high), centre = pick_window(pick, rig), np.zeros((1, 2))
-    outline = rig.part_type(pick.label).polygon
-    if not np.all(contains(outline, centre)):  # for example, an L-shaped part
+    from shapely import Point, Polygon
+
+    (low, high), centre = pick_window(pick, rig), Point(0, 0)
+    outline = Polygon(rig.part_type(pick.label).polygon)
+    if not outline.contains(centre):  # for example, an L-shaped part
         return ""
-    free = clearance_m / 2 + float(np.min(rim_distance(outline, centre)))
+    free = clearance_m / 2 + outline.exterior.distance(centre)
     most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
     if np.hypot(*(high - low)) < 2 * free:  # the window's diagonal is too short for two parts
         most = 1
@@ -249,29 +249,13 @@ def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     np.fill_diagonal(gap, np.inf)
     if all(kind.radius_m for kind in types):
         return np.asarray(gap.min(axis=1))
-    corners = [_outline(kind, parts, row) for row, kind in enumerate(types)]
-    exact = np.zeros((count, count), dtype=bool)
-    for i in range(count):
-        known = math.inf
-        for j in np.argsort(gap[i]):
-            if gap[i, j] >= known:
-                break
-            if not exact[i, j]:
-                gap[i, j] = gap[j, i] = outline_gap(corners[i], corners[j])
-                exact[i, j] = exact[j, i] = True
-            known = min(known, gap[i, j])
+    # imported here, because the stop command must not wait for this import
+    from shapely import distance
+
+    shapes = map(PartType.placed, types, parts.position, parts.angle)
+    shape, radius = np.array(list(shapes)), np.array([kind.radius_m for kind in types])
+    # An upper bound of the distance to the nearest part excludes most of the others.
+    upper = np.min(apart + reach[:, None] + reach + np.diag(np.full(count, np.inf)), axis=1)
+    i, j = np.nonzero(gap < upper[:, None])
+    gap[i, j] = distance(shape[i], shape[j]) - radius[i] - radius[j]
     return np.asarray(gap.min(axis=1))
-
-
-def _outline(kind: PartType, parts: Parts, row: int) -> np.ndarray:
-    """Return the corners (n, 2) of one part's outline [m, plate_home]."""
-    cos, sin = np.cos(parts.angle[row]), np.sin(parts.angle[row])
-    turn = np.array([[cos, sin], [-sin, cos]])
-    return np.asarray(kind.polygon @ turn + parts.position[row])
-
-
-def outline_gap(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the distance of two polygons (n, 2), (k, 2) [m]. At most 0 if they overlap."""
-    if np.any(contains(one, other)) or np.any(contains(other, one)):
-        return 0.0
-    return float(min(np.min(rim_distance(one, other)), np.min(rim_distance(other, one))))

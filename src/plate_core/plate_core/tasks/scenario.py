@@ -19,7 +19,7 @@ from ..errors import PlateError, ScenarioError, did_you_mean
 from ..parts import MOST_PARTS, part_class
 from ..rig import Rig, rig_names
 from ..rig.part_types import NAME
-from ..rig.polygons import cross, is_simple
+from ..rig.polygons import is_simple
 from ..yaml_fields import Fields, config_path, read_yaml, required
 from . import keys
 from .curves import circle_points, spline_points
@@ -59,6 +59,9 @@ SCATTER_TRIES, SCATTER_STARTS = 80, 20
 
 APART_M = 1e-6
 """Points at a smaller distance count as equal [m]."""
+
+SHARED_M2 = 1e-6
+"""Maximum area that two regions may share, because of rounding in decimal notation [m2]."""
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -470,14 +473,14 @@ def _check_apart(
 def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
     """Raise an error if a bin is completely within the minimum distance from the plate's edges,
     where parts are lost."""
+    # imported here, because the stop command must not wait for this import
+    from shapely import Polygon, box
+
     for label, region in task.regions.items():
         if not isinstance(region, Bin):
             continue
         room = rig.plate.half - rig.edge_margin(label).least_m
-        inside = np.array(region.corner)
-        for axis in (0, 1):
-            inside = _cut(_cut(inside, axis, 1, -room[axis]), axis, -1, -room[axis])
-        if not len(inside):
+        if np.any(room < 0) or not Polygon(region.corner).intersects(box(*-room, *room)):
             raise ScenarioError(
                 f"{scenario.where}: task: regions: bin_m of {label} is {nowhere_text(label, rig)}"
             )
@@ -488,18 +491,15 @@ def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None
 
     The planner refuses two overlapping bins, according to the positions of their parts.
     """
+    from shapely import Polygon
+
     for pair in combinations(task.regions, 2):
-        # sort a side first, because the other region is cut at its goal lines
-        one, other = sorted(pair, key=lambda label: isinstance(task.regions[label], Bin))
-        if isinstance(task.regions[one], Bin):
+        if all(isinstance(task.regions[label], Bin) for label in pair):
             continue
-        outline, inside = (region_outline(task, label, half) for label in (one, other))
-        for axis in (0, 1):
-            low, high = float(np.min(outline[:, axis])), float(np.max(outline[:, axis]))
-            inside = _cut(_cut(inside, axis, 1, low), axis, -1, -high)
-        shared = 0.5 * abs(float(np.sum(cross(inside, np.roll(inside, -1, axis=0)))))
-        if shared > APART_M:
-            words = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in (one, other))
+        one, other = (Polygon(region_outline(task, label, half)) for label in pair)
+        shared = one.intersection(other).area
+        if shared > SHARED_M2:
+            words = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in pair)
             raise ScenarioError(
                 f"{scenario.where}: task: regions: {words}: they share {1e4 * shared:.3g} cm2, "
                 "allowed: regions with no area in common"
@@ -525,19 +525,6 @@ def _region_text(task: SortTask, label: str, half: np.ndarray) -> str:
     outline = region_outline(task, label, half)
     (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
     return f"{next(names, 'a bin')} (x from {x0:g} to {x1:g}, y from {y0:g} to {y1:g} m)"
-
-
-def _cut(polygon: np.ndarray, axis: int, sign: int, least: float) -> np.ndarray:
-    """Return the part of a polygon (n, 2) with sign * x[axis] >= least (Sutherland and Hodgman
-    1974)."""
-    corners: list[np.ndarray] = []
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        beyond_a, beyond_b = sign * a[axis] - least, sign * b[axis] - least
-        if beyond_a >= 0:
-            corners.append(a)
-        if (beyond_a >= 0) != (beyond_b >= 0):
-            corners.append(a + beyond_a / (beyond_a - beyond_b) * (b - a))
-    return np.array(corners).reshape(-1, 2)
 
 
 def start_positions(

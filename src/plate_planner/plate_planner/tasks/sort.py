@@ -12,9 +12,9 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+import shapely
 
 from plate_core import Parts, Rig, ScenarioError, Targets, part_class
-from plate_core.rig import contains, rim_distance
 from plate_core.tasks import Bin, Scenario, Side, SortTask, behind_wall
 
 from .targets import CROWD, GAP, assign, distance_weight
@@ -123,10 +123,8 @@ class Sorter(TaskRules):
         on_line = np.any((sign != 0) & (parts.position * sign <= goal), axis=1)
         result = np.maximum(np.hypot(*short.T), np.where(on_line, np.finfo(float).tiny, 0))
         result[~np.any(sign, axis=1)] = np.nan
-        for rows, corner, _ in self._binned(parts):
-            point = parts.position[rows]
-            away = np.maximum(rim_distance(corner, point), np.finfo(float).tiny)
-            result[rows] = np.where(contains(corner, point), 0, away)
+        for rows, region, _ in self._binned(parts):
+            result[rows] = shapely.distance(region, shapely.points(parts.position[rows]))
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
@@ -150,11 +148,12 @@ class Sorter(TaskRules):
         line = (self.task.goal_fraction + MARGIN) * half
         displacement = self._displacements(parts, sign)
         low, high = np.where(sign > 0, line, -half), np.where(sign < 0, -line, half)
-        for rows, corner, slot in self._binned(parts):
+        for rows, region, slot in self._binned(parts):
             mine = parts.take(rows)
             label = part_class(mine.ids[0])
             place = slot[assign((label,) * len(slot), slot, mine)]
-            room = max(float(rim_distance(corner, place).min()) - self.rig.parts.radius_m, 0.0)
+            room = region.exterior.distance(shapely.MultiPoint(place)) - self.rig.parts.radius_m
+            room = max(room, 0.0)
             inside = behind_wall(place - room, place + room, label, self.rig)
             low[rows], high[rows] = inside
             displacement[rows] = place - parts.position[rows]
@@ -188,17 +187,16 @@ class Sorter(TaskRules):
         signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in parts.ids]
         return np.array(signs, dtype=float).reshape(-1, 2)
 
-    def _binned(self, parts: Parts) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Return for each bin the indices of its parts, its corners (n, 2), and its slots (k,
-        2)."""
+    def _binned(self, parts: Parts) -> list[tuple[np.ndarray, shapely.Polygon, np.ndarray]]:
+        """Return for each bin the indices of its parts, its outline, and its slots (k, 2)."""
         label = np.array([part_class(i) for i in parts.ids])
         found = [(np.flatnonzero(label == name), *bin_) for name, bin_ in self._bins.items()]
-        return [(rows, corner, slot) for rows, corner, slot in found if len(rows)]
+        return [(rows, region, slot) for rows, region, slot in found if len(rows)]
 
     @cached_property
-    def _bins(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def _bins(self) -> dict[str, tuple[shapely.Polygon, np.ndarray]]:
         bins = {k: v for k, v in self.task.regions.items() if isinstance(v, Bin)}
-        return {k: (np.array(v.corner), slots(v, k, self.rig)) for k, v in bins.items()}
+        return {k: (shapely.Polygon(v.corner), slots(v, k, self.rig)) for k, v in bins.items()}
 
 
 def _diagonal(sign: np.ndarray) -> float:
@@ -221,17 +219,18 @@ def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
 def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
     """Return places (n, 2) [m] in a bin on a square grid, at least `edge_m` from the plate's
     edges."""
-    corner = np.array(region.corner)
+    outline = shapely.Polygon(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
     room = rig.plate.half - edge_m + clear  # the grid begins `clear` inside
-    low = np.maximum(np.min(corner, axis=0), -room)
-    high = np.minimum(np.max(corner, axis=0), room)
+    low, high = np.reshape(outline.bounds, (2, 2))
+    low, high = np.maximum(low, -room), np.minimum(high, room)
     best = np.zeros((0, 2))
     for shift in np.ndindex(GRID_TRIES, GRID_TRIES):
         start = low + clear + spacing * np.array(shift) / GRID_TRIES
         axes = [np.arange(a, b - clear + 1e-9, spacing) for a, b in zip(start, high, strict=True)]
         point = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        fits = contains(corner, point) & (rim_distance(corner, point) >= clear - 1e-9)
+        away = shapely.distance(outline.exterior, shapely.points(point))
+        fits = shapely.contains_xy(outline, *point.T) & (away >= clear - 1e-9)
         if np.sum(fits) > len(best):
             best = point[fits]
     return best

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 
-from plate_core.rig import PartType, contains, rim_distance
+from plate_core.rig import PartType
 
 from .. import _kernels
 from ..friction.outline import convex_pieces
@@ -145,11 +146,9 @@ def _spot(part: PartType) -> tuple[float, float, float, float]:
     """Return `Outlines.spot` of a part, to the nearest point of a grid (`SPOT_GRID`)."""
     axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
     place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    depth = np.where(contains(part.polygon, place), rim_distance(part.polygon, place), 0.0)
-    for hole in part.holes:
-        corner = np.array(hole)
-        beside = np.where(contains(corner, place), 0.0, rim_distance(corner, place))
-        depth = np.minimum(depth, beside)
+    shape = shapely.Polygon(part.polygon, part.holes)
+    inside = shapely.contains_xy(shape, *place.T)
+    depth = np.where(inside, shapely.distance(shape.boundary, shapely.points(place)), 0.0)
     best = int(np.argmax(depth))
     return float(place[best, 0]), float(place[best, 1]), float(depth[best]), part.area_m2
 

@@ -27,6 +27,8 @@ from functools import cached_property
 from numbers import Integral
 
 import numpy as np
+import shapely
+from shapely import Polygon
 
 from plate_core import PlateError
 
@@ -44,6 +46,9 @@ MOST_POINTS = 100_000
 
 CELL = 0.2
 """Blur of a point relative to its cell's size. It halves the error, see `Footprint.blur`."""
+
+ON_EDGE = 1e-9
+"""Maximum distance of a point on a piece's edge, because of rounding [size of the piece]."""
 
 CORNERS_OF_DISC = 96
 """Number of corners of the polygon with which a disc is drawn."""
@@ -200,7 +205,7 @@ def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = P
     areas = [quadrature.area(shape) for shape in shapes]
     for i in range(len(shapes)):
         for j in range(i):
-            common = quadrature.area(quadrature.clip(shapes[i], shapes[j]))
+            common = Polygon(shapes[i]).intersection(Polygon(shapes[j])).area
             if common > 1e-6 * min(areas[i], areas[j]):
                 raise PlateError(
                     f"polygons {j} and {i} overlap by {common:.3g} m2, allowed: side by side"
@@ -243,19 +248,11 @@ def _corners(outline: tuple[np.ndarray, ...]) -> np.ndarray:
     for i, piece in enumerate(outline):
         side = np.roll(piece, -1, axis=0) - piece
         out = np.column_stack([side[:, 1], -side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
-        others = [other for j, other in enumerate(outline) if j != i]
-        ends = (piece + 1e-3 * side, piece + 0.5 * side, piece + (1 - 1e-3) * side)
-        hidden = [
-            any(all(_holds(other, end[k]) for end in ends) for other in others)
-            for k in range(len(piece))
-        ]
-        rows.append(np.column_stack([piece, out, np.logical_not(hidden)]))
+        # A side is hidden if three of its points are in another piece or on its edge.
+        ends = shapely.points(piece + np.array([1e-3, 0.5, 1 - 1e-3])[:, None, None] * side)
+        hidden = np.zeros(len(piece), dtype=bool)
+        for other in (*outline[:i], *outline[i + 1 :]):
+            gap = shapely.distance(Polygon(other), ends)
+            hidden |= np.all(gap <= ON_EDGE * np.ptp(other, axis=0).max(), axis=0)
+        rows.append(np.column_stack([piece, out, ~hidden]))
     return np.concatenate(rows)
-
-
-def _holds(piece: np.ndarray, place: np.ndarray) -> bool:
-    """Return whether a point is inside a convex piece or on its edge."""
-    side = np.roll(piece, -1, axis=0) - piece
-    arm = place - piece
-    size = np.ptp(piece, axis=0).max()
-    return bool(np.all(side[:, 0] * arm[:, 1] - side[:, 1] * arm[:, 0] >= -1e-9 * size * size))

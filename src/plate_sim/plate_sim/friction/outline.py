@@ -7,8 +7,9 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import shapely
 
-from plate_core.rig import PartType, contains, moments
+from plate_core.rig import PartType, moments
 
 from . import quadrature
 from .footprint import CELL, MASS, POINTS, Footprint, disc, union
@@ -59,11 +60,8 @@ def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np
         a + (b - a) * (np.arange(n * GRID) + 0.5) / (n * GRID)
         for a, b, n in zip(low, high, count, strict=True)
     ]
-    x, y = np.meshgrid(*axes, indexing="ij")
-    point = np.stack([x.ravel(), y.ravel()], axis=1)
-    part = contains(outline, point)
-    for hole in holes:
-        part &= ~contains(hole, point)
+    point = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    part = shapely.contains_xy(shapely.Polygon(outline, holes), *point.T)
     cell = (np.arange(count[0] * GRID) // GRID)[:, None] * count[1]
     cell = (cell + np.arange(count[1] * GRID) // GRID).ravel()[part]
     number = np.bincount(cell, minlength=count.prod())

@@ -88,25 +88,6 @@ def convex(corners: np.ndarray) -> np.ndarray:
     return corners
 
 
-def clip(corners: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """Return the intersection (k, 2) of two convex polygons (Sutherland and Hodgman 1974)."""
-    for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
-        if not len(corners):
-            break
-        along = b - a
-        inside = along[0] * (corners[:, 1] - a[1]) - along[1] * (corners[:, 0] - a[0])
-        kept = []
-        for k in range(len(corners)):
-            here, before = inside[k], inside[k - 1]
-            if (here >= 0) != (before >= 0):
-                t = before / (before - here)
-                kept.append(corners[k - 1] + t * (corners[k] - corners[k - 1]))
-            if here >= 0:
-                kept.append(corners[k])
-        corners = np.array(kept).reshape(-1, 2)
-    return corners
-
-
 def places(name: str, array: np.ndarray, least: int) -> np.ndarray:
     """Return a float copy of points (n, 2) [m], n at least `least`, checked to be finite."""
     array = np.array(array, dtype=float)

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
+import shapely
 
 from plate_core import MOST_PARTS, PlateError, Rig, part_class
-from plate_core.rig import PartType, contains, overlap, rim_distance
+from plate_core.rig import PartType
 from plate_core.tasks import LONGEST_OPEN_S, Hopper
 
 from .state import WorldState
@@ -134,58 +135,38 @@ class Lying:
 
     Attributes
     ----------
-    types : tuple of M PartType
     position : (M, 2)
         [m, plate_home].
-    reach : (M,)
-        Maximum distances of their outlines from their centres [m].
-    outline : tuple of M (n, 2)
-        Corners [m, plate_home].
+    reach, radius : (M,)
+        Maximum distances of their outlines from their centres, and radii of discs [m]. The radius
+        of other parts is 0.
+    shape : (M,)
+        Outlines, and centres of discs (`PartType.placed`) [m, plate_home].
     """
 
-    types: tuple[PartType, ...]
     position: np.ndarray
     reach: np.ndarray
-    outline: tuple[np.ndarray, ...]
+    radius: np.ndarray
+    shape: np.ndarray
 
     @classmethod
     def of(cls, state: WorldState, rig: Rig, but: str = "") -> Lying:
         """Return the parts on the plate, except the part `but`."""
         rows = [i for i, name in enumerate(state.ids) if state.on_plate[i] and name != but]
-        types = tuple(rig.part_type(part_class(state.ids[i])) for i in rows)
-        position = state.position[rows]
-        outline = tuple(
-            _placed(kind, state.position[i], state.angle[i])
-            for kind, i in zip(types, rows, strict=True)
-        )
-        return cls(types, position, np.array([kind.reach_m for kind in types]), outline)
+        types = [rig.part_type(part_class(state.ids[i])) for i in rows]
+        shapes = map(PartType.placed, types, state.position[rows], state.angle[rows])
+        reach, radius = np.array([(kind.reach_m, kind.radius_m) for kind in types]).reshape(-1, 2).T
+        return cls(state.position[rows], reach, radius, np.array(list(shapes), dtype=object))
 
     def met(self, kind: PartType, place: np.ndarray, angle: float) -> list[int]:
         """Return the indices of parts that a part at this place would overlap, nearest first."""
         apart = np.hypot(*(self.position - place).T)
-        near = [i for i in np.argsort(apart) if apart[i] < self.reach[i] + kind.reach_m]
-        corner = _placed(kind, place, angle) if near and not kind.radius_m else np.empty((0, 2))
-        return [int(i) for i in near if self._meets(i, kind, place, corner)]
-
-    def _meets(self, i: int, kind: PartType, place: np.ndarray, corner: np.ndarray) -> bool:
-        mine, outline = self.types[i], self.outline[i]
-        if kind.radius_m and mine.radius_m:
-            return True
-        if kind.radius_m:
-            return _disc_meets(place, kind.radius_m, outline)
-        if mine.radius_m:
-            return _disc_meets(self.position[i], mine.radius_m, corner)
-        return overlap(corner, outline)
-
-
-def _disc_meets(centre: np.ndarray, radius: float, corner: np.ndarray) -> bool:
-    return bool(contains(corner, centre) or rim_distance(corner, centre) < radius)
-
-
-def _placed(kind: PartType, place: np.ndarray, angle: float) -> np.ndarray:
-    """Return the corners (n, 2) of a part's outline [m, plate_home]."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.asarray(kind.polygon @ np.array([[cos, sin], [-sin, cos]]) + place)
+        near = np.argsort(apart)
+        near = near[apart[near] < self.reach[near] + kind.reach_m]
+        other, shape = self.shape[near], kind.placed(place, angle)
+        met = shapely.distance(other, shape) < self.radius[near] + kind.radius_m
+        met |= shapely.relate_pattern(other, shape, "T********")  # their interiors meet
+        return [int(i) for i in near[met]]
 
 
 class Dispenser:
