@@ -159,7 +159,8 @@ class RotationCycles(MotionSolver):
                 return near
             return self.planned(goal, spread=number > warm) if fresh else self._shaken(near)
 
-        begin, tries = self._warm or self.planned(goal), 1 + options.restarts + warm
+        begin: Start | Try = self._warm or self.planned(goal)
+        tries = 1 + options.restarts + warm
         best, iterations = basin_hopping(propose, attempt, begin, tries, fresh=warm)
         family, found = best
         self._warm = Start(family, found.parameters)
