@@ -1,4 +1,4 @@
-"""Stability maps: where methods fail over two parameters, beside a line where theory says so.
+"""Stability maps: where methods fail over two parameters, compared with the border by theory.
 
-Each module has one `MAP`; `maps.stability` measures them all.
+Each module defines one `MAP`. `maps.stability` measures all of them.
 """

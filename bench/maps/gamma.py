@@ -1,4 +1,4 @@
-"""Where forces that are right on average are wrong in motion, by shaking ratio and parts."""
+"""Error of averaged forces on moving parts, by shaking ratio and number of parts."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from stages.scenes import scatter
 PARTS = (1, 2, 3, 4, 6, 8)
 GAMMAS = np.geomspace(5, 1280, 13)
 FORCE = 0.1
-"""Greatest component of a request [mu m g]."""
+"""Maximum component of a request [mu m g]."""
 
 REQUESTS = 8
-"""Random requests for each number of parts."""
+"""Number of random requests for each number of parts."""
 
 SEED = 83
 SHORT_S = 0.001
-"""Length of a cycle: so short that the plate's travel, which averages leave out too, is none
-of the error. How far averages hold depends on the shaking ratio only, not on the time."""
+"""Length of a cycle [s]. It is so short that the plate's travel, which averages also neglect,
+causes no error. The accuracy of averages depends on the shaking ratio, but not on the length."""
 
 FREE_M, FREE_MPS = 1.0, 100.0
-"""Stroke and speed that do not bind."""
+"""Stroke [m] and speed [m/s] that limit no motion."""
 
 SAMPLES = 4096
 
 TOLERANCE = 1e-4
-"""Of the simulated displacement, over that by full friction."""
+"""Tolerance of the simulated displacement, relative to the displacement by full friction."""
 
 LEVEL = 0.3
-"""Error of the force, over the request."""
+"""Error of the force relative to the request, at the border."""
 
 
 def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
@@ -55,7 +55,8 @@ def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarr
 
 
 def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
-    """Return by how much the simulated force on parts from rest is not its average [mu m g]."""
+    """Return the difference of the simulated force on parts from rest and the averaged force
+    [mu m g]."""
     still, friction = np.zeros_like(position), rig.friction
     unit = friction.accel * cycle.period**2
     run = simulate(
@@ -66,12 +67,12 @@ def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 
 def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
-    """Return the same as theory has it at a great shaking ratio: it falls as 1/Gamma.
+    """Return the same error by theory for a large shaking ratio. It is proportional to 1/Gamma.
 
-    With n(t) the direction of slip w(t) of a part that is held, a free part gains by then the
-    velocity v(t) = mu g (n integrated), which turns the slip: n changes by -(v - (n.v) n)/|w|. The
-    mean of that is the force's change. As |w| goes with Gamma mu g T/(2 pi h), h the harmonic, it
-    is some 2 pi h/Gamma.
+    Let n(t) be the direction of the slip w(t) of a held part. Until t, a free part gains the
+    velocity v(t) = mu g (integral of n), which changes the direction of its slip by
+    -(v - (n.v) n)/|w|. The mean of this is the change of the force. Since |w| is proportional to
+    Gamma mu g T/(2 pi h) for the harmonic h, the change is about 2 pi h/Gamma.
     """
     t = (np.arange(SAMPLES) + 0.5) * cycle.period / SAMPLES
     twist, missed = cycle.twist(t), []

@@ -1,4 +1,5 @@
-"""What the stability maps share: a success or an error over two parameters, and a theory's line."""
+"""Grids of the stability maps: a success or an error over two parameters, and the border by
+theory."""
 
 from __future__ import annotations
 
@@ -14,18 +15,18 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Grid:
-    """One map, measured.
+    """One measured map.
 
     Attributes
     ----------
     title : str
-        Tells grids of one chart apart; empty if there is only one.
+        Title that distinguishes the grids of one chart. Empty if there is only one.
     x, y : list
         Values of the two parameters.
     z : list of list
         Success or error: a row for each y, a column for each x.
     line_x, line_y : list
-        Where the theory says that the border runs.
+        Points of the border that theory predicts.
     """
 
     title: str
@@ -46,7 +47,8 @@ class Grid:
 
     @property
     def rows(self) -> list[Row]:
-        """A row for each cell and each point of theory's line: `panel`, `case`, `x`, `y`, `z`."""
+        """Rows for all cells and all points of the border by theory, with the keys `panel`, `case`,
+        `x`, `y`, `z`."""
         cells = [(x, y, z) for y, row in zip(self.y, self.z, strict=True)
                  for x, z in zip(self.x, row, strict=True)]  # fmt: skip
         line = [(x, y, None) for x, y in zip(self.line_x, self.line_y, strict=True)]
@@ -60,36 +62,36 @@ class Grid:
 def grid(
     x: Numbers, y: Numbers, z: list[list[float]], line_x: Numbers, line_y: Numbers, title: str = ""
 ) -> Grid:
-    """Return a grid of plain numbers."""
+    """Return a grid, with arrays converted to lists of numbers."""
     plain = (np.asarray(numbers, float).tolist() for numbers in (x, y, z, line_x, line_y))
     return Grid(title, *plain)
 
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """What is measured and how it is shown.
+    """Definition of a stability map, and of its chart.
 
     Attributes
     ----------
     key : str
-        Of its table and its chart.
+        Key of its table and its chart.
     title : str
     x_label, y_label, z_label, line_label : str
-        With units.
+        Labels with units.
     level : float
-        The border is where z passes this value.
+        Value of z at the border.
     measure : function of bool
-        Measures all grids; quickly, if asked to.
+        Measures all grids. The argument requests a quick measurement.
     bounds : (float, float)
         Ends of the colour scale.
     log : str
-        Which axes are logarithmic, of "x" and "y".
+        Logarithmic axes: "", "x", "y" or "xy".
     steps : bool
-        Whether x counts, so that lines have steps.
+        Whether x is a count, so that lines have steps.
     finding : str
-        What comes out.
+        Conclusion.
     note : str
-        How it was measured.
+        Description of the measurement.
     """
 
     key: str
@@ -108,10 +110,8 @@ class StabilityMap:
 
 
 def crossing(place: Sequence[float], value: Sequence[float], level: float) -> float:
-    """Return where a curve first passes a level, between neighbours by a straight line.
-
-    NaN if it does not pass.
-    """
+    """Return the place where a curve first crosses a level, by linear interpolation. NaN if it does
+    not cross the level."""
     above = np.asarray(value, float) >= level
     turns = np.flatnonzero(above[1:] != above[:-1])
     if not len(turns):

@@ -1,4 +1,4 @@
-"""Method B: how many parts can be served, by the number of harmonics."""
+"""Method B: number of parts whose forces can be requested, by the number of harmonics."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from plate_solver import SinusoidSolver, average_force
 from stages.scenes import LARGEST, targets
 
 FORCE = 0.02
-"""Size of the requests [mu m g]: small, so that it is directions that run out, not force."""
+"""Size of the requests [mu m g]. It is small, so that the number of parameters limits the success,
+not the force."""
 
 TOLERANCE = 1e-4
-"""A request is solved if no force is further off [mu m g]."""
+"""Maximum error of a force in a solved request [mu m g]."""
 
 RESTARTS = 100
 HARMONICS, PARTS = (1, 2, 3, 4), tuple(range(1, 13))
 SEED = 82
 REQUESTS = 8
-"""Random requests for each cell."""
+"""Number of random requests for each cell."""
 
 
 def most_parts(harmonics: int) -> int:
-    """Return for how many parts all forces can be asked for: (6 N - 2)/2, none for N = 1.
+    """Return the maximum number of parts with arbitrary forces: (6 N - 2)/2, and 0 for N = 1.
 
-    N sinusoids and cosines for each of three degrees of freedom are 6 N parameters; two of them,
-    the scale of all amplitudes and the start of time, change no force (section 3.2.2 of the paper
-    forgets them), and M parts have 2 M forces. One harmonic gives no force at all (3.2.1).
+    N sines and N cosines for each of three degrees of freedom have 6 N parameters. Two of them, the
+    scale of all amplitudes and the time shift, do not change the forces. Section 3.2.2 of the paper
+    omits this. M parts have 2 M force components. A single harmonic has no mean force (3.2.1).
     """
     return 3 * harmonics - 1 if harmonics > 1 else 0
 
 
 def solved(rig: Rig, parts: int, harmonics: int, requests: int, restarts: int = RESTARTS) -> float:
-    """Return the share of random requests that are solved, by the exact average of the motion."""
+    """Return the fraction of random requests that are solved, checked by the exact averaged
+    force."""
     solver = SinusoidSolver(rig, harmonics=harmonics, restarts=restarts)
     rng = np.random.default_rng([SEED, parts, harmonics])
     count = 0

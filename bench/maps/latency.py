@@ -1,4 +1,4 @@
-"""The plain PD loop with wrong friction and late images of which nobody tells it."""
+"""Stability of the plain PD loop with a wrong friction coefficient and an unknown image latency."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from plate_solver import DRIFT_TOLERANCE, EXACT_MISS, Goal, SinusoidSolver
 from plate_solver.cycle_map import PREDICTION_STEP, after, end_state
 
 FRICTIONS = np.geomspace(0.5, 2.0, 9)
-"""True friction over the one believed."""
+"""True friction divided by the assumed one."""
 
 LATENCIES = np.linspace(0.0, 1.5, 9)
-"""Age of an image when it is taken for new, in cycles."""
+"""Latency of images, which the loop assumes to be 0 [cycles]."""
 
 SEEDS = (1, 2)
 CYCLES, FIRST = 40, 10
-"""Length of a run, and the first cycle that counts."""
+"""Length of a run, and the first cycle that is evaluated."""
 
 PUSH_M = 3e-3
-"""How far the part lies from where it is to stay."""
+"""Initial distance of the part from its target [m]."""
 
 SPEED = 0.1
-"""Greatest drift that is asked [m/s]."""
+"""Maximum requested drift velocity [m/s]."""
 
 KP = FollowOptions().kp
 STEPS = 64
 LEVEL_MM = 2.0
-"""Error that tells a loop that swings up from one that settles."""
+"""Error that separates unstable loops from stable ones [mm]."""
 
 CASES, ASKED_M, SEED = 40, 2e-3, 84
-"""Motions to which the linear loop is fitted, the size of what is asked of them, and chance."""
+"""Number of motions to which the linear loop is fitted, size of their requests [m], random seed."""
 
 
 class Loop:
-    """One part that is to stay in its place; the solver believes the rig's friction."""
+    """Loop that holds one part at its place. The solver assumes the rig's friction."""
 
     def __init__(self, rig: Rig, seed: int) -> None:
         self.rig = rig
@@ -51,7 +51,7 @@ class Loop:
     def answer(
         self, running: PlateCycle, seen: np.ndarray, velocity: np.ndarray
     ) -> tuple[PlateCycle, np.ndarray]:
-        """Return the next cycle, and the velocity (1, 2) [m/s] that is expected at its start."""
+        """Return the next cycle, and the predicted velocity (1, 2) [m/s] at its start."""
         friction = np.full(1, self.rig.friction.accel)
         ahead, then = after(running, seen, velocity, friction)
         drift = pd_drift(ahead, self.home, self.home, self.period, KP, np.full(1, SPEED))
@@ -66,7 +66,7 @@ class Loop:
         return self.solver.steer(goal, least, good).cycle
 
     def run(self, friction: float, latency: float) -> float:
-        """Return the error [m], root mean square at the starts of cycles."""
+        """Return the root mean square error at the starts of cycles [m]."""
         running, expected = PlateCycle.rest(self.period), np.zeros((1, 2))
         position, velocity = self.home + [PUSH_M, 0.0], np.zeros((1, 2))
         track, errors = np.repeat(position[None], 2 * STEPS + 1, axis=0), []
@@ -85,11 +85,11 @@ class Loop:
 
 
 class LinearLoop:
-    """The same loop, linear: theory's.
+    """Linear model of the loop.
 
-    What a part does in a cycle is taken as linear in what is asked (a), the velocity that the
-    solver believes (b) and the one that is true (v), the same on both axes. The coefficients are
-    fitted to the solver's cycle map, for motions that the solver makes in a row.
+    On each axis, a part's displacement and final velocity are linear in the requested displacement
+    a, the velocity b that the solver assumes, and the true velocity v. The coefficients are fitted
+    to the solver's cycle map, for successive motions of the solver.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -108,7 +108,7 @@ class LinearLoop:
         self, cycle: PlateCycle, position: np.ndarray, velocity: np.ndarray, friction: float,
         share: float,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """Return place and velocity after a share of the cycle, as the solver foresees them."""
+        """Return position and velocity after a fraction of the cycle, by the solver's cycle map."""
         steps = max(1, round(share * self.period / PREDICTION_STEP))
         t = (np.arange(steps) + 0.5) * share * self.period / steps
         accel = np.full(1, friction * self.rig.friction.accel)
@@ -116,7 +116,8 @@ class LinearLoop:
         return end_state(position, velocity, cycle.pose(t), cycle.twist(t), dt, accel)
 
     def _response(self, friction: float, share: float) -> np.ndarray:
-        """Return what a, b and v make of place and velocity (2, 3) after a share of a cycle."""
+        """Return the coefficients (2, 3) of a, b and v in displacement and velocity after a
+        fraction of a cycle."""
         if share == 0:
             return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         rows, ends = [], []
@@ -127,11 +128,11 @@ class LinearLoop:
         return np.linalg.lstsq(np.concatenate(rows), np.concatenate(ends), rcond=None)[0].T
 
     def growth(self, friction: float, latency: float) -> float:
-        """Return by how much the slowest mode grows in a cycle: above 1 the loop swings up.
+        """Return the spectral radius of the loop per cycle. The loop is unstable above 1.
 
-        At an image, the running cycle and two before have (x, a, b, v) each. The controller sees
-        the place a latency ago, adds what the running cycle was asked, and asks for kp of the
-        error that it expects then.
+        The state at an image is (x, a, b, v) of the running cycle and of the two before. The
+        controller uses the position y at the time of the image minus the latency. It adds the
+        request a of the running cycle, and requests -kp (y + a).
         """
         whole, own = self.response(friction, 1.0), self.response(1.0, 1.0)
         back = int(np.ceil(latency))
@@ -149,7 +150,8 @@ class LinearLoop:
         return float(np.max(np.abs(np.linalg.eigvals(matrix))))
 
     def delay_margin(self, friction: float) -> float:
-        """Return the latency [cycles] from which on the loop swings up; NaN if it never does."""
+        """Return the minimum latency at which the loop is unstable [cycles]. NaN if it is always
+        stable."""
         tried = np.linspace(LATENCIES[0], LATENCIES[-1], 61)
         grows = [self.growth(friction, latency) >= 1 for latency in tried]
         return float(tried[int(np.argmax(grows))]) if any(grows) else float("nan")

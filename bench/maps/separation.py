@@ -1,4 +1,4 @@
-"""Method A: how near two parts may be, by the number of centres of rotation."""
+"""Method A: minimum separation of two parts, by the number of centres of rotation."""
 
 from __future__ import annotations
 
@@ -10,39 +10,40 @@ from plate_solver import manipulability
 from plate_solver.library import REACH, Library
 
 LEVEL = 0.1
-"""Guaranteed force that counts as enough [mu m g]: what sorting asks of ten parts."""
+"""Sufficient guaranteed force [mu m g]: the force with which ten parts are sorted."""
 
 GRIDS = ((4, 2), (6, 3), (8, 4), (12, 6), (17, 9), (24, 13), (30, 16), (48, 26))
-"""Centres along and across the plate; 30 x 16 is the solver's library."""
+"""Numbers of centres along and across the plate. The solver's library has 30 x 16."""
 
 SEPARATIONS_M = 1e-3 * np.geomspace(1, 200, 13)
 
 SEED = 81
 PAIRS = 15
-"""Random pairs for each cell."""
+"""Number of random pairs for each cell."""
 
 
 def spacing(rig: Rig, centres: int) -> float:
-    """Return the distance between neighbours [m] of so many centres, spread as in the library."""
+    """Return the distance between neighbouring centres [m], if they are spread as in the
+    library."""
     sides = 2 * np.multiply(REACH, rig.plate.half)
     return float(np.sqrt(np.prod(sides) / centres))
 
 
 def least_separation(rig: Rig, centres: float) -> float:
-    """Return the separation [m] below which two parts cannot be guaranteed the force `LEVEL`.
+    """Return the separation d [m] below which the force `LEVEL` cannot be guaranteed.
 
-    A centre at the distance r from both pulls them along directions that differ by the angle
-    between its arms, d sin(b)/r. Half the difference is what parts them, d sin(2 b)/(4 r) of it
-    along the line that joins them: d/(4 r) at best. What pulls both alike is undone by a centre
-    on the other side, which parts them just as well. Centres that near are at r = h, the
-    spacing. Hence force = d/(4 h), as long as d < h. (Section 3.1.5 of the paper says only that
-    near parts are hard.)
+    A centre at the distance r from both parts moves them in directions that differ by the angle
+    between its arms, d sin(b)/r. Half of this difference separates them. Its component along the
+    line between the parts is d sin(2 b)/(4 r), at most d/(4 r). A centre on the other side cancels
+    the common force and adds the same separation. The nearest centres are at r = h, the distance
+    between centres. Hence force = d/(4 h) for d < h. Section 3.1.5 of the paper only states that
+    near parts are difficult.
     """
     return 4 * LEVEL * spacing(rig, int(centres))
 
 
 def guaranteed(rig: Rig, library: Library, separation: float, pairs: int) -> float:
-    """Return the guaranteed force [mu m g] of two parts: the median of random places."""
+    """Return the guaranteed force of two parts, the median over random positions [mu m g]."""
     rng = np.random.default_rng(SEED)
     forces = []
     for _ in range(pairs):

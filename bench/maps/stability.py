@@ -1,4 +1,4 @@
-"""Stability maps: where methods fail, and where theory says so."""
+"""Stability maps: borders where methods fail, measured and by theory."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAPS: dict[str, StabilityMap] = {
     module.MAP.key: module.MAP
     for module in (separation, harmonics, gamma, latency, stick, suspension)
 }
-"""Every map, by its key; each is in `maps/KEY.py`."""
+"""All maps by their keys. Each is defined in `maps/KEY.py`."""
 
 
 def measure(quick: bool) -> Result:
@@ -36,7 +36,7 @@ def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
 
 
 def borders(one: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
-    """Return y of the border for each x: observed and predicted; NaN where there is none."""
+    """Return y of the measured and of the predicted border for each x. NaN if there is none."""
     place = np.log(grid.y) if "y" in one.log else np.array(grid.y)
     columns = np.array(grid.z, dtype=float).T
     observed = [crossing(place.tolist(), column.tolist(), one.level) for column in columns]
@@ -48,7 +48,7 @@ def borders(one: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
 
 
 def nearness(one: StabilityMap, found: list[Grid]) -> str:
-    """Say how near the measured borders of a map's grids are to the predicted ones."""
+    """Return a sentence on the difference between the measured and the predicted borders."""
     places = [pair for grid in found for pair in zip(*borders(one, grid), strict=True)]
     pairs = [pair for pair in places if np.all(np.isfinite(pair))]
     if not pairs:

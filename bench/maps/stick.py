@@ -1,4 +1,4 @@
-"""How long a part rests on the plate, by the size of the request and the shaking ratio."""
+"""Fraction of a cycle in which a part sticks to the plate, by request and shaking ratio."""
 
 from __future__ import annotations
 
@@ -12,52 +12,53 @@ from stages.scenes import wave_cycle
 
 PERIOD_S = 0.05
 CYCLES = 100
-"""Until the part is in its rhythm; the last one is judged."""
+"""Number of cycles until the part's motion is periodic. The last one is evaluated."""
 
 SAMPLES = 2000
-"""Looks at a cycle."""
+"""Number of samples per cycle."""
 
 RESTING = 1e-6
-"""Slip that counts as none, over the plate's greatest speed: friction never lets it creep."""
+"""Slip that counts as rest, relative to the plate's maximum speed. Friction permits no creep."""
 
 LEVEL = 0.005
-"""Share of a cycle above which a part is said to rest at times."""
+"""Fraction of a cycle above which a part counts as resting at times."""
 
 FORCES = np.linspace(0.0, 0.2, 11)
-"""Requests [mu m g]: two harmonics along a line give up to 1/3."""
+"""Requests [mu m g]. Two harmonics along a line can have up to 1/3."""
 
 GAMMAS = np.geomspace(0.9, 8, 19)
 
 
 def overtone(force: float) -> float:
-    """Return b for which u ~ sin(wt) + b cos(2wt) gives a resting part an average force [mu m g].
+    """Return b for which u ~ sin(wt) + b cos(2wt) has the mean force f on a resting part [mu m g].
 
-    The force is the share of time in which u is above zero, less the rest. With s = sin(wt), u
-    passes zero where s + b (1 - 2 s^2) = 0; hence s = -sin(pi f/2) and b = s/(2 s^2 - 1).
+    The force is the fraction of time with u > 0 minus the fraction with u < 0. With s = sin(wt),
+    u = 0 where s + b (1 - 2 s^2) = 0. Hence s = -sin(pi f/2) and b = s/(2 s^2 - 1).
     """
     s = -np.sin(np.pi * force / 2)
     return float(s / (2 * s * s - 1))
 
 
 def peak(b: float) -> float:
-    """Return the greatest acceleration of u = sin(t) + b cos(2t)."""
+    """Return the maximum acceleration of u = sin(t) + b cos(2t)."""
     t = np.linspace(0, 2 * np.pi, 20_001)
     return float(np.max(np.abs(np.cos(t) - 2 * b * np.sin(2 * t))))
 
 
 def least_gamma(force: float) -> float:
-    """Return the shaking ratio above which a part never rests.
+    """Return the shaking ratio above which a part never sticks.
 
-    A part that never rests gains mu g T/2 of speed in half a cycle, then loses it in the other: the
-    plate is faster than the part in the first, slower in the second. At their joint the speeds are
-    alike, so u(t + T/2) - u(t) = mu g T/2. Of u only the first harmonic counts there, with its
-    acceleration a_1: sin(wt) = -(pi/2) mu g/a_1. The part does not come to rest if the plate's own
-    acceleration exceeds mu g at both joints; the second one is the harder,
+    A part that never sticks gains the speed mu g T/2 in one half of the cycle and loses it in the
+    other half. The plate is faster than the part in the first half and slower in the second. At the
+    changes both speeds are equal, so u(t + T/2) - u(t) = mu g T/2. Only the first harmonic of u,
+    with its acceleration a_1, contributes: sin(wt) = -(pi/2) mu g/a_1. The part does not stick if
+    the plate's acceleration exceeds mu g at both changes. The condition at the second one is
+    stricter:
 
         sqrt((a_1/mu g)^2 - (pi/2)^2) (1 - 2 pi b mu g/a_1) >= 1
 
-    For b = 0 that is Den Hartog's Gamma = sqrt(1 + pi^2/4) = 1.862 for dry friction (Trans. ASME
-    53, 1931). Gamma is the greatest acceleration of all of u, over mu g.
+    For b = 0 this is Den Hartog's Gamma = sqrt(1 + pi^2/4) = 1.862 for dry friction (Trans. ASME
+    53, 1931). Gamma is the maximum acceleration of u divided by mu g.
     """
     b = overtone(force)
 
@@ -69,7 +70,7 @@ def least_gamma(force: float) -> float:
 
 
 def resting_share(rig: Rig, force: float, gamma: float) -> float:
-    """Return the share of a cycle that a part rests on the plate, by the simulator."""
+    """Return the fraction of a cycle in which a part sticks to the plate, simulated."""
     b, omega = overtone(force), 2 * np.pi / PERIOD_S
     speed = gamma * rig.friction.accel / (peak(b) * omega)
     cycle = wave_cycle(1 / PERIOD_S, np.array([speed, 0.0, 0.0]), b)

@@ -1,4 +1,4 @@
-"""How soft a plate may hang before its motion is not what was commanded, by method."""
+"""Error of the plate's motion on a soft suspension, by natural frequency and method."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ DRIFT = 0.01
 """Size of the requests [m/s]."""
 
 REQUESTS = 3
-"""Random requests for each cell."""
+"""Number of random requests for each cell."""
 
 SEED = 86
 SAMPLES = 1024
 SETTLED = 4.0
-"""Time constants of the suspension after which the plate is in its rhythm."""
+"""Time after which the plate's motion is periodic [time constants of the suspension]."""
 
 LEVEL = 0.5
-"""Error of the motion, over the motion, with which next to nothing of a request is left."""
+"""Relative error of the motion at which almost no force of a request remains."""
 
 
 def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[PlateCycle]:
@@ -44,12 +44,12 @@ def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[Pl
 
 
 def lengths(rig: Rig) -> np.ndarray:
-    """Return what turns a twist into speeds of the plate's corners (3,)."""
+    """Return the factors (3,) that convert a twist to speeds at the plate's corners."""
     return np.array([1.0, 1.0, float(np.hypot(*rig.plate.half))])
 
 
 def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
-    """Return the error of the plate's velocity over the velocity, root mean squares, simulated."""
+    """Return the simulated relative error of the plate's velocity, both as root mean squares."""
     real, state = hung(rig, frequency), PlateState.at_rest()
     settling = SETTLED / (DAMPING * 2 * np.pi * frequency)
     for _ in range(1 + int(np.ceil(settling / cycle.period))):
@@ -61,14 +61,15 @@ def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
 
 
 def predicted_error(rig: Rig, cycle: PlateCycle, frequency: float | np.ndarray) -> np.ndarray:
-    """Return the same as theory has it, for one frequency or many (F,).
+    """Return the same error by theory, for one natural frequency or many (F,).
 
-    A drive that holds the flexures at the place commanded makes of a harmonic at f
+    A drive that only holds the flexures at the commanded position has the transfer function
 
         H = 1/(1 - r^2 + 2 i z r),    r = f/f_n
 
-    so what is missed of it is |H - 1|, and of the whole motion the root of the mean of |H - 1|^2
-    over its harmonics, each with the power that it has in the velocity. Motors are taken as equal.
+    for a harmonic at f, whose error is |H - 1|. The error of the motion is the root of the mean of
+    |H - 1|^2 over its harmonics, weighted by their power in the velocity. All motors are assumed
+    equal.
     """
     t = np.arange(SAMPLES) * cycle.period / SAMPLES
     spectrum = np.fft.rfft(cycle.twist(t) * lengths(rig), axis=0)
@@ -79,7 +80,8 @@ def predicted_error(rig: Rig, cycle: PlateCycle, frequency: float | np.ndarray) 
 
 
 def least_frequency(rig: Rig, cycles: list[PlateCycle]) -> float:
-    """Return the frequency [Hz] above which the predicted error (median) stays below the level."""
+    """Return the frequency [Hz] above which the median of the predicted errors is below the
+    level."""
     frequency = np.geomspace(5, 1000, 2000)
     error = np.median([predicted_error(rig, cycle, frequency) for cycle in cycles], axis=0)
     return float(frequency[np.flatnonzero(error >= LEVEL)[-1]])

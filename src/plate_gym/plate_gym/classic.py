@@ -64,7 +64,8 @@ class Classic:
         share = share[order] / max(1.0, float(np.sum(share)))
         spent = np.outer(share, [RETURN, 1.0]).ravel() / (RETURN + 1)
         twist = np.stack([out, -RETURN * out], axis=1).reshape(-1, 3)
-        # At rest the smallest motion has the full friction: fill the period with a back-and-forth.
+        # For a resting part, even the smallest plate motion has the full friction. So the rest of
+        # the period is filled with a stroke and its return.
         spent = np.append(spent, np.full(2, (1 - np.sum(share)) / 2))
         twist = np.vstack([twist, out[:1], -out[:1]])
         family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS)

@@ -139,8 +139,8 @@ def within_limits(
 def _use(cycle: PlateCycle, full: Limits) -> float:
     """Return the maximum limit utilisation of a cycle's control points, as a fraction of a limit.
 
-    The heat is computed for the cycle, for cycle and tail together, and for the tail, because the
-    next cycle may begin with it. The largest value counts.
+    The heat is computed for the cycle, for the cycle with its tail, and for the tail only. The
+    largest value counts. The tail counts separately because the next cycle may begin with it.
     """
     used = 0.0
     both = cycle.parts

@@ -209,7 +209,7 @@ def no_graph_text() -> str:
     if others:
         listed = ", ".join(map(str, others))
         text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID="
-        text += listed if len(others) == 1 else "that of yours"  # some may be others' graphs
+        text += listed if len(others) == 1 else "that of yours"  # some may be of other users
     return text
 
 

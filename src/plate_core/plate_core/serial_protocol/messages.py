@@ -57,7 +57,7 @@ class Status(IntEnum):
     LIMIT = 7  # stroke, speed, acceleration, force or heat; checked on the spline, not only knots
     JUMP = 8  # the table starts neither at rest at home nor at a future splice, or ends elsewhere
     TOO_LONG = 9
-    WRONG_STOP = 10  # Enable contains another number than that of the present stop
+    WRONG_STOP = 10  # the number in Enable is not that of the current stop
     REPEATS = 11  # repeats is 0, lasts longer than allowed, or the table does not close
 
 

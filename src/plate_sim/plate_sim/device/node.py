@@ -143,7 +143,8 @@ class DeviceNode(SafeLifecycleNode[Options]):
         if emulator.connected != self._terminal.plugged:
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
         ticks = due // TICK_US
-        # Stamp the bytes with the present time. At the late device's time they were not yet sent.
+        # Stamp the bytes with the present time. The device's time lags behind, and the bytes were
+        # sent later than that.
         emulator.to_device.sent(came, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             for segment in emulator.tick():

@@ -77,7 +77,7 @@ class Ground:
             raise PlateError(f"tilt is {self.tilt!r} rad, allowed: two angles, up to {TILT:g}")
 
     def effect(self, gravity: float) -> GroundEffect:
-        """Return its effects for a gravity [m/s2]."""
+        """Return the effects of this ground on parts, for a gravity [m/s2]."""
         x, y = (gravity * sin(angle) for angle in self.tilt)
         return GroundEffect(
             float(x), float(y), float(self.static_ratio), float(self.friction_slope),

@@ -22,9 +22,9 @@ constexpr double MAX_MISFIT = 0.2, NOISE_MISFIT = 0.5;
 // noise is a texture of the plate.
 constexpr double WORST_NOISE = 0.12;
 
-// Maximum misfit that light, noise and the edges of pixels explain. The excess misfit times the
-// radius is about the error of the place. For example, parts 10 mm high that are assumed flat have a
-// misfit of 0.18, and an error of 0.15 to 0.2 radii.
+// Maximum misfit that light, noise and the edges of pixels explain. The part of the misfit above
+// this is about the error of the place, in radii. For example, parts 10 mm high that are assumed
+// flat have a misfit of 0.18, and an error of 0.15 to 0.2 radii.
 constexpr double GOOD_MISFIT = 0.06;
 
 // Minimum visible fraction of a part's contour. With less the place is not reliable.
@@ -44,8 +44,8 @@ struct Judged {
     double x_px, y_px, radius_px, angle_rad, confidence, scatter_px, misfit;
 };
 
-// The parts among measured discs (n,): their indices (m,), properties (m,) and labels (m,): 0 black,
-// 1 grey, 2 bright.
+// The parts among measured discs (n,): their indices (m,), properties (m,) and labels (m,): 0
+// black, 1 grey, 2 bright.
 struct Parts {
     std::vector<int64_t> rows, labels;
     std::vector<Judged> found;

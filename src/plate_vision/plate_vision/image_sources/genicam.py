@@ -215,7 +215,7 @@ class GenicamSource(Camera):
         return None if node is None else float(node.value)
 
     def state(self) -> Mapping[str, object]:
-        """Return exposure and gain in force."""
+        """Return the current exposure and gain."""
         found: dict[str, object] = {"exposure_us": "unknown", "gain": "unknown"}
         with suppress(Exception):  # from GenApi: the camera is unplugged, or has no such feature
             found["gain"] = self._nodes.Gain.value

@@ -53,17 +53,17 @@ NEAR_PX = 3.0
 """Least tolerated deviation [px]: corners measured by hand have errors of 1 to 2 px."""
 
 BOW_PX = 1.0
-"""Tolerated bow in the middle of an edge [px]. It is measured to 0.2 px."""
+"""Tolerated bow in the middle of an edge [px]. The accuracy of its measurement is 0.2 px."""
 
 BOW_M = 5e-4
 """Tolerated bow [m], if it is larger than `BOW_PX`. Sawn plates are straight to 0.3 mm."""
 
 TURN_RAD = np.radians(0.6)
-"""Tolerated rotation [rad]. It is measured to a tenth of that on a plate of 300 px; a shaking plate
-rotates by less at the starts of cycles."""
+"""Tolerated rotation [rad]. On a plate of 300 px, the accuracy of its measurement is a tenth of
+this. A shaking plate rotates by less at the starts of cycles."""
 
 STRETCH = 0.01
-"""Tolerated change of size [-], measured to a tenth of that."""
+"""Tolerated change of size [-]. The accuracy of its measurement is a tenth of this."""
 
 SUPPORT = 0.6
 """Minimum fraction of an edge's profiles that must agree. Parts on the edge hide some."""

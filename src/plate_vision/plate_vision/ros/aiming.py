@@ -235,7 +235,7 @@ class AimingView:
         assert lens.pictures is not None
         try:
             fit = lens.pictures.fit(lens.model)
-        except Exception as error:  # also OpenCV's: else the state would stay FITTING for ever
+        except Exception as error:  # also OpenCV's, otherwise the state would remain FITTING
             if self._lens is lens:
                 self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
             return

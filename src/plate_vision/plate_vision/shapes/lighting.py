@@ -80,7 +80,7 @@ EVERY = 2
 """Step between rows and columns in that comparison."""
 
 UNSEEN_L = 0.5
-"""Maximum change of colours that is ignored [L]; colours are integers."""
+"""Maximum change of colours that is ignored [L]. It is half of their resolution, which is 1."""
 
 LIGHT_POWER = 3 / 2.2
 """Exponent of the light for a factor in Lab: Lab uses the cube root of the light, and grey levels
