@@ -1,4 +1,5 @@
-"""One measurement for each stage and its peers: `measure(quick)` of a module gives its `Result`.
+"""Measurements of single stages, compared with baselines. `measure(quick)` of each module returns a
+`Result`.
 
-`scenes` makes the parts, requests and shaken plates that they share.
+`scenes` creates the parts, requests and plate motions that they share.
 """

@@ -1,4 +1,4 @@
-"""The firmware on an emulated STM32F405: instructions a tick, longest steps."""
+"""The firmware on an emulated STM32F405: instructions per tick, and maximum steps of setpoints."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from plate_core.serial_protocol import Status
 PIECES = (1, 2, 8, 24, 48, 96, 200, 500)
 PACKETS = 10_000
 LINES = (92, 128)
-"""Bytes that the line brings in a tick: at 921,600 baud, and the most that a tick reads."""
+"""Bytes that the line carries per tick: at 921,600 baud, and the maximum that a tick reads."""
 
 MOST = 42_000
-"""Instructions of a tick that are allowed: a quarter of 1 ms at 168 MHz."""
+"""Maximum number of instructions per tick: a quarter of 1 ms at 168 MHz."""
 
 
 def measure(quick: bool) -> Result:
-    """Commit tables of all sizes while one plays, then send hostile packets; quick: fewer."""
+    """Commit tables of all sizes while another one plays, then send hostile packets. A quick
+    measurement uses fewer."""
     if lacking := packages([need for need in NEEDS if program(need) is None]):
         raise PlateError(f"the board's tools are not installed: apt install {lacking}")
     pieces, packets = ((1, 48, 500), 500) if quick else (PIECES, PACKETS)
@@ -37,7 +38,7 @@ def measure(quick: bool) -> Result:
 
 
 def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
-    """One board, and a table of each size."""
+    """Return a row for a table of each size, all on one board."""
     rows = []
     with EmulatedBoard(elf) as board:
         host = Host(board)
@@ -50,7 +51,7 @@ def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
 
 
 def attack_row(elf: Path, pace: int, packets: int) -> dict[str, Any]:
-    """A board under attack, by a line of some speed."""
+    """Return the row of a board that receives hostile packets, `pace` bytes per tick."""
     with EmulatedBoard(elf) as board:
         host = Host(board, pace)
         host.begin()
@@ -67,7 +68,7 @@ def attack_row(elf: Path, pace: int, packets: int) -> dict[str, Any]:
 
 
 def row_of(ticks: Ticks) -> dict[str, Any]:
-    """Return ticks as columns of a table."""
+    """Return tick lengths as the columns of a row."""
     return {
         "median": round(ticks.median),
         "worst": ticks.worst,

@@ -1,7 +1,8 @@
-"""A disc that slides and turns: error and speed, beside scipy.
+"""A disc that slides and rotates: error and speed, compared with scipy.
 
-The truth is scipy's DOP853 at a tight tolerance, with friction integrated over the disc by
-midpoints of many cells; as peers the same equations with fewer cells and looser tolerances.
+The reference is scipy's DOP853 with a tight tolerance and friction integrated over the disc by the
+midpoints of many cells. The baselines are the same equations with fewer cells and looser
+tolerances.
 """
 
 from __future__ import annotations
@@ -17,19 +18,19 @@ from plate_sim.friction import disc
 from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, SPIN, exact_cycle
 
 RADIUS = 0.02
-"""Of the disc [m]."""
+"""Radius of the disc [m]."""
 
 GAMMA = 20
-"""Peak acceleration of the plate over mu g."""
+"""Peak acceleration of the plate divided by mu g."""
 
 CYCLES = 6
-"""0.2 s."""
+"""Number of simulated cycles, 0.2 s."""
 
 PLACE, SPEED, TURN = (0.05, 0.03), (0.08, -0.05), 6.0
-"""Start of the disc [m], [m/s], [rad/s]."""
+"""Initial position [m], velocity [m/s] and spin [rad/s] of the disc."""
 
 TRUE_CELLS, PEER_CELLS = (24, 48), (8, 16)
-"""Rings of equal area and cells in each: of the truth, and of the peer."""
+"""Numbers of rings of equal area and of cells per ring, for the reference and the baseline."""
 
 STEPS_MS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 TOLERANCES = (1e-3, 1e-4, 1e-5)
@@ -38,7 +39,7 @@ OURS, PEER = "bodies", "scipy RK45"
 
 
 def measure(quick: bool) -> Result:
-    """Run the disc at several settings of both."""
+    """Simulate the disc with several settings of both programs."""
     truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
     cases = [(OURS, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
     for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
@@ -55,14 +56,14 @@ def measure(quick: bool) -> Result:
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
-    """Return how far the centres or the rims of two poses (3,) [m, m, rad] are apart, whichever is
-    more [m]."""
+    """Return the distance of the centres or the contour points of two poses (3,) [m, m, rad], the
+    larger one [m]."""
     x, y, turn = one - other
     return max(float(np.hypot(x, y)), RADIUS * abs(turn))
 
 
 def by_steps(step_ms: float) -> np.ndarray:
-    """Run plate_sim's bodies in steps [ms]; returns the pose (3,) [m, m, rad] at the end."""
+    """Simulate the disc with plate_sim in steps [ms]. Return its final pose (3,) [m, m, rad]."""
     run = simulate_bodies(
         exact_cycle(GAMMA, SPIN), disc(RADIUS), np.array([PLACE]), 0, np.array([SPEED]), TURN, MU,
         GRAVITY, CYCLES, 1, 1e-3 * step_ms,
@@ -71,8 +72,8 @@ def by_steps(step_ms: float) -> np.ndarray:
 
 
 def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarray:
-    """Run the equations of motion with scipy, friction by midpoints of cells of equal area; returns
-    the same."""
+    """Integrate the equations of motion with scipy, with friction by midpoints of cells of equal
+    area. Return the final pose (3,) [m, m, rad]."""
     cycle = exact_cycle(GAMMA, SPIN)
     rings, each = cells
     ring = RADIUS * np.sqrt((np.arange(rings) + 0.5) / rings)

@@ -1,7 +1,7 @@
 """Scenes as real cameras see them: height, shine, shadow, contrast, tilt, lens, changing light.
 
-Each scene has 100 discs, or 56 parts of types. The simulator's camera draws it, so the true places
-are known.
+Each scene has 100 discs, or 56 parts of several types. The simulator's camera draws it, so the true
+positions are known.
 """
 
 from __future__ import annotations
@@ -25,29 +25,30 @@ from plate_vision.plate import OutlineCheck
 from stages.vision import layout
 
 DISCS, TYPED = 100, 56
-"""Parts in a scene."""
+"""Number of parts in a scene."""
 
 IMAGES, QUICK_IMAGES = 4, 1
-"""Layouts of each scene."""
+"""Number of layouts of each scene."""
 
 QUICK_STEP = 8
-"""Quickly only each eighth kind of scene is measured."""
+"""A quick measurement uses only every eighth kind of scene."""
 
 FIRST_SEED = 54000
-"""Seed of the first layout: those below are for tuning."""
+"""Seed of the first layout. Smaller seeds are for tuning."""
 
 SHOTS, TYPED_SHOTS = 5, 6
-"""Images of each layout, one after the other, each with its own noise. Of discs the last one
-counts: a detector may learn from the others. Of typed parts all count, as their light changes."""
+"""Numbers of successive images of each layout, with different noise. For discs only the last image
+is evaluated, because a detector may learn from the others. For typed parts all are evaluated,
+because their light changes."""
 
 INTERVAL_S = 0.15
-"""Between two images [s]: a cycle of the plate."""
+"""Time between two images [s], one cycle of the plate."""
 
 BARREL = (-0.2675, 0.0926, 0.0, 0.0, 0.0)
 """Published distortion of a webcam, k1, k2, p1, p2, k3."""
 
 MOVED_PX = 12
-"""By which a camera is pushed [px]."""
+"""Shift of the image after a push of the camera [px]."""
 
 WEBCAM_QUALITY = 70
 """JPEG quality of a webcam's images."""
@@ -55,39 +56,39 @@ WEBCAM_QUALITY = 70
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of scene: how it differs from the plain one.
+    """One kind of scene, as its differences from the plain one.
 
     Attributes
     ----------
     name : str
     rig : callable
-        Makes the rig as it is.
+        Returns the true rig.
     lighting : Lighting
     greys : tuple of float, or of (blue, green, red)
-        Of the parts at full light, in turns; of typed parts none.
+        Grey values or colours of the parts at full light, used in turn. Empty for typed parts.
     plate, room : float
-        Grey values at full light.
+        Grey values of the plate and its surroundings at full light.
     height : float
-        Of the parts [m].
+        Height of the parts [m].
     known : callable, optional
-        Makes of the true rig the one that the detector is given; None: the true one.
+        Converts the true rig to the one that the detector gets. None: the true rig.
     warp : callable, optional
-        What happens to images on their way to the detector.
+        Changes each image before the detector gets it.
     sizes : tuple of float
-        Of the parts over the rig's, in turns.
+        Sizes of the parts relative to the rig's, used in turn.
     noise, defocus_px : float
     blur_px : float
-        Motion of parts over the exposure [px], in any direction.
+        Motion of parts during the exposure [px], in random directions.
     marked : bool
         Whether discs have marks.
     typed : bool
-        Parts of types, and images of the bare plate before.
+        Whether parts are of several types, and the detector gets images of the bare plate before.
     levels : tuple of float
-        Factors of the light in the images, the last one goes on.
+        Factors of the light in successive images. The last one continues.
     softer_px : float
-        Defocus after the bare plate was learned.
+        Additional defocus after the bare plate was learned.
     jpeg : int
-        Quality of the images, 0: not compressed.
+        JPEG quality of the images. 0: no compression.
     """
 
     name: str
@@ -112,9 +113,9 @@ class Kind:
 
 @dataclass(frozen=True)
 class Scene:
-    """One layout: the rig as the detector knows it, images of the bare plate (typed parts only),
-    images, true places (M, 2) [m] and angles (M,) [rad, plate_home], and types of the parts (M,),
-    empty for discs."""
+    """One layout: the rig that the detector gets, images of the bare plate (only for typed parts),
+    images, true positions (M, 2) [m] and angles (M,) [rad, plate_home], and types of the parts
+    (M,), empty for discs."""
 
     rig: Rig
     bare: list[np.ndarray]
@@ -130,7 +131,8 @@ class Scene:
 
 
 def seen_from(name: str = "", radius_m: float = 0.0, **view: float) -> Rig:
-    """Return a rig of config/rigs from another place (`view_from`); 0: with parts of its radius."""
+    """Return a rig of config/rigs with another camera position (`view_from`). A radius of 0 keeps
+    the rig's parts."""
     rig = view_from(load_rig(name), **view)  # type: ignore[arg-type]
     return replace(rig, parts=replace(rig.parts, radius_m=radius_m or rig.parts.radius_m))
 
@@ -141,7 +143,8 @@ def near() -> Rig:
 
 
 def strong_lens() -> Rig:
-    """Return a rig with a wide lens: published calibration of a camera of 1480 x 1080 px."""
+    """Return a rig with a wide-angle lens, by a published calibration of a camera of 1480 x 1080
+    px."""
     rig = load_rig()
     lens = Lens(
         (983.23425, 974.13698), (909.40739, 573.79454),
@@ -155,34 +158,34 @@ def strong_lens() -> Rig:
 
 
 def flat(rig: Rig) -> Rig:
-    """Return the rig of a file that has no heights."""
+    """Return the rig of a file without heights."""
     return with_height(rig, 0.0)
 
 
 def without_distortion(rig: Rig) -> Rig:
-    """Return the rig of a file in which the lens's distortion is left out."""
+    """Return the rig of a file without the lens's distortion."""
     lens = rig.camera.lens
     assert lens is not None
     return replace(rig, camera=replace(rig.camera, lens=Lens(lens.focal_px, lens.centre_px)))
 
 
 def mirrored(image: np.ndarray) -> np.ndarray:
-    """Return an image with left and right exchanged."""
+    """Return a mirrored image, with left and right exchanged."""
     return np.ascontiguousarray(image[:, ::-1])
 
 
 def moved(image: np.ndarray) -> np.ndarray:
-    """Return the image of a camera that was pushed: by 12 px to the right."""
+    """Return the image of a camera that was pushed by `MOVED_PX` to the right."""
     return np.roll(image, MOVED_PX, axis=1)
 
 
 def shapes() -> Rig:
-    """Return the rig with types of parts."""
+    """Return the rig with the part types."""
     return load_rig("shapes")
 
 
 def shade(length_m: float, depth: float = 0.5) -> Lighting:
-    """Return a lamp that casts shadows of this length."""
+    """Return a lamp whose shadows have this length."""
     return Lighting(shadows=depth, shadow_m=length_m, penumbra_m=min(0.003, length_m / 2))
 
 
@@ -327,7 +330,7 @@ def drawn(kind: Kind, seed: int) -> Scene:
 
 
 def spread(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.ndarray:
-    """Return centres (n, 2) [m] of parts of types, each in its own cell of a grid."""
+    """Return random centres (n, 2) [m] of typed parts, each in a separate cell of a grid."""
     reach = max(part.reach_m for part in types)
     room = rig.plate.half - reach
     columns, lines = 10, 6
@@ -340,15 +343,14 @@ def spread(rig: Rig, types: Sequence[PartType], rng: np.random.Generator) -> np.
 
 
 def compressed(image: np.ndarray, quality: int) -> np.ndarray:
-    """Return an image as JPEG of this quality leaves it."""
+    """Return an image after JPEG compression with this quality."""
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
 
 
 def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
-    """Yield the detector's result after each image of a scene, and whether it reports that
-    something is wrong: things that it has not taken for parts, an outline of the plate that is
-    elsewhere, or an image that it refuses."""
+    """Yield the detector's result after each image of a scene, and whether it reports a problem:
+    objects rejected as parts, a moved outline of the plate, or an image that it refuses."""
     vision, tracker, plate, stamp = make_vision(one.rig), Tracker(), BarePlate(), 1.0
     outline = OutlineCheck.of(one.rig, vision.calibration)
     if one.types:
@@ -369,7 +371,7 @@ def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
 
 
 def row_of(kind: Kind, count: int) -> dict[str, Any]:
-    """Measure one kind of scene in a number of layouts."""
+    """Measure one kind of scene in a number of layouts, and return its row."""
     gaps: list[float] = []
     true = false = right = lost = told = 0
     times = []
@@ -381,7 +383,7 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
             began = time.process_time()
             if not kind.typed and number < len(one.images) - 1:
                 continue
-            # What is published as unknown is not detected, but it is not silent.
+            # A part published as unknown counts as not detected, but as reported.
             named = [not name.startswith("unknown") for name in tracker.parts.ids]
             found = tracker.parts.position[named]
             ids = [name for name, kept in zip(tracker.parts.ids, named, strict=True) if kept]

@@ -1,7 +1,7 @@
-"""Types of parts: names, centres and angles.
+"""Types of parts: errors of names, centres and angles.
 
-Parts of config/parts.yaml are drawn by counting sub-pixels, apart, in random turns, in colour; what
-they are is known. The types are those of the file: taught ones differ from them by 0.1 px.
+Parts of config/parts.yaml are drawn in colour by counting sub-pixels, apart from each other and at
+random angles. The detector gets the types of the file. Taught types differ from them by 0.1 px.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from plate_vision.shapes import (
 from stages.hostile import NOISE, SCALE_PX_M, SIZE_PX, Part, bgr, cover, window
 
 COUNT = 20
-"""Parts in an image."""
+"""Number of parts in an image."""
 
 PLATE_LAB = (88.0, 0.0, 2.0)
 
@@ -39,7 +39,7 @@ SCENES: dict[str, dict[str, float]] = {
     "light from one side": {"slope": 0.25},
     "grey image": {"grey": 1.0},
 }
-"""What differs from 1 px/mm, a blur of 0.7 px, even light, and colour."""
+"""Differences of each scene from 1 px/mm, a blur of 0.7 px, even light, and colour."""
 
 
 def measure(quick: bool) -> Result:
@@ -55,8 +55,8 @@ def measure(quick: bool) -> Result:
 def _scene_row(
     types: Mapping[str, PartType], scene: str, options: dict[str, float], seed: int, frames: int
 ) -> dict[str, Any]:
-    """Return the row of a scene: how often names were wrong or not known, and the errors of places
-    and angles."""
+    """Return the row of a scene: numbers of wrong and unknown names, and errors of positions and
+    angles."""
     rng, scale = np.random.default_rng(1000 + seed), options.get("scale", SCALE_PX_M)
     bare = learn_plate(np.stack([_drawn([], options, rng) for _ in range(3)]))
     catalogue, calibration = make_catalogue(types), calibrate_by_scale(scale)
@@ -90,7 +90,7 @@ def _scene_row(
 
 
 def _laid(types: Mapping[str, PartType], scale: float, rng: np.random.Generator) -> list[Part]:
-    """Return parts on a grid, each shifted and turned at random."""
+    """Return parts on a grid, each with a random shift and angle."""
     names = rng.choice([*types], COUNT).tolist()
     x, y = np.meshgrid(64 + 128 * np.arange(5), 60 + 120 * np.arange(4))
     place = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-4, 4, (COUNT, 2))

@@ -1,4 +1,4 @@
-"""A device in real time at a pseudo-terminal, and a cycle for it to play."""
+"""A simulated device that runs in real time at a pseudo-terminal, and a test cycle for it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
 PERIOD_S = 0.2
 
 MOST_BEHIND_US = 100_000
-"""Time that a device without a processor makes up for; what is more, it loses."""
+"""Maximum delay that a device without CPU time catches up [us]. A longer delay is lost."""
 
 
 def shaking(knots: int, amplitude: float) -> MotorTable:
-    """Table of a cycle of `PERIOD_S` that starts at rest; amplitude [m]."""
+    """Return the table of a cycle of `PERIOD_S` that starts at rest, with an amplitude [m]."""
     t = np.arange(knots) * PERIOD_S / knots
     wave = np.sin(np.pi * t / PERIOD_S) ** 4
     phase = 8 * np.pi * t / PERIOD_S
@@ -32,7 +32,8 @@ def shaking(knots: int, amplitude: float) -> MotorTable:
 
 
 def device(link: str, ready: Event, done: Event) -> Iterator[bytes]:
-    """Be the device, in real time, until told to end; yields what has come since the last look."""
+    """Run the device in real time until `done` is set. Yield the bytes received since the last
+    poll."""
     emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), PseudoTerminal(link)
     terminal.plug()
     ready.set()

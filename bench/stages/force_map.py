@@ -1,6 +1,6 @@
-"""Average friction over a cycle: time and error.
+"""Average friction over a cycle: time and error of several methods.
 
-The truth is quad itself, told where the surface almost stands still, to a tolerance of 1e-10.
+The reference is scipy's quad with a tolerance of 1e-10, split at the times of nearly zero slip.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from plate_solver.averages import (
 from plate_solver.sinusoids import SinusoidBasis, SinusoidFamily, sinusoid_basis
 
 ForceMap = Callable[[np.ndarray], np.ndarray]
-"""Places (M, 2) [m] to forces (M, 2) [mu m g]."""
+"""Function from positions (M, 2) [m] to forces (M, 2) [mu m g]."""
 
 NUMBER, PERIOD = 2, 0.05
 """Harmonics and period [s] of the motions: 2 x 2 x 3 = 12 parameters."""
@@ -59,7 +59,7 @@ def measure(quick: bool) -> Result:
 
 @njit(cache=True, fastmath=True)
 def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarray) -> np.ndarray:
-    """Return average forces (C, 2) by equal steps: what one would write first."""
+    """Return average forces (C, 2) by equal steps, the simplest method."""
     force = np.empty((len(coefficients), 2))
     for i in range(len(coefficients)):
         fx = fy = 0.0
@@ -80,7 +80,7 @@ def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarr
 def batch_rows(
     cases: list[tuple[np.ndarray, np.ndarray]], truth: np.ndarray, seconds: float
 ) -> list[dict[str, Any]]:
-    """Time all cases in one call, in turns."""
+    """Time one call with all cases, for the methods in turn."""
     motion, position = (np.array(column) for column in zip(*cases, strict=True))
     still, steps = np.zeros_like(position), sinusoid_basis(NUMBER, PERIOD, False, 128).twist
     calls: dict[str, Callable[[], np.ndarray]] = {
@@ -98,7 +98,7 @@ def batch_rows(
 
 
 def row(case: str, method: str, seconds: float, error: np.ndarray) -> dict[str, Any]:
-    """Return a row of the time of one force [s] and of errors (n,) [mu m g]."""
+    """Return the row of a method from the time per force [s] and the errors (n,) [mu m g]."""
     return {
         "case": case, "method": method, "us": 1e6 * seconds,
         "median": float(np.median(error)), "p99": float(np.percentile(error, 99)),
@@ -106,7 +106,7 @@ def row(case: str, method: str, seconds: float, error: np.ndarray) -> dict[str, 
 
 
 def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:
-    """Return the surface's velocity [m/s] under a held part, by formula (13) itself."""
+    """Return the plate's velocity [m/s] under a held part, directly by equation (13)."""
     sine, cosine = coefficients[:NUMBER].tolist(), coefficients[NUMBER:].tolist()
     x, y = point.tolist()
     rates = [2 * pi / PERIOD * (j + 1) for j in range(NUMBER)]
@@ -157,8 +157,8 @@ def adaptive(
 
 
 def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray], ForceMap]]:
-    """Return what makes of coefficients (4, 3) a function of places, so that only the map itself is
-    timed."""
+    """Return functions by name that convert coefficients (4, 3) to a `ForceMap`, so that only the
+    map is timed."""
 
     def twist(coefficients: np.ndarray, n: int) -> np.ndarray:
         return np.asarray(sinusoid_basis(NUMBER, PERIOD, False, n).twist @ coefficients)
@@ -175,7 +175,7 @@ def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray], ForceMa
 
 
 def by_steps(twist: np.ndarray, dt: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Average by our kernel for equal steps."""
+    """Average by the project's kernel for equal steps."""
     return step_forces(position, np.zeros_like(position), twist, dt)[:, :2]
 
 
@@ -190,7 +190,7 @@ def by_numpy(twist: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def by_quad(coefficients: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Average by scipy's quad, with its usual tolerance."""
+    """Average by scipy's quad with its default tolerance."""
     return (
         np.array([adaptive(coefficients, p, 0, PERIOD, 1.5e-8 * PERIOD) for p in position]) / PERIOD
     )

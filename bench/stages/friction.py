@@ -1,7 +1,7 @@
 """Friction measured by pushes of the plate, compared with the simulator's.
 
-Eight parts, whose friction differs from each other and over the plate, are pushed as `plate
-friction` does; the detector sees them in rendered images with noise.
+Eight parts are pushed as by `plate friction`. Their friction differs between parts and over the
+plate. The detector gets rendered images with noise.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from plate_sim.world import Disturbances, Simulation
 from plate_vision import Tracker, make_vision, observe
 
 IMAGES, IMAGE_S = 4, 0.1
-"""Images at rest after each push, and the time between two [s]."""
+"""Number of images at rest after each push, and the time between two of them [s]."""
 
 PLACES = [(x, y) for x in (-0.18, -0.06, 0.06, 0.18) for y in (-0.05, 0.05)]
-"""Places of the parts [m, plate_home]."""
+"""Positions of the parts [m, plate_home]."""
 
 WORLDS = (
     (0.15, 0.0, 0.0, 1.0), (0.15, 0.2, 0.0, 1.2), (0.25, 0.0, 0.0, 1.2), (0.25, 0.1, 0.0, 1.0),
@@ -65,13 +65,13 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def parts_at(places: Sequence[tuple[float, float]]) -> Scenario:
-    """Return a scenario with round parts at places [m, plate_home]."""
+    """Return a scenario with round parts at these positions [m, plate_home]."""
     groups = (PartGroup("black", len(places), tuple(places)),)
     return replace(load_scenario("sort_4"), parts=groups)
 
 
 def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, Any]:
-    """Return the mean of true and measured values, and the worst errors, over some seeds."""
+    """Return the means of true and measured values, and the maximum errors, over several seeds."""
     mu, spread, patches, static = world
     values = []
     for seed in seeds:
@@ -99,12 +99,12 @@ def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, A
 def measured(
     rig: Rig, scenario: Scenario, seed: int, mu: float, world: Disturbances
 ) -> tuple[FrictionFound, dict[str, float]]:
-    """Return the measured friction, and the true mu of each part, mean along its path.
+    """Return the measured friction, and the true mu of each part, averaged along its path.
 
     Raises
     ------
     PlateError
-        If the measurement refuses.
+        If the measurement fails.
     """
     simulation = Simulation(rig, scenario, seed, world, mu_scale=mu / rig.friction.mu)
     vision, tracker, now = make_vision(rig), Tracker(), 0.0

@@ -18,7 +18,7 @@ from harness import ROOT, Result, Table
 TRANSPORTS = {"sim": "In simulation", "serial": "Over a serial line"}
 
 MESSAGES, QUICK_MESSAGES = 10_000, 500
-"""Malformed, to each node."""
+"""Number of malformed messages to each node."""
 
 GOALS, QUICK_GOALS = 200, 10
 
@@ -26,11 +26,11 @@ FAULTS = {key: key for key in ("fault", "node", "task_status", "plate rests", "t
 """Columns of the tables of faults; the case `faults` also prints what diagnostics said."""
 
 MINUTES, QUICK_MINUTES = 8.0, 0.5
-"""Of sorting."""
+"""Duration of sorting [min]."""
 
 
 def measure(quick: bool) -> Result:
-    """Run the programs one after the other."""
+    """Run the cases one after the other."""
     from cases.faults import cells
 
     nodes = ("--nodes", "planner", "driver") if quick else ()
@@ -76,7 +76,7 @@ def run_case(case: str, *words: object) -> Any:
             case,
             *map(str, words),
         ]
-        # Its exit code says whether all is well: so do the rows.
+        # The exit code is ignored, because the rows contain the same information.
         done = subprocess.run(
             [*command, "--json", str(path)], capture_output=True, text=True, check=False
         )
@@ -86,7 +86,7 @@ def run_case(case: str, *words: object) -> Any:
 
 
 def memory(hours: dict[str, Any]) -> Table:
-    """Return each node's memory over the minutes of sorting, and its share of a core."""
+    """Return each node's memory during sorting, and its fraction of a CPU core."""
     rows = [
         row | {"slope": f"{row['mb_per_hour']:.1f} ± {row['interval']:.1f}",
                "cpu": 100 * row["cpu_share"]}

@@ -1,6 +1,8 @@
-"""Hostile scenes of parts of any outline: drawn at sub-pixels, lit, shaded, blurred, photographed.
+"""Difficult scenes of parts of any outline: drawn at sub-pixels, with light, shadows, blur and
+noise.
 
-The parts are those of config/parts.yaml at the default rig's scale; the plate was seen bare before.
+The parts are those of config/parts.yaml at the scale of the default rig. The detector gets images
+of the bare plate before.
 """
 
 from __future__ import annotations
@@ -19,25 +21,25 @@ SIZE_PX = (640, 480)
 """Width and height of the scenes."""
 
 SCALE_PX_M = 1000.0
-"""Of a millimetre one pixel, as the default rig's camera sees it."""
+"""Scale: one pixel per millimetre, as in images of the default rig's camera [px/m]."""
 
 SUB = 8
-"""Sub-pixels along each side of a pixel."""
+"""Number of sub-pixels along each side of a pixel."""
 
 PARTS = 20
-"""In a scene."""
+"""Number of parts in a scene."""
 
 PLATES_LAB = ((80.0, 0.0, 2.0), (78.0, 6.0, 28.0), (14.0, 0.0, 0.0))
-"""Colours of the plate, in turns: light, wooden, black."""
+"""Colours of the plate, used in turn: light, wooden, black."""
 
 BARE = 5
-"""Images of the bare plate."""
+"""Number of images of the bare plate."""
 
 NOISE = 2.0
-"""Standard deviation of the camera's noise [grey levels], of each colour by itself."""
+"""Standard deviation of the camera's noise in each colour [grey levels]."""
 
 TRIES = 4000
-"""To find a place for a part."""
+"""Maximum number of attempts to place the parts."""
 
 
 @dataclass(frozen=True)
@@ -51,16 +53,16 @@ class Part:
 
     @property
     def reach_px(self) -> float:
-        """Greatest distance of its rim from its centre [px]."""
+        """Maximum distance of its contour from its centre [px]."""
         return self.kind.reach_m * self.scale
 
     @property
     def radius_px(self) -> float:
-        """Radius of the disc of its area [px]."""
+        """Radius of the disc with the same area [px]."""
         return float(np.sqrt(self.kind.area_m2 / np.pi)) * self.scale
 
     def corners_px(self, polygon: np.ndarray) -> np.ndarray:
-        """Corners (n, 2) [px] of a polygon (n, 2) [m] of its type; y down."""
+        """Return the corners (n, 2) [px], y down, of a polygon (n, 2) [m] of its type."""
         c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
         return np.asarray(
             self.scale * (polygon @ np.array([[c, s], [-s, c]])) * (1, -1) + self.centre_px
@@ -68,7 +70,7 @@ class Part:
 
     @property
     def middle_px(self) -> np.ndarray:
-        """Centre (2,) [px] of its area as it was drawn."""
+        """Centre (2,) of its drawn area [px]."""
         kind = self.kind
         return self.corners_px(
             moments(kind.polygon, [np.array(hole) for hole in kind.holes])[1][None]
@@ -77,7 +79,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of scene: how it differs from an easy one."""
+    """A kind of scene, as its differences from an easy one."""
 
     name: str
     types: tuple[str, ...] = ()
@@ -127,7 +129,8 @@ def kinds() -> list[Kind]:
 
 
 def has_room(part: Part, others: list[Part], gap_px: float) -> bool:
-    """Whether a part is further from others than a gap, each taken for a disc about its centre."""
+    """Whether the gap between a part and all others is large enough, between their circumscribed
+    discs."""
     return all(
         np.hypot(*(part.centre_px - other.centre_px)) > part.reach_px + other.reach_px + gap_px
         for other in others
@@ -137,7 +140,8 @@ def has_room(part: Part, others: list[Part], gap_px: float) -> bool:
 def scattered(
     parts: list[Part], count: int, gap_px: float, drawn: Callable[[], Part]
 ) -> list[Part]:
-    """Add parts as they are drawn, as far as there is room, until they are so many."""
+    """Add random parts that keep the gap to others, until there are `count` parts or after
+    `TRIES`."""
     for _ in range(TRIES):
         if len(parts) >= count:
             break
@@ -148,7 +152,7 @@ def scattered(
 
 
 def apart(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
-    """Scatter parts that lie wholly in the image, with a gap between any two."""
+    """Scatter parts that are completely in the image, with a gap between any two."""
 
     def drawn() -> Part:
         part = any_part(types, rng)
@@ -159,7 +163,7 @@ def apart(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[P
 
 
 def at_the_border(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
-    """Scatter parts, and eight more that the border of the image cuts."""
+    """Scatter parts, and eight more at the border of the image."""
     width, height = SIZE_PX
 
     def drawn() -> Part:
@@ -173,12 +177,12 @@ def at_the_border(kind: Kind, types: list[PartType], rng: np.random.Generator) -
 
 
 def chains(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
-    """Rows of three to five parts, each of which touches the one before."""
+    """Scatter rows of three to five parts. Each part touches the previous one."""
     return touching(kind, types, rng, np.deg2rad(40), around=False)
 
 
 def clusters(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
-    """Heaps of three to five parts that lie around the first of them."""
+    """Scatter groups of three to five parts. All others touch the first one."""
     return touching(kind, types, rng, np.pi, around=True)
 
 
@@ -193,7 +197,7 @@ def touching(
         heading = rng.uniform(0, 2 * np.pi)
         group = [moved(any_part(types, rng), rng.uniform((60, 60), np.array(SIZE_PX) - 60))]
         count = int(rng.integers(3, 6))
-        any_part(types, rng)  # by which the scenes stay what they have always been
+        any_part(types, rng)  # draws random numbers, so that the scenes are the same as ever
         for _ in range(count - 1):
             base = group[0] if around else group[-1]
             part = attached(any_part(types, rng), base, group, heading, bend, rng)
@@ -206,7 +210,7 @@ def touching(
 
 
 def seen_inside(part: Part) -> bool:
-    """Whether a part, taken for a disc about its centre, is 3 px off the border of the image."""
+    """Whether the circumscribed disc of a part is at least 3 px from the border of the image."""
     room = part.reach_px + 3
     return bool(np.all(part.centre_px > room) and np.all(part.centre_px < np.array(SIZE_PX) - room))
 
@@ -214,8 +218,8 @@ def seen_inside(part: Part) -> bool:
 def attached(
     part: Part, base: Part, group: list[Part], heading: float, bend: float, rng: np.random.Generator
 ) -> Part | None:
-    """Return a part that touches the base and none else of its group, pushed from a direction up to
-    `bend` off `heading` [rad]; None if none is found."""
+    """Return a part that touches only the base of its group, or None if none is found. It is pushed
+    from a random direction within `bend` of `heading` [rad]."""
     for _ in range(20):
         part = pushed(part, base, heading + rng.uniform(-bend, bend))
         if not any(overlap(part, other) for other in group if other is not base):
@@ -224,7 +228,7 @@ def attached(
 
 
 def pushed(part: Part, base: Part, way: float) -> Part:
-    """Return a part pushed against another one from a direction [rad], until it touches."""
+    """Return a part moved towards another one from a direction [rad] until they touch."""
     ray = np.array([np.cos(way), np.sin(way)])
     near, far = 0.0, base.reach_px + part.reach_px + 1
     while far - near > 0.05:
@@ -247,24 +251,24 @@ def overlap(one: Part, other: Part) -> bool:
 
 
 def any_part(types: list[PartType], rng: np.random.Generator) -> Part:
-    """Return a part of any of the types, at any angle."""
+    """Return a part of a random type at a random angle."""
     return Part(types[rng.integers(len(types))], np.zeros(2), float(rng.uniform(0, 2 * np.pi)))
 
 
 def moved(part: Part, centre_px: np.ndarray) -> Part:
-    """Return a part elsewhere."""
+    """Return a part at another centre."""
     return Part(part.kind, np.asarray(centre_px, float), part.angle_rad)
 
 
 def seen_whole(part: Part) -> bool:
-    """Whether a part lies wholly in the image."""
+    """Whether a part is completely in the image."""
     corners = part.corners_px(part.kind.polygon)
     return bool(np.all(corners > 0.5) and np.all(corners < np.array(SIZE_PX) - 1.5))
 
 
 def solid(part: Part, low: np.ndarray, side: int) -> np.ndarray:
-    """Return the sub-pixels (SUB side, SUB side) bool of a part, less its holes, in a window of the
-    image whose first pixel is `low`."""
+    """Return the sub-pixels (SUB side, SUB side) bool of a part without its holes, in a window of
+    the image with the first pixel `low`."""
     inside = np.zeros((SUB * side, SUB * side), np.uint8)
     kind = part.kind
     for polygon, value in [(kind.polygon, 1), *((np.array(hole), 0) for hole in kind.holes)]:
@@ -275,7 +279,7 @@ def solid(part: Part, low: np.ndarray, side: int) -> np.ndarray:
 
 
 def cover(part: Part, low: np.ndarray, side: int) -> np.ndarray:
-    """Return how much of each pixel (side, side) of that window a part covers."""
+    """Return the fraction of each pixel (side, side) of such a window that a part covers."""
     return np.asarray(solid(part, low, side).reshape(side, SUB, side, SUB).mean(axis=(1, 3)))
 
 
@@ -288,7 +292,7 @@ def window(part: Part) -> tuple[np.ndarray, int]:
 def draw(
     kind: Kind, parts: list[Part], plate: np.ndarray, light: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return the picture (H, W, 3) or (H, W) uint8 of parts on a plate (H, W, 3)."""
+    """Return an image (H, W, 3) or (H, W) uint8 of parts on a plate (H, W, 3)."""
     width, height = SIZE_PX
     picture = plate.astype(np.float32)
     covers = []
@@ -325,7 +329,7 @@ def shine(
     paint: np.ndarray, cover: np.ndarray, x: np.ndarray, y: np.ndarray, part: Part,
     rng: np.random.Generator,
 ) -> np.ndarray:  # fmt: skip
-    """Return the colours (h, w, 3) of a part with a white spot of 2 to 5 % of its area on it."""
+    """Return the colours (h, w, 3) of a part with a white spot on it, 2 to 5 % of its area."""
     rows, columns = np.nonzero(cover > 0.99)
     spot = rng.integers(len(rows))
     radius = part.radius_px * np.sqrt(rng.uniform(0.02, 0.05))
@@ -337,7 +341,7 @@ def shine(
 def photographed(
     kind: Kind, picture: np.ndarray, light: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return what the camera makes of a scene (H, W, 3): uint8."""
+    """Return the camera image of a scene (H, W, 3), uint8."""
     blur = rng.uniform(*kind.blur_px)
     picture = cv2.GaussianBlur(picture, (0, 0), blur) * light
     if kind.vignetting:
@@ -369,7 +373,7 @@ def bare_plate(kind: Kind, lab: tuple[float, ...], rng: np.random.Generator) -> 
 
 
 def lab_of(part: Part, rng: np.random.Generator) -> np.ndarray:
-    """Return the colour (3,) of one part: that of its type, a little off."""
+    """Return the colour (3,) of one part, with a small random deviation from its type's."""
     return np.asarray(part.kind.colour_lab) + rng.normal(0, 2, 3)
 
 
@@ -382,7 +386,7 @@ def bgr(lab: np.ndarray) -> np.ndarray:
 def scenes(
     kind: Kind, numbers: Iterable[int]
 ) -> Iterator[tuple[Background, np.ndarray, list[Part]]]:
-    """Give scenes of one kind: the plate as it was learned, a picture, and the parts in it."""
+    """Yield scenes of one kind: the learned background, an image, and the parts in it."""
     every = all_types()
     types = [every[name] for name in kind.types or every]
     for number in numbers:

@@ -1,6 +1,6 @@
-"""Method B: what is solved, what is proven out of reach.
+"""Method B: fractions of requests that are solved, and that are proven unreachable.
 
-Requests are fresh: no seed here was used while the solver was made. All answers are judged by
+No seed of these requests was used during the development of the solver. All results are checked by
 `average_force` on the finished cycle.
 """
 
@@ -21,14 +21,14 @@ SEED = 30_000
 """First seed of the requests; the number of parts and harmonics is added."""
 
 CASES = ((3, 2), (4, 2), (5, 2), (5, 3), (6, 3), (7, 3), (8, 3))
-"""Parts M and harmonics N: up to where the rank, 6 N - 2, no longer allows 2 M numbers."""
+"""Numbers of parts M and harmonics N, up to cases with 2 M > 6 N - 2, the rank of the motions."""
 
 TEN_TIMES = 1000
-"""Restarts of the search that shows what more of them find; the solver's own: 100."""
+"""Number of restarts in a longer search, for comparison. The solver uses 100."""
 
 
 def measure(quick: bool) -> Result:
-    """Ask for forces, as many parts and harmonics as there may be."""
+    """Solve random requests for all numbers of parts and harmonics."""
     rig = load_rig()
     fates = [fate(rig, parts, number, 3 if quick else 30) for parts, number in CASES]
     free = [fate(rig, parts, 0, 2 if quick else 15) for parts in (3, 4, 5, 6, 8)]
@@ -36,7 +36,8 @@ def measure(quick: bool) -> Result:
 
 
 def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
-    """Tell how many requests are solved, proven out of reach, or neither."""
+    """Return the row of a case: numbers of requests that are solved, proven unreachable, or
+    neither."""
     solver = SinusoidSolver(rig, harmonics=number)
     thorough = SinusoidSolver(rig, harmonics=number, restarts=TEN_TIMES)
     rng = np.random.default_rng(SEED + 100 * parts + number)

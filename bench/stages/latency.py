@@ -1,9 +1,9 @@
-"""Image to motors in the real graph, beside one that only forwards.
+"""Latency from image to motors in the real graph, compared with a graph that only forwards.
 
-Nodes in processes of their own, then all in one. Both graphs run at the same time and take turns:
-the forwarders' image comes half a cycle after the real one. Their messages have the real ones'
-topics, types and sizes. Times are those at which the middleware published a message; the observer's
-own pace does not count.
+The nodes run in separate processes, then all in one. Both graphs run at the same time and
+alternate: the image of the forwarding graph follows half a cycle after the real one. Its messages
+have the same topics, types and sizes. Times are the middleware's publication times, so the
+observer's speed has no effect.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from harness import Result, Table
 
 TASKS = 4
 QUICK_S = 6.0
-"""Length of the only task of a quick run [s]."""
+"""Length of the single task of a quick run [s]."""
 
 
 def measure(quick: bool) -> Result:
-    """Sort ten parts in real time, beside the forwarders."""
+    """Sort ten parts in real time, while the forwarding graph runs."""
     apart, together = measured(quick, one_process=False), measured(quick, one_process=True)
     shares = apart[1] | {"all in one process": together[1]["one_process"]}
     tables = [
@@ -34,7 +34,7 @@ def measure(quick: bool) -> Result:
 
 
 def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
-    """Run the graph and the forwarders; return the rows of the stages, and the shares of a core."""
+    """Run both graphs. Return the rows of the stages, and the fractions of a CPU core."""
     from graph.series import TASK_S, stages_ms, work_again
 
     from plate_bringup import RunOptions
@@ -55,7 +55,7 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
 
 
 def cpu(shares: dict[str, float]) -> list[dict[str, Any]]:
-    """Return the share of a core [%] of each process but the forwarders."""
+    """Return the fraction of a CPU core of each process of the real graph [%]."""
     own = {name: share for name, share in shares.items() if not name.startswith("beside_")}
     return [{"node": name, "cpu": 100 * share} for name, share in own.items()]
 

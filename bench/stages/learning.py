@@ -1,8 +1,8 @@
-"""Learning the plate: error of realised harmonics.
+"""Learning the plate's response: error of realised harmonics.
 
-The simulated plate hangs at 35 Hz with 3 % damping, off-centre; its motors push 15 % too much or
-too little, with a bandwidth of 200 Hz; sensors are read every 10 ms, with noise. The cycles judged
-are none that the procedure has seen.
+The simulated plate has a suspension with 35 Hz and 3 % damping, and an off-centre mass. The forces
+of its motors are 15 % too large or too small, with a bandwidth of 200 Hz. Sensors are read every
+10 ms, with noise. The evaluated cycles are not used by the procedure.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ NOISE = 0.2
 
 PERIOD, HARMONICS = 0.2, 8
 CYCLES = 10
-"""Cycles judged, each repeated until the plate is in its rhythm."""
+"""Number of evaluated cycles. Each is repeated until the plate's motion is periodic."""
 
 TRUST = 0.3
-"""Of what an experiment after the calibration says."""
+"""Weight of an experiment after the calibration."""
 
 MOST = 10
-"""Iterations: the calibration's three experiments, then more of them."""
+"""Number of iterations: the three experiments of the calibration, then further ones."""
 
 
 def measure(quick: bool) -> Result:
-    """Learn, and judge after each iteration."""
+    """Learn the response, and evaluate it after each iteration."""
     rig = load_rig()
     rows = iterations(rig, 3 if quick else CYCLES)
     facts = {"hz": HZ, "damping": 100 * DAMPING, "mismatch": 100 * MISMATCH, "noise": NOISE}
@@ -51,8 +51,8 @@ def measure(quick: bool) -> Result:
 
 
 def hung(rig: Rig, frequency: float = HZ) -> Rig:
-    """Return the rig on flexures of a natural frequency [Hz], its motors unequal, its centre of
-    mass off the middle."""
+    """Return the rig on flexures of a natural frequency [Hz], with unequal motors and an off-centre
+    mass."""
     mass = mass_matrix(rig.plate.mass_kg, 0.075, (0.01, -0.005))
     damping, stiffness = modal_matrices(mass, np.full(3, frequency), np.full(3, DAMPING))
     gain = (1 + MISMATCH, 1 - MISMATCH) * 2
@@ -93,7 +93,8 @@ class Plate:
         return motion
 
     def read(self, cycle: PlateCycle, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Play a cycle; return times since its start (n,) and what the sensors say (n, 4) twice."""
+        """Play a cycle `times` times. Return times since its start (n,), and two arrays of sensor
+        values (n, 4)."""
         begin, parts = self.rng.uniform(0, SAMPLE_S), []
         for k in range(times):
             motion = self.play(cycle)
@@ -117,7 +118,7 @@ def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
 
 
 def judged(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
-    """Return a row: errors of cycles that nobody has seen."""
+    """Return a row with the errors of cycles that the procedure does not use."""
     tries = [wanted(1000 + k) for k in range(cycles)]
     errors = [error(rig, cycle, response.command(cycle)) for cycle in tries]
     return {"iteration": iteration, "median": float(np.median(errors)), "most": max(errors)}

@@ -1,8 +1,8 @@
-"""The model of parts: cost and error by scene, beside the judge and pymunk.
+"""The simulator's model of parts: cost and error by scene, compared with the reference and pymunk.
 
-Scenes where nothing touches, parts touch, the plate turns, or hangs on flexures; for each number of
-parts the cost of a plate cycle and the error at its end. Beside it the judge (points, event by
-event) and pymunk.
+In the scenes parts are apart or touch, or the plate rotates or has a suspension. For each number of
+parts the cost of a plate cycle and the error at its end are measured. The reference simulates
+points event by event.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from stages.pymunk_scene import PymunkScene
 KINDS = ("apart", "turning", "touching", "touching and turning", "suspension")
 COUNTS = (1, 3, 10, 30, 100)
 PERIOD, HARMONICS, SIZE_M = 0.1, 4, 2.5e-3
-"""Of the plate's motion [s], [-], and about how far it goes along x and y [m]."""
+"""Period [s], number of harmonics, and approximate amplitude [m] of the plate's motion."""
 
 TURN = 0.03
-"""About how far it turns where it does [rad]."""
+"""Approximate amplitude of its rotation, in scenes with rotation [rad]."""
 
 RIMS = 0.2
-"""Friction between rims where parts touch while the plate turns."""
+"""Friction coefficient between parts that touch on a rotating plate."""
 
 CYCLES = 3
-"""In a timed run; the error is that of the first."""
+"""Number of cycles in a timed run. The error is measured after the first one."""
 
 FINE = 1e-5
-"""Step by which scenes are judged where points are not what parts are [s]."""
+"""Time step of the reference in scenes where parts cannot be simulated as points [s]."""
 
 PEER_STEP = 1e-3
-"""Of pymunk [s]."""
+"""Time step of pymunk [s]."""
 
 MODEL, JUDGE, PYMUNK = "one model", "by events", "pymunk"
 
@@ -72,7 +72,7 @@ class Scene:
 
     @classmethod
     def of(cls, kind: str, count: int) -> Scene:
-        """Return a scene of so many parts: on a grid, in motion."""
+        """Return a scene with `count` moving parts on a grid."""
         rig, touching, turns = load_rig(), "touching" in kind, "turning" in kind
         spacing = 2 * rig.parts.radius_m + 4e-4 if touching else 0.037
         k, columns = np.arange(count), int(np.ceil(np.sqrt(2 * count)))
@@ -86,7 +86,7 @@ class Scene:
         )  # fmt: skip
 
     def motions(self, cycles: int) -> Iterator[PlateCycle | PlateMotion]:
-        """Yield what the plate really does in each cycle."""
+        """Yield the plate's actual motion in each cycle."""
         plate = PlateState.at_rest()
         for _ in range(cycles):
             if self.rig.suspension is None:
@@ -96,14 +96,14 @@ class Scene:
                 yield motion
 
     def run(self, cycles: int = CYCLES, step: float = STEP) -> np.ndarray:
-        """Return where the world puts the parts (M, 2) [m]."""
+        """Return the final positions of the parts by the simulator's world (M, 2) [m]."""
         state = self.state
         for motion in self.motions(cycles):
             state = run_cycle(state, motion, self.rig, step=step, contacts=self.contacts)
         return state.position
 
     def judge(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
-        """Return where points that never meet end (M, 2) [m]."""
+        """Return the final positions of points without collisions (M, 2) [m]."""
         place, speed, friction = self.state.position, self.state.velocity, self.rig.friction
         for motion in self.motions(cycles):
             run = simulate(motion, place, speed, friction.mu, friction.gravity, 1, 1, tolerance)
@@ -111,13 +111,14 @@ class Scene:
         return place
 
     def truth(self) -> np.ndarray:
-        """Return where the parts end after one cycle (M, 2) [m]."""
+        """Return the reference positions of the parts after one cycle (M, 2) [m]."""
         if self.kind in ("apart", "suspension"):
             return self.judge(1, 1e-10)
         return self.run(1, step=FINE)
 
     def in_pymunk(self, cycles: int = CYCLES) -> PymunkScene:
-        """Build it in pymunk, which has no friction that turns a part on a plate that turns."""
+        """Return the scene in pymunk, which does not simulate the friction torque of a rotating
+        plate."""
         radius = self.rig.parts.radius_m if "touching" in self.kind else 0.0
         return PymunkScene(
             self.cycle, PEER_STEP, cycles * PERIOD, self.state.position,
@@ -126,7 +127,7 @@ class Scene:
 
 
 def shaking(turn: float) -> PlateCycle:
-    """Return a motion of several harmonics along x and y, that turns by `turn` [rad] or not."""
+    """Return a motion of several harmonics along x and y, and rotations of about `turn` [rad]."""
     t, h = np.arange(96) / 96, np.arange(1, HARMONICS + 1)[:, None, None]
     rng = np.random.default_rng(7)
     phase, size = rng.uniform(0, 2 * np.pi, (HARMONICS, 3, 1)), rng.normal(size=(HARMONICS, 3, 1))

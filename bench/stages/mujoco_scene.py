@@ -1,9 +1,10 @@
-"""The simulator's other peer: the same scenes in MuJoCo.
+"""Baseline of the simulator: the same scenes in MuJoCo.
 
-A plate moved as a mocap body drags nothing. So the scene is the plate's frame, under a gravity that
-shakes. Parts on a plane err by several percent at every step, as a contact that slides also lifts
-them. Best of what was tried is the dry friction of two slide joints in each part: as good as pymunk
-where the plate moves along one joint, else too strong across, by up to a root of two.
+A plate that moves as a mocap body does not drag parts. So the scene is in the plate's frame, with
+shaking gravity. Parts on a plane have errors of several percent at every time step, because a
+sliding contact also lifts them. The best tested model is the dry friction of two slide joints per
+part. It is as accurate as pymunk if the plate moves along one joint. In other directions friction
+is too strong, by up to sqrt(2).
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ import numpy as np
 from plate_core import PlateCycle
 
 MASS, GRAVITY = 0.02, 9.81
-"""Of a part [kg], which drops out of the motion; [m/s2]."""
+"""Mass of a part [kg], which has no effect on the motion, and gravity [m/s2]."""
 
 POINT_M = 1e-3
-"""Radius of parts that never meet [m]: of no effect."""
+"""Radius of parts without collisions [m]. It has no effect."""
 
 SCENE = """<mujoco>
 <option timestep="{dt}" gravity="0 0 0" tolerance="1e-12" iterations="50"/>
@@ -39,12 +40,12 @@ WALL = '<geom type="plane" size="1 1 1" pos="{x} {y} 0" zaxis="{i} {j} 0"/>'
 
 
 class MujocoScene:
-    """Parts in the plate's frame; the plate does not turn.
+    """Parts in the frame of a plate that does not rotate.
 
     Parameters
     ----------
     cycle : PlateCycle
-        Motion of the plate, repeated. Steps need not fit the period: the scene runs freely.
+        Motion of the plate, repeated. The period need not be a multiple of the time step.
     dt, span : float
         Step and time that one `run` simulates [s].
     position, velocity : (M, 2)
@@ -70,7 +71,7 @@ class MujocoScene:
         if half is not None:
             sides = ((1, 0), (-1, 0), (0, 1), (0, -1))
             walls = [WALL.format(x=-i * half[0], y=-j * half[1], i=i, j=j) for i, j in sides]
-        # The stiffest that MuJoCo takes is a time constant of two steps.
+        # The stiffest contact that MuJoCo permits has a time constant of two steps.
         text = SCENE.format(
             dt=dt, soft=2 * dt, loss=MASS * GRAVITY * mu, mass=MASS,
             stiffness=-1 / (2 * dt) ** 2, damping=-2 / (2 * dt),
@@ -83,22 +84,22 @@ class MujocoScene:
         twist = cycle.twist((np.arange(round(span / dt) + 1) * dt) % cycle.period)[:, :2]
         self.data.qvel[:] = (np.zeros_like(position) if velocity is None else velocity).ravel()
         self.data.qvel.reshape(-1, 2)[:] -= twist[0]
-        # The mean over a step: at its middle, errors are larger.
+        # Use the mean over each step, because the value at its middle causes larger errors.
         self.shake = -np.diff(twist, axis=0) / dt
         self.moved = (cycle.pose(span % cycle.period) - cycle.pose(0.0))[0, :2]
 
     def run(self) -> np.ndarray:
-        """Advance; returns positions (M, 2) [m], plate_home."""
+        """Simulate `span`. Return positions (M, 2) [m], plate_home."""
         for place in self.steps():
             end = place
         return np.asarray(self.start + end + self.moved)
 
     def trace(self) -> np.ndarray:
-        """Advance; returns places after every step (k, M, 2), in the plate."""
+        """Simulate `span`. Return positions in the plate's frame after every step (k, M, 2) [m]."""
         return np.array([self.start + place for place in self.steps()])
 
     def steps(self) -> Iterator[np.ndarray]:
-        """Advance; yields how far the parts are in the plate (M, 2) [m] after every step."""
+        """Simulate `span`. Yield positions in the plate's frame (M, 2) [m] after every step."""
         for accel in self.shake:
             self.model.opt.gravity[:2] = accel
             self.advance(self.model, self.data)
