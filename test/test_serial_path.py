@@ -67,7 +67,7 @@ def test_tables_arrive_and_are_played_as_often_as_asked(firmware):
         assert abs(sample.time - sample.device_s) < 3e-3
     starts, told = CycleStarts(firmware.now - 0.5), []
     for sample in measured:
-        starts, start, problem = starts.heard(sample, PERIOD, firmware.now)
+        starts, start, problem = starts.updated(sample, PERIOD, firmware.now)
         assert problem == ""
         told += [] if start is None else [start]
     np.testing.assert_allclose(np.diff(told), PERIOD, atol=4e-3)
@@ -469,7 +469,7 @@ def test_a_brake_is_no_problem_of_the_clock(firmware):
     measured = pass_time(firmware, transport, 1.0)
     assert State.BRAKING in firmware.states[-1000:]
     for sample in measured:
-        starts, _, problem = starts.heard(sample, PERIOD, firmware.now)
+        starts, _, problem = starts.updated(sample, PERIOD, firmware.now)
         assert problem == ""
 
 

@@ -48,7 +48,7 @@ def cycle_starts(measured) -> list[tuple[float, float]]:
     starts, told = CycleStarts(measured[0].time), []
     for sample in measured:
         period = sample.playing.cycle.period if sample.playing else PERIOD
-        starts, began, problem = starts.heard(sample, period, sample.time)
+        starts, began, problem = starts.updated(sample, period, sample.time)
         assert problem == ""
         told += [] if began is None or not sample.playing else [(began, period)]
     return told

@@ -15,7 +15,7 @@ import numpy as np
 from harness import Result, Table
 from plate_core import PlateCycle, PlateError, Rig, load_rig
 from plate_core.tasks import PartGroup, Scenario, load_scenario
-from plate_driver.friction import FrictionFound, FrictionMeasurement, Rest
+from plate_driver.friction import FrictionMeasurement, FrictionResult, Rest
 from plate_driver.setpoints import prepare
 from plate_sim.world import Disturbances, Simulation
 from plate_vision import Tracker, make_vision, observe
@@ -98,7 +98,7 @@ def row(rig: Rig, world: tuple[float, ...], seeds: Sequence[int]) -> dict[str, A
 
 def measured(
     rig: Rig, scenario: Scenario, seed: int, mu: float, world: Disturbances
-) -> tuple[FrictionFound, dict[str, float]]:
+) -> tuple[FrictionResult, dict[str, float]]:
     """Return the measured friction, and the true mu of each part, averaged along its path.
 
     Raises
@@ -142,4 +142,4 @@ def measured(
         tracker, now, rest = look(tracker, now)
         measurement = measurement.after(rest)
     mean = np.mean(true, axis=0)
-    return measurement.found, {name: float(mean[number]) for name, number in row_of.items()}
+    return measurement.result, {name: float(mean[number]) for name, number in row_of.items()}

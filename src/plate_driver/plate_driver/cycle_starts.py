@@ -59,7 +59,7 @@ class CycleStarts:
     last: Measured | None = None
     slip: float = 0.0
 
-    def heard(
+    def updated(
         self, new: Measured, period: float, now: float
     ) -> tuple[CycleStarts, float | None, str]:
         """Update the state with telemetry. A tail counts as a separate cycle.
@@ -85,7 +85,7 @@ class CycleStarts:
         if not new.table:
             if new.time < self.until:
                 return seen, None, ""
-            return seen._told(new, self.until, period), self.until, ""
+            return seen._with_start(new, self.until, period), self.until, ""
         if new.playing is None:
             return seen, None, ""
         slip, problem = self._problem(new, new.playing.cycle.period, now)
@@ -93,9 +93,9 @@ class CycleStarts:
         same = new.table == self.table and new.began - self.began < SAME_START * period
         if problem or same:
             return seen, None, problem
-        return seen._told(new, new.began, new.playing.length), new.began, ""
+        return seen._with_start(new, new.began, new.playing.length), new.began, ""
 
-    def _told(self, new: Measured, began: float, length: float) -> CycleStarts:
+    def _with_start(self, new: Measured, began: float, length: float) -> CycleStarts:
         until = max(began + length, new.time)
         return replace(self, table=new.table, began=began, until=until)
 
@@ -163,7 +163,7 @@ class StartReporter:
         cycle = PlateCycle.rest(REST_CYCLE_S)
         if measured.table and measured.playing is not None:
             cycle = self._playback.motion(measured.playing)
-        self._starts, began, problem = self._starts.heard(measured, cycle.period, now)
+        self._starts, began, problem = self._starts.updated(measured, cycle.period, now)
         if problem:
             self._playback.note(NO_START)
             problem = f"{NO_START}: table {measured.table} {problem}"

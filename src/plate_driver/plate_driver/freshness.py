@@ -52,9 +52,9 @@ class Freshness:
         Stamp of the last request of a task that has ended.
     number : int or None
         Number of stops before the motors became ready. None if they are not ready.
-    looked : float
-        Time of the last call of `seen` [s, steady clock].
-    heard : dict of bytes to float
+    updated_at : float
+        Time of the last call of `with_state` [s, steady clock].
+    last_cycles : dict of bytes to float
         Time of the last cycle of each publisher [s, steady clock]. The key identifies the
         publisher.
     """
@@ -63,10 +63,10 @@ class Freshness:
     why: str = ""
     ended_ns: int = 0
     number: int | None = None
-    looked: float = 0.0
-    heard: dict[bytes, float] = field(default_factory=dict)
+    updated_at: float = 0.0
+    last_cycles: dict[bytes, float] = field(default_factory=dict)
 
-    def seen(self, number: int | None, now: float, clock_ns: int) -> Freshness:
+    def with_state(self, number: int | None, now: float, clock_ns: int) -> Freshness:
         """Record whether the motors are ready. Call this about every 20 ms.
 
         Parameters
@@ -78,12 +78,12 @@ class Freshness:
         clock_ns : int
             The same time on the clock that stamps images.
         """
-        away, why = now - self.looked, ""
+        away, why = now - self.updated_at, ""
         if number is not None and number != self.number:
             why = "the motors became ready"
         elif number is not None and away > STANDSTILL_S:
             why = f"the driver itself stood still for {away:.1f} s"
-        new = replace(self, number=number, looked=now)
+        new = replace(self, number=number, updated_at=now)
         return replace(new, since_ns=clock_ns, why=why) if why else new
 
     def ended(self, stamp_ns: int) -> Freshness:
@@ -95,13 +95,13 @@ class Freshness:
         old = not stamp_ns or 0 < self.ended_ns - stamp_ns < RESTART_NS
         return self if old else replace(self, ended_ns=stamp_ns)
 
-    def came(self, source: bytes, now: float) -> Freshness:
+    def with_cycle(self, source: bytes, now: float) -> Freshness:
         """Record that publisher `source` sent a cycle, moving or at rest, at `now` [s, steady
         clock]."""
-        recent = {key: at for key, at in self.heard.items() if now - at < ALONE_S}
-        return replace(self, heard=recent | {source: now})
+        recent = {key: at for key, at in self.last_cycles.items() if now - at < ALONE_S}
+        return replace(self, last_cycles=recent | {source: now})
 
-    def left(self, stamp_ns: int, clock_ns: int, period: float) -> float:
+    def remaining_s(self, stamp_ns: int, clock_ns: int, period: float) -> float:
         """Return the remaining time in which a moving cycle may be sent [s].
 
         Raises
@@ -117,8 +117,8 @@ class Freshness:
                 f"plate_cycle answers an image that is {age:.2f} s old, allowed: 0 to {limit:.2f} s"
                 f"; {'is the computer too slow?' if slow else clocks}"
             )
-        if len(self.heard) > 1:
-            raise CycleError(f"{len(self.heard)} nodes publish plate_cycle, allowed: one")
+        if len(self.last_cycles) > 1:
+            raise CycleError(f"{len(self.last_cycles)} nodes publish plate_cycle, allowed: one")
         if 0 < self.since_ns - stamp_ns < RESTART_NS:
             raise CycleError(f"plate_cycle answers an image from before {self.why}")
         if 0 <= self.ended_ns - stamp_ns < RESTART_NS:

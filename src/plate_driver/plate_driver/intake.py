@@ -92,7 +92,7 @@ class CycleIntake:
         status = self._status()
         number = self._latch.number if status.state is DriverState.READY else None
         now = 0.0 if self._clocks.simulated() else self._clocks.steady_s()
-        self._freshness = self._freshness.seen(number, now, self._clocks.stamp_ns())
+        self._freshness = self._freshness.with_state(number, now, self._clocks.stamp_ns())
         return status
 
     def accept(self, data: bytes, size: int, source: bytes, transport: TransportThread) -> Fit:
@@ -119,7 +119,7 @@ class CycleIntake:
             If it is refused. A `NotReadyError` if the motors are not ready.
         """
         number, status = self._latch.number, self.observe()
-        self._freshness = self._freshness.came(source, self._clocks.steady_s())
+        self._freshness = self._freshness.with_cycle(source, self._clocks.steady_s())
         if status.state is not DriverState.READY:  # this reason precedes all others
             self._playback.count_refused()
             raise NotReadyError(f"the driver is {status.text}")
@@ -155,5 +155,5 @@ class CycleIntake:
         clock_ns, simulated = self._clocks.stamp_ns(), self._clocks.simulated()
         if simulated:  # the clock may arrive after the cycle
             clock_ns = max(clock_ns, stamp_ns)
-        remaining = self._freshness.left(stamp_ns, clock_ns, cycle.period)
+        remaining = self._freshness.remaining_s(stamp_ns, clock_ns, cycle.period)
         return math.inf if simulated else remaining

@@ -13,7 +13,7 @@ POINT_BYTES = 256
 HEAD_BYTES = 4096
 """Maximum size of the part before the points [bytes]: the names of a frame and of three joints."""
 
-MOST_NAMES = 16
+MAX_NAMES = 16
 
 
 def check_length(data: bytes, size: int, most_points: int) -> None:
@@ -63,7 +63,7 @@ def _points(data: bytes) -> int | None:
     try:
         text()  # frame_id
         names = number()
-        if names > MOST_NAMES:
+        if names > MAX_NAMES:
             return None
         for _ in range(names):
             text()

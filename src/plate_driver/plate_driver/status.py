@@ -52,35 +52,35 @@ def driver_status(
     ) -> DriverStatus:
         return DriverStatus(state, reason, text, latch.enabled_ns)
 
-    asked = latch.reason
+    requested = latch.reason
     condition = Condition.GONE if report is None else report.condition
     if latch.unanswered and condition is Condition.GONE:
         return status(DriverState.ERROR, UNCERTAIN, DriverReason.STOP_UNANSWERED)
-    known = Report(condition) if report is None else report
+    current = Report(condition) if report is None else report
     # If the motors are ready and the latch is closed, the transport has not noticed the stop yet,
     # or the enable is not finished.
-    stopping = condition is Condition.READY and bool(asked) and not latch.enabling
+    stopping = condition is Condition.READY and bool(requested) and not latch.enabling
     if condition is Condition.BRAKING or (active and stopping):
-        why = asked or known.reason
-        text = f"braking: {asked.words if asked else known.text or 'stopped'}"
+        why = requested or current.reason
+        text = f"braking: {requested.words if requested else current.text or 'stopped'}"
         return status(DriverState.BRAKING, text, why)
     if report is None or not active:
         state = DriverState.UNCONFIGURED if report is None else DriverState.INACTIVE
         text = state.name.lower()
-        if asked in PERSONS:
-            return status(state, f"{text}: {asked.words}; {LOOK}", asked)
+        if requested in PERSONS:
+            return status(state, f"{text}: {requested.words}; {LOOK}", requested)
         return status(state, text)
     if condition is Condition.GONE:
-        return status(DriverState.ERROR, f"error: {known.text}", known.reason)
+        return status(DriverState.ERROR, f"error: {current.text}", current.reason)
     if condition is Condition.OFF:
-        if asked in PERSONS:
-            return status(DriverState.STOPPED, f"stopped: {asked.words}; {LOOK}", asked)
-        if known.reason not in (DriverReason.NONE, DriverReason.EARLIER_STOP):
-            return status(DriverState.STOPPED, f"stopped: {known.text}; {LOOK}", known.reason)
-        if asked or not known.reason:
-            return status(DriverState.DISABLED, OFF, asked)
+        if requested in PERSONS:
+            return status(DriverState.STOPPED, f"stopped: {requested.words}; {LOOK}", requested)
+        if current.reason not in (DriverReason.NONE, DriverReason.EARLIER_STOP):
+            return status(DriverState.STOPPED, f"stopped: {current.text}; {LOOK}", current.reason)
+        if requested or not current.reason:
+            return status(DriverState.DISABLED, OFF, requested)
         text = f"stopped: while this driver was not connected; {LOOK}"
-        return status(DriverState.STOPPED, text, known.reason)
+        return status(DriverState.STOPPED, text, current.reason)
     if condition is Condition.ENABLING or latch.enabling:
         return status(DriverState.ENABLING, "enabling: the plate goes home")
     if calibrating:

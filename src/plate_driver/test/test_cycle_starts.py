@@ -18,7 +18,7 @@ def told(telemetry):
     for time, table, ticks in telemetry:
         playing = TABLE if table else None
         new = Measured(time, time - OFFSET_S, table, (0,) * 4, (0,) * 4, playing, time - ticks)
-        starts, began, problem = starts.heard(new, PERIOD if table else 0.1, time + 0.004)
+        starts, began, problem = starts.updated(new, PERIOD if table else 0.1, time + 0.004)
         begins += [] if began is None else [began]
         problems += [problem] * bool(problem)
     return np.array(begins), problems
@@ -103,6 +103,6 @@ def test_a_jump_is_not_told_and_truth_is_again_after_it():
 
 def test_telemetry_ahead_of_our_time_is_not_believed():
     new = Measured(8.0, 3.0, 1, (0,) * 4, (0,) * 4, TABLE, 7.9)
-    _, began, problem = CycleStarts(0.0).heard(new, PERIOD, 7.0)
+    _, began, problem = CycleStarts(0.0).updated(new, PERIOD, 7.0)
     assert began is None
     assert problem == "measured 1 s ahead of our time"

@@ -174,8 +174,8 @@ def test_a_clock_that_no_pulse_tells_is_not_believed():
 def test_no_start_of_a_cycle_is_taken_from_a_clock_that_is_doubted():
     rest = (0.0,) * 4
     new = Measured(1.0, 5.0, 1, rest, rest, TABLE, 0.9, "the device's clock went back by 1.000 s")
-    starts = CycleStarts(0.0).heard(replace(new, doubt=""), 0.2, 1.0)[0]
-    starts, began, problem = starts.heard(replace(new, time=1.2, began=1.1), 0.2, 1.2)
+    starts = CycleStarts(0.0).updated(replace(new, doubt=""), 0.2, 1.0)[0]
+    starts, began, problem = starts.updated(replace(new, time=1.2, began=1.1), 0.2, 1.2)
     assert (began, problem) == (None, new.doubt)
     after = replace(new, time=1.4, device_s=5.4, began=1.3, doubt="")
-    assert starts.heard(after, 0.2, 1.4)[1:] == (1.3, "")
+    assert starts.updated(after, 0.2, 1.4)[1:] == (1.3, "")

@@ -21,7 +21,7 @@ def at(seconds: float) -> int:
 
 
 def ready(since: float = 0.0) -> Freshness:
-    return Freshness().seen(0, since, at(since))
+    return Freshness().with_state(0, since, at(since))
 
 
 @pytest.mark.parametrize(
@@ -32,67 +32,71 @@ def test_the_age_limit_is_two_cycles_and_the_latency_but_no_more_than_it_must(pe
 
 
 def test_age_is_by_the_stamp_and_both_ways():
-    fresh = ready().seen(0, 0.1, at(0.1))
-    assert fresh.left(at(10), at(10.1), PERIOD) == pytest.approx(0.48)
-    assert fresh.left(at(10), at(10.57), PERIOD) == pytest.approx(0.01)
+    fresh = ready().with_state(0, 0.1, at(0.1))
+    assert fresh.remaining_s(at(10), at(10.1), PERIOD) == pytest.approx(0.48)
+    assert fresh.remaining_s(at(10), at(10.57), PERIOD) == pytest.approx(0.01)
     slow, clocks = r"is the computer too slow\?", "does the clock that stamps images agree "
     for clock, why in ((10.59, slow), (300.0, clocks), (10 - AHEAD_S - 0.01, clocks)):
         with pytest.raises(CycleError, match=rf"old, allowed: 0 to 0\.58 s; {why}"):
-            fresh.left(at(10), at(clock), PERIOD)
+            fresh.remaining_s(at(10), at(clock), PERIOD)
 
 
 def test_where_two_send_cycles_neither_moves_the_plate():
-    fresh = ready().came(b"a", 10.0)
-    assert fresh.left(at(10), at(10.1), PERIOD) > 0
-    both = fresh.came(b"b", 10.2)
-    for each in (both, both.came(b"a", 10.3), both.came(b"a", 10.3).came(b"b", 10.4)):
+    fresh = ready().with_cycle(b"a", 10.0)
+    assert fresh.remaining_s(at(10), at(10.1), PERIOD) > 0
+    both = fresh.with_cycle(b"b", 10.2)
+    for each in (
+        both,
+        both.with_cycle(b"a", 10.3),
+        both.with_cycle(b"a", 10.3).with_cycle(b"b", 10.4),
+    ):
         with pytest.raises(CycleError, match="2 nodes publish plate_cycle, allowed: one"):
-            each.left(at(10.3), at(10.4), PERIOD)
+            each.remaining_s(at(10.3), at(10.4), PERIOD)
     # One that was started again, and its predecessor's last cycle.
-    alone = both.came(b"b", 10.0 + ALONE_S)
-    assert alone.left(at(11), at(11.1), PERIOD) > 0
+    alone = both.with_cycle(b"b", 10.0 + ALONE_S)
+    assert alone.remaining_s(at(11), at(11.1), PERIOD) > 0
 
 
 def test_what_came_before_the_motors_were_ready_moves_nothing():
     fresh = ready(5.0)
     with pytest.raises(CycleError, match="from before the motors became ready"):
-        fresh.left(at(4.99), at(5.1), PERIOD)
-    assert fresh.left(at(5.0), at(5.1), PERIOD) > 0
+        fresh.remaining_s(at(4.99), at(5.1), PERIOD)
+    assert fresh.remaining_s(at(5.0), at(5.1), PERIOD) > 0
     # A stop, and an enable: another number, whether or not anybody saw the time between.
-    for again in (fresh.seen(None, 5.02, at(5.02)).seen(1, 5.04, at(5.04)),
-                  fresh.seen(1, 5.04, at(5.04))):  # fmt: skip
+    for again in (fresh.with_state(None, 5.02, at(5.02)).with_state(1, 5.04, at(5.04)),
+                  fresh.with_state(1, 5.04, at(5.04))):  # fmt: skip
         with pytest.raises(CycleError, match="from before the motors became ready"):
-            again.left(at(5.03), at(5.1), PERIOD)
+            again.remaining_s(at(5.03), at(5.1), PERIOD)
 
 
 def test_what_came_before_a_standstill_moves_nothing():
-    fresh = ready(5.0).seen(0, 5.0 + STANDSTILL_S, at(5.25))
-    assert fresh.left(at(5.2), at(5.3), PERIOD) > 0
-    stood = fresh.seen(0, 5.6, at(5.6))
+    fresh = ready(5.0).with_state(0, 5.0 + STANDSTILL_S, at(5.25))
+    assert fresh.remaining_s(at(5.2), at(5.3), PERIOD) > 0
+    stood = fresh.with_state(0, 5.6, at(5.6))
     with pytest.raises(CycleError, match="the driver itself stood still for 0"):
-        stood.left(at(5.5), at(5.6), PERIOD)
-    assert stood.left(at(5.6), at(5.7), PERIOD) > 0
+        stood.remaining_s(at(5.5), at(5.6), PERIOD)
+    assert stood.remaining_s(at(5.6), at(5.7), PERIOD) > 0
 
 
 def test_what_a_task_asked_for_moves_nothing_after_its_end():
-    fresh = ready().seen(0, 0.1, at(0.1)).ended(at(7.0))
+    fresh = ready().with_state(0, 0.1, at(0.1)).ended(at(7.0))
     for stamp in (6.8, 7.0):
         with pytest.raises(CycleError, match="a task that has ended"):
-            fresh.left(at(stamp), at(7.1), PERIOD)
-    assert fresh.left(at(7.2), at(7.3), PERIOD) > 0
+            fresh.remaining_s(at(stamp), at(7.1), PERIOD)
+    assert fresh.remaining_s(at(7.2), at(7.3), PERIOD) > 0
 
 
 @pytest.mark.parametrize("stamp_ns", [0, at(6.5), at(7.0)])
 def test_what_is_said_later_of_older_images_does_not_bring_back_what_has_ended(stamp_ns):
     """A planner that was started again has asked for nothing yet."""
-    fresh = ready().seen(0, 0.1, at(0.1)).ended(at(7.0)).ended(stamp_ns)
+    fresh = ready().with_state(0, 0.1, at(0.1)).ended(at(7.0)).ended(stamp_ns)
     with pytest.raises(CycleError, match="a task that has ended"):
-        fresh.left(at(6.8), at(7.1), PERIOD)
+        fresh.remaining_s(at(6.8), at(7.1), PERIOD)
 
 
 def test_a_simulator_that_begins_anew_is_heard():
     fresh = ready(50.0).ended(at(70.0))
-    assert fresh.left(at(0.0), at(0.0), PERIOD) > 0
+    assert fresh.remaining_s(at(0.0), at(0.0), PERIOD) > 0
 
 
 HOPS = ("detector", "planner", "solver", "driver")
@@ -162,7 +166,7 @@ def run(seed: int) -> list[tuple[float, float, int]]:
             continue
         number = None if stopped(t) else sum(stop <= t for stop in stops)
         if name == "driver":
-            fresh = fresh.seen(number, t, at(t))
+            fresh = fresh.with_state(number, t, at(t))
         if what == "look":
             continue
         stamp, moves = content
@@ -179,7 +183,7 @@ def run(seed: int) -> list[tuple[float, float, int]]:
             if number is None:
                 continue
             if moves:
-                fresh.left(stamp, at(t), PERIOD)
+                fresh.remaining_s(stamp, at(t), PERIOD)
         except CycleError:
             continue
         last_ns = stamp

@@ -16,7 +16,7 @@ from plate_driver.friction import (
     rig_mu,
     slip,
 )
-from plate_driver.friction.push import BRAKE, way_of
+from plate_driver.friction.push import BRAKE, push_length
 
 RIG = load_rig()
 G = RIG.friction.gravity
@@ -32,7 +32,7 @@ def test_a_push_begins_and_ends_at_home_and_keeps_the_limits(axis, sign):
     assert not np.any(cycle.tail.state(-1))
     t = np.linspace(0, cycle.period, 5000)
     pose, accel = cycle.pose(t), cycle.accel(t)[:, axis] * sign
-    assert np.ptp(pose[:, axis]) == pytest.approx(way_of(RIG), rel=1e-6)
+    assert np.ptp(pose[:, axis]) == pytest.approx(push_length(RIG), rel=1e-6)
     assert np.max(np.abs(np.delete(pose, axis, 1))) == 0
     assert np.max(accel) == pytest.approx(8.0, rel=1e-3)
     assert np.min(accel) == pytest.approx(-8.0 * BRAKE, rel=1e-3)
@@ -52,7 +52,7 @@ def test_the_slip_is_that_of_the_closed_form(monkeypatch, mu, times):
     accel = times * mu * G
     push = make_push(RIG, 0, 1, accel, 0.3)
     [found] = slip(push, np.array([mu]), 0.0, G)
-    assert found == pytest.approx(sharp(accel, mu, way_of(RIG)), rel=0.01)
+    assert found == pytest.approx(sharp(accel, mu, push_length(RIG)), rel=0.01)
 
 
 def test_a_part_holds_up_to_static_friction():
@@ -89,7 +89,7 @@ def measured(
         measurement = measurement.after(look())
     back = [np.hypot(*(place[name] - places[name])) for name in places]
     assert max(back) < 0.005  # pushes alternate
-    return measurement.found
+    return measurement.result
 
 
 @pytest.mark.parametrize("static", [1.0, 1.25])

@@ -553,7 +553,7 @@ def test_starts_of_tails_are_told_too(pair, rng):
                 began, table = began + PERIOD, table.tail
             new = Measured(time, time + 5, number, (0,) * 4, (0,) * 4, table, began)
             cycle = PlateCycle.rest(0.1) if table is None else table.cycle
-            starts, at, problem = starts.heard(new, cycle.period, time + 1e-3)
+            starts, at, problem = starts.updated(new, cycle.period, time + 1e-3)
             assert not problem
             if at is not None:
                 found[round(at, 6)] = cycle

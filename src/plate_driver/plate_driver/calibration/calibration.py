@@ -56,7 +56,7 @@ wired wrongly."""
 RESPONSE_BYTES = 32_768
 """Upper estimate of the size of a response's file [bytes]."""
 
-MOST_BYTES = 1_000_000
+MAX_BYTES = 1_000_000
 """Maximum size of a response's file that is read [bytes], for many times as many harmonics."""
 
 AXES = ("x", "y", "theta")
@@ -134,9 +134,11 @@ class Calibration:
             If there are too few samples.
         """
         assert self.cycle is not None
-        found = plate_amplitudes(self.rig, t, q, qdd, PERIOD_S, COUNT)
-        asked = harmonics(played or self.cycle, COUNT)
-        return replace(self, commanded=(*self.commanded, asked), measured=(*self.measured, found))
+        amplitudes = plate_amplitudes(self.rig, t, q, qdd, PERIOD_S, COUNT)
+        requested = harmonics(played or self.cycle, COUNT)
+        return replace(
+            self, commanded=(*self.commanded, requested), measured=(*self.measured, amplitudes)
+        )
 
     @property
     def response(self) -> Response:
@@ -216,10 +218,10 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     """
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
-    found = fit_harmonics(t, pose, cycle.period, COUNT)[:SLOWEST]
-    asked = pose_harmonics(cycle, SLOWEST)[1:]
-    turn = np.sum(found * np.conj(asked), axis=1)
-    followed = float(np.sum(np.abs(turn)) / np.sum(np.abs(asked) ** 2))
+    amplitudes = fit_harmonics(t, pose, cycle.period, COUNT)[:SLOWEST]
+    requested = pose_harmonics(cycle, SLOWEST)[1:]
+    turn = np.sum(amplitudes * np.conj(requested), axis=1)
+    followed = float(np.sum(np.abs(turn)) / np.sum(np.abs(requested) ** 2))
     if not followed >= FOLLOWED:
         raise PlateError(
             f"calibration: the plate followed {100 * followed:.2g} % of a slow motion, "
@@ -265,7 +267,7 @@ def saved_response(path: str | Path) -> Response:
         If the file is not a valid response.
     """
     try:
-        with np.load(BytesIO(read_file(path, MOST_BYTES)), allow_pickle=False) as data:
+        with np.load(BytesIO(read_file(path, MAX_BYTES)), allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))
     except FILE_ERRORS as error:
         raise PlateError(f"calibration_file {path}: is no calibration ({error})") from None

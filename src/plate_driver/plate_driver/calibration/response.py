@@ -147,13 +147,13 @@ class Response:
         trust : float
             Fraction of the difference that is applied. Less than 1 for noisy sensors.
         """
-        asked, got = commanded * self._scale, measured * self._scale
-        power = np.sum(np.abs(asked) ** 2, axis=1)
-        miss = got - np.einsum("kij,kj->ki", self.matrix, asked)
-        heard = power > FAINT**2 * np.max(power, initial=0.0)
-        step = trust * miss[:, :, None] * np.conj(asked)[:, None, :]
-        step[heard] /= power[heard, None, None]
-        step[~heard] = 0.0
+        requested, got = commanded * self._scale, measured * self._scale
+        power = np.sum(np.abs(requested) ** 2, axis=1)
+        miss = got - np.einsum("kij,kj->ki", self.matrix, requested)
+        excited = power > FAINT**2 * np.max(power, initial=0.0)
+        step = trust * miss[:, :, None] * np.conj(requested)[:, None, :]
+        step[excited] /= power[excited, None, None]
+        step[~excited] = 0.0
         return replace(self, matrix=self.matrix + step)
 
 
@@ -175,12 +175,12 @@ def identified(
         If they do not excite x, y and theta at all frequencies.
     """
     response = Response.identity(rig, frequency)
-    asked = (commanded * response._scale).transpose(1, 2, 0)
+    requested = (commanded * response._scale).transpose(1, 2, 0)
     got = (measured * response._scale).transpose(1, 2, 0)
-    gain = np.linalg.svd(asked, compute_uv=False)
+    gain = np.linalg.svd(requested, compute_uv=False)
     if np.any(gain[:, -1] < FAINT * np.max(gain)):
         raise PlateError("experiments do not excite x, y and theta at every frequency")
-    return replace(response, matrix=got @ np.linalg.pinv(asked))
+    return replace(response, matrix=got @ np.linalg.pinv(requested))
 
 
 def harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
@@ -211,13 +211,13 @@ def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) 
     """
     waves = np.exp(2j * np.pi * np.outer(t / period, np.arange(1, count + 1)))
     columns = np.hstack([np.ones((len(t), 1)), waves.real, -waves.imag])
-    found, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-6)
+    solution, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-6)
     if rank < columns.shape[1]:
         raise PlateError(
             f"{len(t)} samples tell {(rank - 1) // 2} harmonics of {period:g} s apart, "
             f"allowed: at least {count}"
         )
-    return np.asarray(found[1 : count + 1] + 1j * found[count + 1 :])
+    return np.asarray(solution[1 : count + 1] + 1j * solution[count + 1 :])
 
 
 def plate_amplitudes(

@@ -1,15 +1,15 @@
 """Friction of the parts, measured by known pushes of the plate and the camera.
 
-`FrictionMeasurement` is the procedure and `FrictionFound` its result. `make_push` makes a motion,
+`FrictionMeasurement` is the procedure and `FrictionResult` its result. `make_push` makes a motion,
 and `slip` computes the slip of a part in it.
 """
 
-from .measurement import FrictionFound, FrictionMeasurement, PartFriction, Rest, Stage, rig_mu
+from .measurement import FrictionMeasurement, FrictionResult, PartFriction, Rest, Stage, rig_mu
 from .push import Push, make_push, most_accel, slip
 
 __all__ = [
-    "FrictionFound",
     "FrictionMeasurement",
+    "FrictionResult",
     "PartFriction",
     "Push",
     "Rest",

@@ -43,7 +43,7 @@ ABOVE = 1.7
 """Acceleration of distance pushes, relative to the mean mu g. Parts with 40 % less friction are
 still within the range of the closed form, and a static ratio of up to 1.5 is overcome."""
 
-LEAST_ABOVE = 1.2
+MIN_ABOVE = 1.2
 """Minimum acceleration of distance pushes, relative to mu g of each part."""
 
 ONSET_FROM = 0.8
@@ -64,20 +64,20 @@ NOISE_FACTOR = 5.0
 FLOOR_M = 1e-5
 """Minimum standard error of a displacement [m]: errors of the camera that do not average out."""
 
-LEAST_SIGNAL = 20.0
+MIN_SIGNAL = 20.0
 """Minimum ratio of slip to its standard error in distance pushes: mu is then good to 5 %."""
 
 TRAVEL_M = 0.03
 """Displacement of parts by distance pushes, if there is clearance [m]. Friction varies over a few
 centimetres."""
 
-MOST_STEPS = 6
+MAX_STEPS = 6
 """Maximum number of distance pushes in one direction."""
 
 STEP_ROOM_M = 0.006
 """Clearance that each part needs towards every edge, beyond its safe distance [m]."""
 
-LEAST_GAP_M = 0.004
+MIN_GAP_M = 0.004
 """Minimum gap between two parts at the beginning [m]."""
 
 TOUCH_M = 0.0005
@@ -205,7 +205,7 @@ class PartFriction:
 
 
 @dataclass(frozen=True)
-class FrictionFound:
+class FrictionResult:
     """Friction of all parts.
 
     Attributes
@@ -305,7 +305,7 @@ class FrictionMeasurement:
                     f"friction: {name} is {1e3 * far:.0f} mm from an edge, allowed: "
                     f"{1e3 * least:.0f} mm or more"
                 )
-        _check_gaps(rig, rest, LEAST_GAP_M)
+        _check_gaps(rig, rest, MIN_GAP_M)
         slow = SLOW_G * rig.friction.gravity
         notes: tuple[str, ...] = ()
         if rig.suspension is not None and not corrected:
@@ -343,9 +343,9 @@ class FrictionMeasurement:
         """Approximate fraction that is done, 0 to 1."""
         stages = {Stage.SEARCH: 0.0, Stage.DISTANCE: 0.25, Stage.ONSET: 0.6, Stage.DONE: 1.0}
         done = sum(trial.stage is self.stage for trial in self.trials)
-        share = {Stage.SEARCH: 0.25, Stage.DISTANCE: 0.35, Stage.ONSET: 0.4, Stage.DONE: 0.0}
+        weights = {Stage.SEARCH: 0.25, Stage.DISTANCE: 0.35, Stage.ONSET: 0.4, Stage.DONE: 0.0}
         whole = 10 if self.stage is Stage.SEARCH else max(1, done + len(self.todo))
-        return stages[self.stage] + share[self.stage] * min(1.0, done / whole)
+        return stages[self.stage] + weights[self.stage] * min(1.0, done / whole)
 
     def after(self, rest: Rest, played: Push | None = None) -> FrictionMeasurement:
         """Return the measurement after its push.
@@ -444,11 +444,11 @@ class FrictionMeasurement:
         typical = float(np.median(list(self.guess.values())))
         accel = min(ABOVE * typical * gravity, self.most)
         grip = {name: self.guess[name] * gravity for name in self.rest.place}
-        kept = [name for name in grip if accel / RANGE < grip[name] < accel / LEAST_ABOVE]
+        kept = [name for name in grip if accel / RANGE < grip[name] < accel / MIN_ABOVE]
         if not kept:
             raise PlateError(
                 f"friction: mu is about {typical:.2f}, and the rig's limits allow pushes of "
-                f"{accel:.1f} m/s2, allowed: {LEAST_ABOVE * typical * gravity:.1f} m/s2 or more"
+                f"{accel:.1f} m/s2, allowed: {MIN_ABOVE * typical * gravity:.1f} m/s2 or more"
             )
         notes = tuple(
             f"mu of {name} is about {self.guess[name]:.2f}, others' about {typical:.2f}: excluded, "
@@ -463,16 +463,16 @@ class FrictionMeasurement:
             step = float(np.max(slip(there, mu, 0.0, gravity)))
             room = {sign: self._room(axis, -sign) for sign in (1, -1)}  # against the push
             sign = max(room, key=lambda one: room[one])
-            count = int(np.clip(min(room[sign], TRAVEL_M) / max(step, 1e-6), 1, MOST_STEPS))
+            count = int(np.clip(min(room[sign], TRAVEL_M) / max(step, 1e-6), 1, MAX_STEPS))
             back = make_push(self.rig, axis, -sign, accel, self.slow)
             todo += count * [replace(there, sign=sign, cycle=there.cycle.scaled(sign))]
             todo += count * [back]
         weakest = float(np.min(slip(todo[0], mu, 0.0, gravity)))
         error = self.trials[-1].error
-        if weakest < LEAST_SIGNAL * error:
+        if weakest < MIN_SIGNAL * error:
             raise PlateError(
                 f"friction: parts slide {1e3 * weakest:.2f} mm, and the camera's noise is "
-                f"{1e3 * error:.2f} mm, allowed: {LEAST_SIGNAL:g} times as much slip as noise"
+                f"{1e3 * error:.2f} mm, allowed: {MIN_SIGNAL:g} times as much slip as noise"
             )
         return replace(
             self, stage=Stage.DISTANCE, todo=tuple(todo), rest=rest, notes=self.notes + notes
@@ -564,7 +564,7 @@ class FrictionMeasurement:
         return max(1.0, float(np.sqrt(least * max(slid.push.accel, grip))) / grip)
 
     @property
-    def found(self) -> FrictionFound:
+    def result(self) -> FrictionResult:
         """Result, at the end of the measurement."""
         parts, along, weights = [], [], []
         for name in self.rest.place:
@@ -589,7 +589,7 @@ class FrictionMeasurement:
         notes = self.notes + self._types(parts) + self._axes()
         if len(ratios) and ratios.size < count:
             notes += (f"static friction was seen on {len(ratios)} of {count} parts",)
-        return FrictionFound(
+        return FrictionResult(
             tuple(parts), mean, error, float(np.sqrt(max(0.0, between)) / mean),
             float(np.sqrt(max(0.0, np.average(along, weights=weights)))), static,
             static_error if len(ratios) else np.nan, notes,
@@ -628,7 +628,7 @@ class FrictionMeasurement:
         return (f"mu differs along x and y: {x:.3f}, {y:.3f}; the rig file has one for both",)
 
 
-def rig_mu(rig: Rig, found: FrictionFound) -> float:
+def rig_mu(rig: Rig, result: FrictionResult) -> float:
     """Return the mu for the rig file: the mean over parts of types without a separate mu there.
 
     Raises
@@ -638,13 +638,13 @@ def rig_mu(rig: Rig, found: FrictionFound) -> float:
     """
     values = [
         part.mu
-        for part in found.parts
+        for part in result.parts
         if (kind := rig.types.get(part_class(part.id))) is None or kind.mu is None
     ]
     if not values:
         raise PlateError(
             "friction: all parts are of types with a separate mu, allowed: one or more parts "
-            f"without; change mu in the file of types: {found.text}"
+            f"without; change mu in the file of types: {result.text}"
         )
     return float(np.mean(values))
 

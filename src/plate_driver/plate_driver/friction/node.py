@@ -24,7 +24,7 @@ from plate_interfaces.msg import Friction, PartFriction
 from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.srv import MeasureFriction
 
-from .measurement import FrictionFound, FrictionMeasurement, Rest, rig_mu
+from .measurement import FrictionMeasurement, FrictionResult, Rest, rig_mu
 from .push import Push
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class FrictionServer:
 
     def __init__(self, driver: DriverNode) -> None:
         self._driver = driver
-        self._found: FrictionFound | None = None
+        self._result: FrictionResult | None = None
         self._end()
 
     def _end(self) -> None:
@@ -78,7 +78,7 @@ class FrictionServer:
 
     def configure(self) -> None:
         """Create the services, the topic and the subscriptions."""
-        driver, self._found = self._driver, None  # it may be of another rig
+        driver, self._result = self._driver, None  # it may be of another rig
         self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
         driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
         self._starts_received = False
@@ -110,7 +110,7 @@ class FrictionServer:
             response.message = "a task runs, allowed: none; end it with stop"
         else:
             self._end()
-            self._found, self._stops = None, driver.latch.number
+            self._result, self._stops = None, driver.latch.number
             self._running, self._since = True, driver.clocks.playback_s()
             self._started = self._after_ns = driver.get_clock().now().nanoseconds
             self._publish(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
@@ -121,10 +121,10 @@ class FrictionServer:
     def _on_write(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         driver, response.success = self._driver, False
         try:
-            if self._found is None:
+            if self._result is None:
                 raise PlateError("friction was not measured, allowed: after measure_friction")
             path = rig_path(driver.options.rig_file)
-            before, mu = load_rig(path), float(f"{rig_mu(driver.playback.rig, self._found):.3g}")
+            before, mu = load_rig(path), float(f"{rig_mu(driver.playback.rig, self._result):.3g}")
             edit_rig(
                 path, {("friction",): {"mu": f"{mu:g}"}},
                 lambda rig: rig == replace(before, friction=replace(before.friction, mu=mu)),
@@ -208,7 +208,7 @@ class FrictionServer:
             new = self._measurement.after(rest, self._played)
         self._measurement, push = new, new.push
         if push is None:
-            self._finish(new.found)
+            self._finish(new.result)
             return
         self._plays, self._played, self._after_ns = push.cycle, None, None
         transport, stamp_ns = driver.transports.current, driver.clocks.stamp_ns()
@@ -219,9 +219,9 @@ class FrictionServer:
             self._played = replace(push, accel=push.accel * factor, cycle=less)
         self._publish(Friction.RUNNING, new.progress, new.fraction)
 
-    def _finish(self, found: FrictionFound) -> None:
-        self._found = found
-        text = "; ".join((found.text, *found.notes))
+    def _finish(self, result: FrictionResult) -> None:
+        self._result = result
+        text = "; ".join((result.text, *result.notes))
         self._end()
         self._driver.get_logger().info(text)
         parts = [
@@ -229,13 +229,13 @@ class FrictionServer:
                 id=one.id, x=float(one.place[0]), y=float(one.place[1]), mu=one.mu,
                 mu_error=one.error, static_ratio=float(one.static_ratio),
             )
-            for one in found.parts
+            for one in result.parts
         ]  # fmt: skip
         self._publish(
-            Friction.DONE, text, 1.0, mu=found.mu, mu_error=found.error,
-            between_parts=found.between_parts, over_plate=found.over_plate,
-            static_ratio=float(found.static_ratio),
-            static_ratio_error=float(found.static_error), parts=parts,
+            Friction.DONE, text, 1.0, mu=result.mu, mu_error=result.error,
+            between_parts=result.between_parts, over_plate=result.over_plate,
+            static_ratio=float(result.static_ratio),
+            static_ratio_error=float(result.static_error), parts=parts,
         )  # fmt: skip
 
     def fail(self, why: str) -> None:

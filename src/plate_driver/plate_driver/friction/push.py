@@ -35,7 +35,7 @@ STROKE_USED = 0.8
 LIMITS_USED = 0.9
 """Maximum fraction of all limits that a push uses."""
 
-LONGEST_WAY_M = 0.016
+MAX_LENGTH_M = 0.016
 """Maximum length of a push [m]: parts then move by some millimetres."""
 
 QUINTIC_PEAK = 10 / np.sqrt(3)
@@ -70,13 +70,13 @@ class Push:
     cycle: PlateCycle
 
 
-def way_of(rig: Rig) -> float:
+def push_length(rig: Rig) -> float:
     """Return the length [m] of a push on this rig."""
-    return min(2 * STROKE_USED * rig.limits.stroke_m, LONGEST_WAY_M)
+    return min(2 * STROKE_USED * rig.limits.stroke_m, MAX_LENGTH_M)
 
 
 def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push:
-    """Return a push over `way_of(rig)`.
+    """Return a push over `push_length(rig)`.
 
     Parameters
     ----------
@@ -86,13 +86,13 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
     slow : float
         Maximum acceleration on the paths to its start and back home [m/s2].
     """
-    way = way_of(rig)
+    length = push_length(rig)
     unit_t, unit_a = _profile()
     unit_v, unit_x = _integrated(unit_t, unit_a)
-    scale_s = np.sqrt(way / (accel * unit_x[-1]))
-    pause = np.sqrt(QUINTIC_PEAK * way / 2 / slow)
+    scale_s = np.sqrt(length / (accel * unit_x[-1]))
+    pause = np.sqrt(QUINTIC_PEAK * length / 2 / slow)
     times = np.concatenate([[0.0], pause + scale_s * unit_t])
-    x = np.concatenate([[0.0], -way / 2 + accel * scale_s**2 * unit_x])
+    x = np.concatenate([[0.0], -length / 2 + accel * scale_s**2 * unit_x])
     v = np.concatenate([[0.0], accel * scale_s * unit_v])
     a = np.concatenate([[0.0], accel * unit_a])
     v[-1] = a[-1] = 0.0
