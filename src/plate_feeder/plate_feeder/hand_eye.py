@@ -24,19 +24,23 @@ FAR_M = 10.0
 
 FILE = Section(
     "hand-eye file",
-    "The robot's frame, by points.",
+    "The robot's frame, given by points whose coordinates are known in both frames.",
     (
-        Key("frame", Text("a name"), "Name of the robot's frame, whose z points up."),
-        Key("points", List(), "Two points or more; with three a wrong one is found."),
+        Key("frame", Text("a name"), "Name of the robot's frame; its z axis points up."),
+        Key("points", List(), "Two or more points; with three, a wrong one can be detected."),
     ),
 )
 
 POINT = Section(
     "points[]",
-    "One point, in both frames.",
+    "One point in both frames.",
     (
-        Key("plate_m", Numbers((2,), -FAR_M, FAR_M), "On the plate at rest [x, y, plate_home]."),
-        Key("robot_m", Numbers((2,), -FAR_M, FAR_M), "The same for the robot [x, y]."),
+        Key(
+            "plate_m",
+            Numbers((2,), -FAR_M, FAR_M),
+            "The point on the plate at rest [x, y, plate_home].",
+        ),
+        Key("robot_m", Numbers((2,), -FAR_M, FAR_M), "The same point in the robot's frame [x, y]."),
     ),
 )
 

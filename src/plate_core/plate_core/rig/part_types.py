@@ -201,8 +201,8 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
         if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
             raise RigError(
                 f"{fields.where}: type {name!r}, allowed: small letters and digits, at most "
-                f"{LONGEST}, as nut or nut_m4, no number alone after the last _, and not "
-                f"{', '.join(TAKEN)}, which are classes of parts of no type"
+                f"{LONGEST}, such as nut or nut_m4, no number alone after the last _, and not "
+                f"{', '.join(TAKEN)}, the classes of parts without a type"
             )
         types[name] = _part_type(name, fields.child(name))
     return types
@@ -226,7 +226,9 @@ def _part_type(name: str, fields: Fields) -> PartType:
     if area < SMALLEST_M2:
         raise fields.fail("holes_m", "holes smaller than the part")
     if radius and np.hypot(*centre) > CENTRED * radius:
-        raise fields.fail("holes_m", "in a disc, holes about its centre; else write `outline_m`")
+        raise fields.fail(
+            "holes_m", "for a disc, holes around its centre; for other holes write `outline_m`"
+        )
     if not radius:
         outline, holes = outline - centre, [hole - centre for hole in holes]
     colour = fields.value(PART_TYPE["colour_lab"])
@@ -234,7 +236,7 @@ def _part_type(name: str, fields: Fields) -> PartType:
     if symmetry is None:
         symmetry = 0 if radius else symmetry_of(outline)
     if (symmetry == 0) != bool(radius):
-        raise fields.fail("symmetry", "0 for a disc, and only for one")
+        raise fields.fail("symmetry", "0 for a disc, 1 or more for other parts")
     part = PartType(
         name=name,
         outline=_pairs(outline),
@@ -259,7 +261,7 @@ def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
     not a valid polygon."""
     if not 3 <= len(corner) <= MOST_CORNERS or not is_simple(corner):
         raise fields.fail(
-            key, f"3 to {MOST_CORNERS} corners, in order, of a polygon no two edges of which cross"
+            key, f"3 to {MOST_CORNERS} corners, in order, of a polygon whose edges do not cross"
         )
     area = moments(corner)[0]
     if abs(area) < SMALLEST_M2:

@@ -34,8 +34,8 @@ for the centre of a part, and the wall. Parts stay behind the wall if possible. 
 class Plate:
     """The plate: side lengths along x and y at rest [m], and mass [kg]."""
 
-    length_m: float = measured("length_m", 0.05, 10, "Side of the plate along x.")
-    width_m: float = measured("width_m", 0.05, 10, "Side of the plate along y.")
+    length_m: float = measured("length_m", 0.05, 10, "Side length of the plate along x.")
+    width_m: float = measured("width_m", 0.05, 10, "Side length of the plate along y.")
     mass_kg: float = measured(
         "mass_kg", 0.001, 1000, "Mass of the plate and all that moves with it."
     )
@@ -61,7 +61,7 @@ class Friction:
     """Coulomb friction between parts and plate: coefficient [-] and gravity [m/s2]."""
 
     mu: float = measured("mu", 0.01, 2, "Coefficient of dynamic friction.")
-    gravity: float = measured("gravity_mps2", 0.1, 30, "Gravity.")
+    gravity: float = measured("gravity_mps2", 0.1, 30, "Gravitational acceleration.")
 
     @property
     def accel(self) -> float:

@@ -111,7 +111,8 @@ TASK = Section(
 
 SORT = Section(
     "task, kind: sort",
-    "Every class to its region. Done when all parts have been in their regions for `hold_s`.",
+    "Move every class to its region. The task is done when all parts have been in their regions "
+    "for `hold_s`.",
     (
         Key(
             "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Region of "
@@ -187,7 +188,8 @@ CIRCLE = Section(
         Key(
             "start_deg", Number(-360, 360), "Start of the path, counter-clockwise from x.", 0.0,
         ),
-        Key("turn", Choice(("left", "right")), "left: counter-clockwise; right: clockwise."),
+        Key("turn", Choice(("left", "right")), "Direction: left is counter-clockwise, right is "
+            "clockwise."),
     ),
 )  # fmt: skip
 
