@@ -318,9 +318,9 @@ TROUBLES = [
     (lambda b, d: d.fail(0x8611, 0x20),
      "motor_2: emergency 8611h, error register 20h (following error)", 20),
     (lambda b, d: d.enter("fault"), "motor_2: the drive is in fault (statusword 0218h)", 30),
-    (lambda b, d: setattr(d, "mute", True), "motor_2: the drive does not tell its position", 50),
-    (lambda b, d: d.enter("quick stop"), "motor_2: the drive has left operation", 30),
-    (lambda b, d: setattr(d, "remote", False), "motor_2: the drive has left operation", 30),
+    (lambda b, d: setattr(d, "mute", True), "motor_2: the drive does not report its position", 50),
+    (lambda b, d: d.enter("quick stop"), "motor_2: the drive has left the enabled state", 30),
+    (lambda b, d: setattr(d, "remote", False), "motor_2: the drive has left the enabled state", 30),
     (lambda b, d: b.network.send_message(0x80, b""), "bus: another master is on it", 20),
     (lambda b, d: twice(b), "motor_2: the drive was reset", 20),
 ]  # fmt: skip

@@ -67,7 +67,7 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
     )  # fmt: skip
     assert done.returncode == 1, done.stdout + done.stderr
     before, after = done.stdout.split("\nStarting ")
-    assert "\n  - corners: corners_px are those of a shipped rig file. " in before
+    assert "\n  - corners: corners_px are unchanged " in before
     assert "lens:" not in before
     assert "friction:" not in before
     assert "does not react to the plate" in before

@@ -169,7 +169,7 @@ def test_a_hopper_that_is_opened_over_a_full_plate_does_not_end_a_production():
 
 
 def test_recipes_that_cannot_be_filled_are_refused():
-    with pytest.raises(PlateError, match="'sort_4', allowed: one of the kind feed"):
+    with pytest.raises(PlateError, match="'sort_4', allowed: a scenario of kind feed"):
         filled(load_scenario("sort_4"), 10)
     for fill in (2, 101):  # of 3 that are to be ready, as a recipe's file is refused
         with pytest.raises(PlateError, match=f"fill is {fill}, allowed: 3, .* to 100"):
@@ -243,7 +243,7 @@ def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path)
     assert sum("<- best fill" in line for line in lines) == 1
     best = next(line.split() for line in lines if "best" in line)
     assert float(best[1]) >= 0.99 * max(float(line.split()[1]) for line in lines)
-    assert told.err.count("parts a minute") == 2
+    assert told.err.count("parts per minute") == 2
     text = page.read_text(encoding="utf-8")
     assert f"Best fill: {best[0]} parts" in text
     assert "<svg" in text
@@ -261,13 +261,13 @@ def test_what_qualify_has_found_is_not_lost_with_its_page(monkeypatch, capsys, s
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        (["--recipe", "sort_4"], "recipe is 'sort_4', allowed: one of the kind feed"),
+        (["--recipe", "sort_4"], "recipe is 'sort_4', allowed: a scenario of kind feed"),
         (["--recipe", "feeed"], "did you mean feed?"),
         (["--recipe", "feed", "--fill", "0"], "fill is 0, allowed: 1 to 100"),
         (["--recipe", "feed", "--fill", "5,x"], "fill is x, allowed: 1 to 100"),
         (["--recipe", "feed", "--robot-cycle", "nan"], "robot-cycle is nan, allowed: 0.2 to 60"),
-        (["--recipe", "feed", "--page", "/nowhere/a.html"], "allowed: a file in a folder"),
-        (["--recipe", "feed", "--page", "/"], "page is /, allowed: a file in a folder"),
+        (["--recipe", "feed", "--page", "/nowhere/a.html"], "allowed: a file in an existing"),
+        (["--recipe", "feed", "--page", "/"], "page is /, allowed: a file in an existing folder"),
         (["--recipe", "feed_bars", "--rig", "desk"], "class is 'bar', allowed with this rig"),
     ],
 )

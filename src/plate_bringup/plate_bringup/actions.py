@@ -33,22 +33,22 @@ from plate_core.tasks import load_scenario
 from .graph import GraphError, RunOptions, load_graph
 
 COMMON = {
-    "method": "method of the solver",
+    "method": "method of the solver: rotations or sinusoids",
     "seed": "random seed of scattered parts, image noise and the solver",
     "transport": "connection to the motors",
-    "rig_file": "rig file, with the measured facts of the rig",
-    "params_file": "ROS parameters of the nodes, over those of config/nodes.yaml",
-    "one_process": "run all nodes in one process, not each in its own",
+    "rig_file": "rig file with the measured data of the rig",
+    "params_file": "file of ROS parameters; they override those of config/nodes.yaml",
+    "one_process": "run all nodes in one process instead of one process each",
     "autostart": "false: another program configures and activates the nodes",
-    "record": "record all messages into a bag (MCAP), by ros2 bag",
-    "view": "show a live page, at http://127.0.0.1:8080/",
+    "record": "record all messages into a bag (MCAP) with ros2 bag",
+    "view": "show a live page at http://127.0.0.1:8080/",
     "namespace": "namespace of all nodes and topics, and of the frames in /tf",
 }
 SIMULATED = {
     "scenario": "parts on the plate: name in config/scenarios, or path of a .yaml file",
-    "lockstep": "the simulator waits for every answer of the nodes",
+    "lockstep": "the simulator waits until the nodes have processed each image",
     "rate": "simulated seconds per second",
-    "image_rate": "images a second of a camera that runs free; 0: one at the start of each cycle",
+    "image_rate": "images per second of a free-running camera; 0: one at the start of each cycle",
 }
 HARDWARE = {
     "port": "serial port of the motor controller",
@@ -120,7 +120,11 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
     for name in (word.partition(":=")[0] for word in words if ":=" in word):
         if name not in known:
             files = ("hardware.launch.py", "closed_loop.launch.py")
-            hint = f", of {files[hardware]}" if name in other else did_you_mean(name, known)
+            hint = (
+                f" (an argument of {files[hardware]})"
+                if name in other
+                else did_you_mean(name, known)
+            )
             raise GraphError(f"launch argument is {name!r}{hint}, allowed: {', '.join(known)}")
 
 
@@ -178,7 +182,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     actions: list[Any] = [OpaqueFunction(function=partial(_put_first, defaults))]
     if hardware and "params_file" not in given:  # a parameter file may name another rig
         facts = unmeasured(load_rig(given.get("rig_file", "")))
-        actions += [LogInfo(msg=f"not known of this rig: {text}") for text in facts]
+        actions += [LogInfo(msg=f"not measured on this rig: {text}") for text in facts]
     views = {node.name for node in load_graph() if node.view}
     for name, program in programs(options, given, space).items():
         last_words = [""]

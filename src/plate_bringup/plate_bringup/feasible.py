@@ -30,9 +30,9 @@ from .bounds import rest_to_rest_s, speed_bounds
 from .rehearsal import STILL, Verdict, judge_task
 
 NOT_REHEARSED = {
-    PoseTask: "angles are not rehearsed; the demo shows it",
-    MoveTask: "targets that may change are not rehearsed; the demo shows it",
-    FeedTask: "parts that come and go are not rehearsed; `ros2 run plate_bringup qualify` shows it",
+    PoseTask: "tasks of kind pose are not rehearsed; run the demo",
+    MoveTask: "tasks of kind move are not rehearsed; run the demo",
+    FeedTask: "tasks of kind feed are not rehearsed; run `ros2 run plate_bringup qualify`",
 }
 """Tasks that are not rehearsed, and the reasons."""
 
@@ -55,16 +55,16 @@ def main() -> None:
     """Run the command line. Exit code 0: likely, 1: not likely, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(
         prog="feasible",
-        description="Tell whether a rig can do a task, how fast parts can be driven, and what "
-        "binds. The task is rehearsed by prediction, within some seconds. Exit code: 0 likely, "
-        "1 not, 2 wrong arguments.",
+        description="Estimate whether a rig can do a task, how fast parts can move, and which "
+        "limit is used most. The task is rehearsed in the solver's own prediction, which takes a "
+        "few seconds. Exit code: 0 likely, 1 not likely, 2 wrong arguments.",
     )
     parser.add_argument(
-        "--scenario", default="", help="name or file (none: how fast 1, 2, 4 and 10 parts are)"
+        "--scenario", default="", help="name or file (default: the speed of 1, 2, 4 and 10 parts)"
     )
     parser.add_argument(
         "--rig", default="",
-        help=f"rig file, or one of {', '.join(rig_names())} (the scenario's, or the default rig)",
+        help=f"rig file, or one of {', '.join(rig_names())} (default: that of the scenario)",
     )  # fmt: skip
     args = parser.parse_args()
     try:
@@ -96,8 +96,8 @@ def one_part(rig: Rig) -> str:
     bounds = speed_bounds(rig, PERIOD_S)
     return (
         f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion of "
-        f"{PERIOD_S:g} s (bound by {bounds.binds}: docs/model.md); {1e3 * WAY_M:.0f} mm from rest "
-        f"to rest take {rest_to_rest_s(WAY_M, rig.friction.accel):.2f} s or more"
+        f"{PERIOD_S:g} s (limited by {bounds.binds}, see docs/model.md); {1e3 * WAY_M:.0f} mm from "
+        f"rest to rest take at least {rest_to_rest_s(WAY_M, rig.friction.accel):.2f} s"
     )
 
 
@@ -105,16 +105,16 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     """Return the lines about a scenario, and whether it is likely to succeed."""
     for kind, what in NOT_REHEARSED.items():
         if isinstance(scenario.task, kind):
-            return [f"{scenario.name}: not known: {what}"], False
+            return [f"{scenario.name}: unknown: {what}"], False
     try:
         verdict = judge_task(rig, scenario)
     except PlateError as error:
-        return [f"{scenario.name}: no: {error}"], False
+        return [f"{scenario.name}: impossible: {error}"], False
     likely, count = verdict.likely, len(verdict.rehearsals)
     times = ", ".join(_time(each.time_s) for each in verdict.rehearsals)
     asked = ""
     if isinstance(scenario.task, FollowTask):
-        asked = f", {1e3 * max(path.speed for path in scenario.task.paths):.0f} asked"
+        asked = f", requested: {1e3 * max(path.speed for path in scenario.task.paths):.0f} mm/s"
     lines = [
         f"{scenario.name}: {'likely' if likely else 'not likely'}: {verdict.in_time} of {count} "
         f"rehearsals end within {scenario.time_limit_s:g} s (time_limit_s); they take [s]: {times}",
@@ -123,7 +123,7 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
         _used(verdict),
     ]
     if any(each.lost for each in verdict.rehearsals):
-        lines.append("a part leaves the plate: starts and goals further from the edges would do")
+        lines.append("a part leaves the plate: move starts and goals away from the edges")
     lines += [f"warning: {doubt}" for doubt in edge_doubts(scenario, rig)]
     if not likely:
         lines.append(remedy(rig, verdict))
@@ -133,13 +133,13 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
 def of_counts(rig: Rig) -> tuple[list[str], bool]:
     """Return a table of the speed for several numbers of parts. Half of them move to the left, half
     to the right."""
-    lines = ["scattered, to either side   mean speed [mm/s]   most used"]
+    lines = ["random starts, to two sides  mean speed [mm/s]   most used limit"]
     moved = False
     for count in COUNTS:
         try:
             verdict = judge_task(rig, sides(count), 1)
         except PlateError:
-            lines.append(f"  {count:2d} part{'s' * (count > 1)}: no room on this plate")
+            lines.append(f"  {count:2d} part{'s' * (count > 1)}: do not fit on this plate")
             continue
         moved = moved or verdict.speed > STILL
         binds = verdict.share.binds
@@ -147,7 +147,9 @@ def of_counts(rig: Rig) -> tuple[list[str], bool]:
             f"  {count:2d} part{'s' if count > 1 else ' '}  {1e3 * verdict.speed:33.0f}   "
             f"{binds}, {100 * max(verdict.share):.0f} % of {KEYS[binds]}"
         )
-    lines.append("what a task takes: --scenario NAME" if moved else "not likely: parts hardly move")
+    lines.append(
+        "for the duration of a task: --scenario NAME" if moved else "not likely: parts hardly move"
+    )
     return lines, moved
 
 
@@ -165,28 +167,28 @@ def sides(count: int) -> Scenario:
 
 
 def _time(seconds: float) -> str:
-    return f"{seconds:.1f}" if np.isfinite(seconds) else "no end in sight"
+    return f"{seconds:.1f}" if np.isfinite(seconds) else "not done in time"
 
 
 def _used(verdict: Verdict) -> str:
     """Return a line about the used fractions of the rig's limits."""
     share = verdict.share
-    told = ", ".join(f"{name} {100 * value:.0f} %" for name, value in share._asdict().items())
-    return f"used of the rig's limits: {told}; {KEYS[share.binds]} binds"
+    used = ", ".join(f"{name} {100 * value:.0f} %" for name, value in share._asdict().items())
+    return f"used fractions of the rig's limits: {used}; {KEYS[share.binds]} is used most"
 
 
 def remedy(rig: Rig, verdict: Verdict) -> str:
     """Return advice about changes that would help."""
     binds = verdict.share.binds
-    said = f"most used is {binds} ({KEYS[binds]}); fewer parts may do"
+    advice = f"the most used limit is {binds} ({KEYS[binds]}); fewer parts may help"
     if rig.gamma < LEAST_GAMMA:
-        said = (
+        advice = (
             f"the plate shakes too little: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; "
-            f"{LEAST_GAMMA:g} or more is advised, or fewer parts"
+            f"advised: {LEAST_GAMMA:g} or more, or fewer parts"
         )
     if np.isfinite(verdict.time_s) and not any(each.lost for each in verdict.rehearsals):
-        said += f"; or a time_limit_s of {1.2 * verdict.time_s:.0f} s"
-    return said
+        advice += f"; or a time_limit_s of {1.2 * verdict.time_s:.0f} s"
+    return advice
 
 
 if __name__ == "__main__":

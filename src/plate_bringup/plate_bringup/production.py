@@ -331,8 +331,9 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
     least = (1 + LEAVES - ASKS) * cycle_s
     if task.valid_s < least:
         raise PlateError(
-            f"valid_s is {task.valid_s:g} s, allowed: {least:g} and above, which a robot of "
-            f"{cycle_s:g} s takes from the answer until it has left the plate"
+            f"valid_s is {task.valid_s:g} s, allowed: at least {least:g} s, because a robot with "
+            f"a cycle of {cycle_s:g} s needs so long from the feeder's reply until it has left "
+            "the plate"
         )
 
 
@@ -349,11 +350,13 @@ def filled(recipe: Scenario, fill: int) -> Scenario:
     """
     task = recipe.task
     if not isinstance(task, FeedTask) or task.hopper is None:
-        raise PlateError(f"recipe is {recipe.name!r}, allowed: one of the kind feed, with a hopper")
+        raise PlateError(
+            f"recipe is {recipe.name!r}, allowed: a scenario of kind feed with a hopper"
+        )
     hopper, ready = task.hopper, sum(pick.ready for pick in task.picks)
     if not ready <= fill <= MOST_PARTS:
         raise PlateError(
-            f"fill is {fill}, allowed: {ready}, which are to be ready, to {MOST_PARTS}"
+            f"fill is {fill}, allowed: {ready} (the parts to keep ready) to {MOST_PARTS}"
         )
     least = max(1, round(fill * hopper.least / hopper.fill))
     wanted = [pick.label for pick in task.picks]
@@ -398,7 +401,7 @@ def produce(
     recipe = setup.recipe
     rig = rig or load_rig(recipe.rig)
     if not isinstance(recipe.task, FeedTask):
-        raise PlateError(f"recipe is {recipe.name!r}, allowed: one of the kind feed")
+        raise PlateError(f"recipe is {recipe.name!r}, allowed: a scenario of kind feed")
     check_robot(recipe.task, cycle_s)
     cell = FeederCell(recipe.task, rig, cycle_s)
     for moment in run(setup, rig, cell=cell):

@@ -175,17 +175,20 @@ svg {{ max-width: 100%; height: auto }}
 <table><tr>{head}</tr>
 {body}
 </table>
-<p>Best fill: the smallest with {100 * AS_GOOD:.0f} % of the most parts a minute, or more. Worst:
-the run with the fewest parts a minute. Robot waits: share of the time since its first pick. Lost:
-parts that left the plate over an edge, and wanted ones over the chute's. Chute: others over the
-chute's. Errors: of the part's place and angle at the grip, against where the robot was told to
-grip. CPU: share of one core of this machine for vision, planner, solver and driver.</p>
+<p>Best fill: the smallest fill with at least {100 * AS_GOOD:.0f} % of the maximum parts per minute.
+Worst: the run with the fewest parts per minute. Robot waits: fraction of the time since its first
+pick. Lost: parts that left the plate over an edge without the chute, and requested parts that left
+it over the chute. Chute: other parts that left the plate over the chute. Errors: deviation of the
+part's position and angle at the grip from those reported to the robot. CPU: fraction of one core of
+this machine for vision, planner, solver and driver.</p>
 </html>
 """
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise PlateError(f"page is {path}: {error.strerror}, allowed: a file in a folder") from None
+        raise PlateError(
+            f"page is {path}: {error.strerror}, allowed: a file in an existing folder"
+        ) from None
 
 
 def chart(rows: Sequence[Row]) -> str:
@@ -198,7 +201,7 @@ def chart(rows: Sequence[Row]) -> str:
         figure = Figure(figsize=(9, 3.4), layout="constrained")
         panels = figure.subplots(1, 2)
         told = (
-            ("parts a minute", [[run.parts_per_min for run in row.runs] for row in rows]),
+            ("parts per minute", [[run.parts_per_min for run in row.runs] for row in rows]),
             ("robot waits [%]", [[100 * run.waiting for run in row.runs] for row in rows]),
         )
         fills = [row.fill for row in rows]
@@ -225,11 +228,11 @@ def main() -> None:
         if args.page is not None and (
             args.page.is_dir() or not args.page.resolve().parent.is_dir()
         ):
-            raise PlateError(f"page is {args.page}, allowed: a file in a folder that is there")
+            raise PlateError(f"page is {args.page}, allowed: a file in an existing folder")
         for fill in args.fill:
             filled(recipe, fill)
         about = (
-            f"Recipe {recipe.name} on {rig_path(rig_name).name}, a robot that picks every "
+            f"Recipe {recipe.name}, rig {rig_path(rig_name).name}, robot with one pick per "
             f"{args.robot_cycle:g} s, {args.minutes:g} min for each of {args.seeds} seeds."
         )
         print(about, flush=True)
@@ -276,7 +279,7 @@ class Progress:
     def done(self, row: Row) -> None:
         """Print the result of the fill."""
         print(
-            f"{self._begin}fill {row.fill}: {row.parts_per_min:.1f} parts a minute, the robot "
+            f"{self._begin}fill {row.fill}: {row.parts_per_min:.1f} parts per minute, the robot "
             f"waits {100 * row.waiting:.1f} % of the time",
             file=sys.stderr, flush=True,
         )  # fmt: skip
@@ -286,29 +289,29 @@ def arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         prog="qualify",
-        description="Simulate a feeder in production, with several fills of the plate, before a "
-        "rig is set up. Exit code: 0 parts were picked, 1 none, 2 wrong arguments.",
+        description="Simulate a feeder in production with several fills of the plate, before a "
+        "rig is built. Exit code: 0 parts were picked, 1 no parts, 2 wrong arguments.",
     )
     parser.add_argument("--recipe", required=True, help="name or file of a scenario of kind feed")
     parser.add_argument(
         "--rig", default="",
-        help=f"rig file, or one of {', '.join(rig_names())} (the recipe's, or the default rig)",
+        help=f"rig file, or one of {', '.join(rig_names())} (default: that of the recipe)",
     )  # fmt: skip
     parser.add_argument(
         "--robot-cycle", type=_within("robot-cycle", *CYCLE_S), default=2.0, metavar="S",
-        help="time from pick to pick of the robot [s] (2)",
+        help="time between two picks of the robot [s] (default: 2)",
     )  # fmt: skip
     parser.add_argument(
         "--minutes", type=_within("minutes", *MINUTES), default=2.0, metavar="MIN",
-        help="simulated time of each production (2)",
+        help="simulated duration of each run [min] (default: 2)",
     )  # fmt: skip
     parser.add_argument(
         "--seeds", type=_within("seeds", 1, MOST_SEEDS, int), default=3, metavar="N",
-        help="productions for each fill (3)",
+        help="number of runs for each fill (default: 3)",
     )  # fmt: skip
     parser.add_argument(
         "--fill", type=_fills, default=[5, 10, 15, 20, 30], metavar="N,N,...",
-        help="parts that the hopper keeps on the plate (5,10,15,20,30)",
+        help="numbers of parts that the hopper keeps on the plate (default: 5,10,15,20,30)",
     )  # fmt: skip
     parser.add_argument("--page", type=Path, metavar="FILE.html", help="write a page with a chart")
     return parser.parse_args()

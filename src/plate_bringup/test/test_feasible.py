@@ -144,7 +144,7 @@ def test_command_takes_the_rig_of_the_scenario():
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
     assert "shapes.yaml: Gamma = " in done.stdout
-    assert "align_6: not known: angles are not rehearsed" in done.stdout
+    assert "align_6: unknown: tasks of kind pose are not rehearsed" in done.stdout
 
 
 def test_command_says_no_and_what_would_do(command, tmp_path, monkeypatch):

@@ -12,22 +12,22 @@ import sys
 from types import FrameType
 
 SERVICES = {
-    "stop": "end the task, also of another sender",
-    "enable": "clear the present stop: the motors get current, and the plate goes home",
-    "disable": "brake, then current off, without an emergency",
-    "emergency_stop": "brake, then current off (stop category 1)",
-    "cut_power": "current off at once (stop category 0)",
-    "home": "forget where home is: the next enable finds it",
+    "stop": "cancel the running task, whoever sent it",
+    "enable": "clear the stop, switch the motors on and move the plate home",
+    "disable": "brake, then switch the motors off; this is no emergency stop",
+    "emergency_stop": "brake, then switch the motors off (stop category 1)",
+    "cut_power": "switch the motors off at once (stop category 0)",
+    "home": "forget the home position; the next enable searches for it",
     "calibrate": "learn the plate's response",
     "resume_feeding": "let the feeder continue after a stop",
     "call": "SERVICE: call any service without arguments, such as detector/learn_plate",
 }
 OTHERS = {
-    "goal": "SCENARIO: do the task of a scenario, by name or .yaml file; Ctrl-C cancels it",
+    "goal": "SCENARIO: run the task of a scenario (name or .yaml file); Ctrl-C cancels it",
     "cancel": "cancel all goals",
-    "friction": "push the parts a little, measure their friction, and write it into the rig file",
+    "friction": "push the parts slightly, measure their friction and write it to the rig file",
     "state": "print driver_status, task_status, and the diagnostics of each node",
-    "params": "[NODE]: list parameters, their values and meanings",
+    "params": "[NODE]: list parameters with their values and meanings",
     "get": "NODE NAME: print a parameter",
     "set": "NODE NAME VALUE: change a parameter of a running node",
 }
@@ -78,7 +78,7 @@ def _arguments() -> argparse.Namespace:
     lines = "\n".join(f"  {name:15}{what}" for name, what in (SERVICES | OTHERS).items())
     parser = argparse.ArgumentParser(
         prog="plate", usage="plate COMMAND [--namespace NAME]",
-        description=f"Talk to the plate's running nodes, in the domain ROS_DOMAIN_ID:\n{lines}",
+        description=f"Command the plate's running nodes in the ROS domain ROS_DOMAIN_ID:\n{lines}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
@@ -91,12 +91,12 @@ def _arguments() -> argparse.Namespace:
         if name == "call":
             one.add_argument("service", metavar="SERVICE")
         if name == "friction":
-            one.add_argument("--write", action="store_true", help="write it without asking")
+            one.add_argument("--write", action="store_true", help="write without confirmation")
         if name == "goal":
             one.add_argument("scenario", metavar="SCENARIO")
         if name == "set":
             one.add_argument("value", nargs="?", metavar="VALUE")
-        one.add_argument("--namespace", default="", help="of the nodes")
+        one.add_argument("--namespace", default="", help="namespace of the nodes")
     words = sys.argv[1:]
     if words and words[0] not in (*SERVICES, *OTHERS, "-h", "--help"):
         from plate_core import did_you_mean

@@ -54,7 +54,7 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
         _check(path, os.fstat(file.fileno()), most_bytes, error)
         data = file.read(most_bytes + 1) or b""  # files in /proc report size 0
     if len(data) > most_bytes:
-        raise error(f"{path}: has no end, allowed: {_allowed(most_bytes)}")
+        raise error(f"{path}: its size is unlimited, allowed: {_allowed(most_bytes)}")
     return data
 
 
@@ -94,7 +94,7 @@ def _check(
         raise error(f"{path}: is {KINDS.get(kind, 'no file')}, allowed: {_allowed(most_bytes)}")
     if found.st_size > most_bytes:
         size = f"{found.st_size / 1e6:.4g} MB"
-        raise error(f"{path}: is of {size}, allowed: {_allowed(most_bytes)}")
+        raise error(f"{path}: has {size}, allowed: {_allowed(most_bytes)}")
 
 
 def _allowed(most_bytes: int) -> str:

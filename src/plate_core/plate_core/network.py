@@ -49,7 +49,7 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
     if not is_open:
         return ""
     why = f"{PEERS} is {peers}" if peers else f"{RANGE} is {reach}"
-    return f"{why}: anybody who reaches this machine over the network can move the plate"
+    return f"{why}: anyone who can reach this machine over the network can move the plate"
 
 
 def ros_domain(environ: Mapping[str, str]) -> int:

@@ -351,7 +351,7 @@ class Fields:
         if key not in self._data:
             spare = [str(name) for name in self._data if name not in self._used]
             near = difflib.get_close_matches(key, spare, n=1)
-            instead = f" (there is {near[0]}, is that it?)" if near else ""
+            instead = f" (did you mean {near[0]}?)" if near else ""
             raise self._error(f"{self._where}: {key} is missing, expected {allowed}{instead}")
         return self._data[key]
 
@@ -372,7 +372,7 @@ class Fields:
         else:
             spare = [str(name) for name in self._data if name not in self._used]
             near = next((name for name in spare if did_you_mean(name, keys)), "")
-            hint = f"; there is {near}{did_you_mean(near, keys)}" if near else ""
+            hint = f"; found {near}{did_you_mean(near, keys)}" if near else ""
             wrong = f"{' or '.join(keys)} is missing{hint}"
         raise self._error(f"{self._where}: {wrong}, allowed: one of {', '.join(keys)}")
 
@@ -570,7 +570,7 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
             return f"{of} is {number} at line {line}, allowed: a decimal point, {point}"
         before = name, text
         if name in lines:
-            return f"key {name} stands twice, at line {lines[name]} and at line {line}; remove one"
+            return f"key {name} occurs twice, at line {lines[name]} and at line {line}; remove one"
         lines[name] = line
         mistake = _mistake(value, seen)
         if mistake:

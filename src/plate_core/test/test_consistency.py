@@ -41,23 +41,23 @@ DRIVE |= {"counts_per_m": 1e6}
 IMPOSSIBLE = [
     (("motors", "motor_1"), DRIVE, "motor_2: drive is 'bridge' and motor_1 has 'cia402', allowed"),
     (("motors", "motor_1", "point_m"), [-3.0, 0.1], r"motor_1: point_m is \[-3, 0.1\], 2.7 m outs"),
-    (("camera", "corners_px"), OTHER_PLATE, r"sides are as 1 to 1, no view of one of 0.6 x 0.3 m"),
-    (("camera", "corners_px"), MIRRORED, "go round the other way, as in a mirror, allowed: the im"),
-    (("camera", "corners_px"), [[20, 387], [617, 389], [200, 300], [27, 91]], "no convex figure"),
+    (("camera", "corners_px"), OTHER_PLATE, r"corners_px .* ratio of 1, .* 0.6 x 0.3 m"),
+    (("camera", "corners_px"), MIRRORED, "corners_px are in mirrored order, allowed: "),
+    (("camera", "corners_px"), [[20, 387], [617, 389], [200, 300], [27, 91]], "no convex quad"),
     (("camera", "corners_px"), [[-579, 387], [18, 389], [14, 94], [-573, 91]], "outside the image"),
-    (("fiducials",), MARKERS, r"marker_2 is \[0.28, 0.145\], so it is not wholly on the plate, al"),
-    (("parts", "radius_m"), 0.0025, r"2.47 px, allowed: 3 to 200 px, .*take the camera nearer, or"),
+    (("fiducials",), MARKERS, r"marker_2 is \[0.28, 0.145\], .*allowed: \|x\| up to"),
+    (("parts", "radius_m"), 0.0025, r"2.47 px, allowed: 3 to 200 px, .*camera nearer, "),
     (("parts", "radius_m"), 0.08, r"radius_m is 0.08 on a plate whose shorter side is 0.3 m, allo"),
-    (("limits", "force_n"), 2.0, r"force_n is 2, which moves a plate of 2 kg by 2 m/s2 .* 2.45 or"),
-    (("limits", "stroke_m"), 3e-5, r"stroke_m is 3e-05 m: at 40 Hz, .* that is 1.89 m/s2, and par"),
-    (("limits", "following_error_m"), 1e-9, r"is 1e-09, allowed: 0 \(not watched\), or 1e-05"),
-    (("limits", "speed_mps"), 0.005, r"speed_mps is 0.005 m/s: at 40 Hz, .* that is 1.26 m/s2, an"),
+    (("limits", "force_n"), 2.0, r"force_n is 2, .* plate of 2 kg by 2 m/s2 .* 2.45 or"),
+    (("limits", "stroke_m"), 3e-5, r"stroke_m is 3e-05 m: at 40 Hz, .* 1.89 m/s2"),
+    (("limits", "following_error_m"), 1e-9, r"is 1e-09, allowed: 0 .*, or 1e-05"),
+    (("limits", "speed_mps"), 0.005, r"speed_mps is 0.005 m/s: at 40 Hz, .* 1.26 m/s2"),
 ]
 WARNINGS = [
     (("motors", "motor_1", "point_m"), [-0.4, 0.1], "motor_1: point_m is .* 0.1 m outside"),
     (("camera", "corners_px"), [[1, 387], [638, 390], [634, 94], [7, 91]], r"\(6 % off\), allowed"),
     (("camera", "corners_px"), [[-4, 387], [592, 389], [589, 94], [1, 91]], r"corners_px\[0\] is "),
-    (("parts", "radius_m"), 0.0035, r"3.45 px, allowed: 3 to 200 px, well seen from 4 on"),
+    (("parts", "radius_m"), 0.0035, r"3.45 px, allowed: 3 to 200 px, advised: 4 px"),
     (("parts", "radius_m"), 0.03, r"radius_m is 0.03 on a plate .* advised: up to 0.022"),
     (("parts", "mass_kg"), 0.3, "mass_kg is 0.3 on a plate of 2 kg"),
     (("limits", "continuous_force_n"), 300, "continuous_force_n is 300, more than the peak force"),
@@ -97,7 +97,7 @@ def test_what_is_hardly_meant_is_a_warning(spoilt, keys, value, words):
 def test_corners_in_another_order_are_recognised(spoilt):
     corners = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))["camera"]
     turned = corners["corners_px"][1:] + corners["corners_px"][:1]
-    with pytest.raises(RigError, match=r"another order.; they would fit with the last pair first"):
+    with pytest.raises(RigError, match=r"corners_px .*another order.; .*last pair"):
         load_rig(spoilt(("camera", "corners_px"), turned))
 
 
@@ -135,10 +135,10 @@ def test_views_of_the_plate_are_believed_and_those_of_others_are_not(seed):
     lens = Lens((focal, focal), (319.5, 239.5)) if seed % 2 else None
     camera = replace(RIG.camera, corners_px=tuple(map(tuple, corners)), lens=lens)
     rig = replace(RIG, plate=plate, camera=camera)
-    assert [d.text for d in doubts(rig, "camera") if "no view" in d.text or "order" in d.text] == []
+    assert [d.text for d in doubts(rig, "camera") if "ratio" in d.text or "order" in d.text] == []
     longer = replace(plate, length_m=1.3 * plate.length_m)
     if seed % 2:
-        texts = [d for d in doubts(replace(rig, plate=longer), "camera") if "no view" in d.text]
+        texts = [d for d in doubts(replace(rig, plate=longer), "camera") if "ratio" in d.text]
         assert texts[0].impossible
 
 
@@ -205,7 +205,7 @@ def test_parallax_is_told_while_heights_are_unknown():
 
 def test_an_unknown_place_is_told():
     said = report(NO_LENS, "a.yaml", [])
-    assert says(said, "place is not known", "focal_px", "height_m", "too far out")
+    assert says(said, "position is unknown", "focal_px", "height_m", "too far out")
     high = replace(NO_LENS, camera=replace(NO_LENS.camera, height_m=0.9))
     assert "its lens is 0.9 m above the plate" in report(high, "a.yaml", [])
 
@@ -245,7 +245,7 @@ def test_command_tells_and_draws(check_rig, tmp_path):
     code, out, err = check_rig("desk", "--drawing", drawing)
     assert (code, err) == (0, "")
     assert f"Gamma = {load_rig('desk').gamma:.1f}" in out
-    assert "nothing is inconsistent" in out
+    assert "no inconsistencies" in out
     assert ET.parse(drawing).getroot().tag.endswith("svg")
     text = drawing.read_text(encoding="utf-8")
     for words in ("motor_1", "motor_2", "motor_3", "motor_4", "+x, -y"):
@@ -270,7 +270,7 @@ def test_command_says_what_lasts_once(check_rig, spoilt, tmp_path):
     assert code == 0
     assert says(out, "= 7.8: 19.2 m/s2", "continuously", "continuous_force_n")
     assert says(out, "12 N continuously", "1.6 times")
-    assert "continuous" not in out.split("shaken as a sinusoid, for a moment")[1]
+    assert "continuous" not in out.split("sinusoidal shaking")[1]
 
 
 def test_command_warns(check_rig, spoilt, tmp_path):
@@ -336,16 +336,16 @@ def test_what_a_millimetre_is_to_a_drive_is_told():
 @pytest.mark.parametrize(
     ("rig", "impossible", "text"),
     [
-        (drives((1, 1e6), (3, 1e6), *GOOD), True, "motor_3: node is 3, as that of motor_2, allo"),
+        (drives((1, 1e6), (3, 1e6), *GOOD), True, "motor_3: node is 3, as for motor_2, allowed"),
         (drives((1, 5e9), (2, 1e6), *GOOD), True, "motor_1: counts_per_m is 5e+09, allowed with"),
-        (drives((1, 1e6), (2, 5e4), *GOOD), False, "motor_2: counts_per_m is 50000: a count is 20"),
-        (changed(2, 4, serial=77), True, "motor_4: serial is 77, as that of motor_2, allowed: a"),
-        (changed(2, absolute=True), False, "motors: home is 'here' of some and 'absolute' of"),
+        (drives((1, 1e6), (2, 5e4), *GOOD), False, "motor_2: counts_per_m is 50000: one count is"),
+        (changed(2, 4, serial=77), True, "motor_4: serial is 77, as for motor_2, allowed: a"),
+        (changed(2, absolute=True), False, "motors: home is 'here' for some"),
         (mixed(), True, "motor_4: drive is 'odrive' and motor_1 has 'cia402', allowed: the same"),
         (
             drives(*TURNS[:3], (63, 2**20), of="odrives"),
             True,
-            "motor_4: node is 63, allowed with a",
+            "motor_4: node is 63, allowed for a",
         ),
         (
             drives(*TURNS[:3], (4, 40 * 2**20), of="odrives"),
@@ -357,15 +357,15 @@ def test_what_a_millimetre_is_to_a_drive_is_told():
             False,
             "counts_per_m is 1e+07, 1e+06, 1e+06, 1e+06 of ",
         ),
-        (drives(following_error_m=0.01), False, "is 0.01, so that a motor which is stuck at home"),
-        (drives(following_error_m=0.0), False, "following_error_m is 0: nobody but the drives the"),
+        (drives(following_error_m=0.01), False, "following_error_m is 0.01, so a motor"),
+        (drives(following_error_m=0.0), False, "following_error_m is 0: only the drives"),
     ],
 )
 def test_drives_that_do_not_fit_are_named(rig, impossible, text):
     doubt, *more = doubts(rig)
     assert doubt.impossible == impossible
     assert text in doubt.text
-    assert all("count alike" in each.text for each in more)
+    assert all("counts_per_m is" in each.text for each in more)
 
 
 @pytest.mark.parametrize(

@@ -180,15 +180,15 @@ def broken(field: int, index: tuple[int, ...], value: float) -> list[np.ndarray]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (broken(0, (0,), 0.001), "knot times must be finite, start at 0 and rise"),
-        (broken(0, (3,), 0.0), "knot times must be finite, start at 0 and rise"),
+        (broken(0, (0,), 0.001), "knot times must be finite"),
+        (broken(0, (3,), 0.0), "knot times must be finite"),
         (broken(0, (3,), float("inf")), "knot times must be finite"),
         (broken(1, (2, 1), float("nan")), "pose has values that are not finite"),
         (broken(2, (2, 1), float("inf")), "twist has values that are not finite"),
         (broken(3, (2, 1), float("nan")), "accel has values that are not finite"),
-        (broken(1, (-1, 0), 0.1), "motion does not close: .* in pose"),
-        (broken(2, (-1, 0), 9.0), "motion does not close"),
-        (broken(3, (-1, 2), 1e3), "motion does not close"),
+        (broken(1, (-1, 0), 0.1), "motion is not closed: .* in pose"),
+        (broken(2, (-1, 0), 9.0), "motion is not closed"),
+        (broken(3, (-1, 2), 1e3), "motion is not closed"),
         (([0.0], [[0] * 3], [[0] * 3], [[0] * 3]), "cycle has 1 knots, allowed: at least 2"),
         (
             ([0.0, 1.0], [[0] * 3] * 2, [[0] * 3], [[0] * 3] * 2),
@@ -218,7 +218,7 @@ def test_wrong_samples_are_refused(period, pose, message):
 
 @pytest.mark.parametrize("arguments", [broken(1, (3, 0), 1e305), broken(0, (1,), 1e-200)])
 def test_knots_beyond_computing_are_refused(arguments):
-    with pytest.raises(CycleError, match="knots are too large, or too close in time, to compute"):
+    with pytest.raises(CycleError, match="knots are too large or too close in time"):
         PlateCycle.from_knots(*arguments)
 
 
@@ -255,9 +255,9 @@ def test_a_knot_given_twice_is_where_the_tail_begins():
 @pytest.mark.parametrize(
     ("times", "message"),
     [
-        ([0, 0.05, 0.1, 0.1, 0.1, 0.15], "given twice"),
-        ([0, 0, 0.05, 0.1], "given twice"),
-        ([0, 0.05, 0.1, 0.1], "given twice"),
+        ([0, 0.05, 0.1, 0.1, 0.1, 0.15], "knot times must"),
+        ([0, 0, 0.05, 0.1], "knot times must"),
+        ([0, 0.05, 0.1, 0.1], "knot times must"),
     ],
 )
 def test_only_one_knot_inside_may_be_given_twice(times, message):
@@ -270,7 +270,7 @@ def test_a_tail_ends_at_rest_and_begins_where_the_cycle_ends():
     times = np.array([0.0, 0.1, 0.1, 0.15])
     pose = np.array([[0, 0, 0], [1e-3, 0, 0], [1e-3, 0, 0], [1e-4, 0, 0]])
     still = np.zeros((4, 3))
-    with pytest.raises(CycleError, match="does not close"):
+    with pytest.raises(CycleError, match="not closed"):
         PlateCycle.from_knots(times, pose, still, still)
     pose[2:] = [[2e-3, 0, 0], [0, 0, 0]]
     with pytest.raises(CycleError, match="differ"):

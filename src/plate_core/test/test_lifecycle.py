@@ -249,7 +249,8 @@ def test_what_configure_reads_changes_while_the_node_is_not_active(peer):
     result = peer.set("size", 6)
     assert not result.successful
     assert result.reason == (
-        "parameter size is read when echo is configured, allowed: while it is not active"
+        "parameter size is read when echo is configured, allowed: changes while the node is not "
+        "active"
     )
     assert peer.set("gain", 0.5).successful
     assert peer.echo.options == Options(size=4, gain=0.5)
@@ -300,13 +301,16 @@ def test_a_parameter_that_it_does_not_have_is_named_and_the_nearest(peer):
     result = peer.set("gian", 0.5)
     assert not result.successful
     assert result.reason.startswith(
-        "parameter gian is not one of echo (did you mean gain?), allowed: rig_file, frame_prefix, "
+        "parameter gian is unknown to echo (did you mean gain?), allowed: rig_file, frame_prefix, "
     )
     assert "use_sim_time" not in result.reason
 
 
 def test_the_clock_changes_while_the_node_is_not_active(peer):
-    refused = "parameter use_sim_time changes the clock of echo, allowed: while it is not active"
+    refused = (
+        "parameter use_sim_time changes the clock of echo, allowed: changes while the node is not "
+        "active"
+    )
     clock, listens = peer.echo.get_clock(), peer.node.count_subscribers
 
     def set_atomically(**values):

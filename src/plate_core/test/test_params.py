@@ -75,7 +75,7 @@ def test_descriptions_are_told(make_node):
         ("name:=3", "parameter name is 3, allowed: a value of type str"),
         (
             "cuont:=4",
-            "parameter cuont is not one of parametric (did you mean count?), allowed: gain, count, "
+            "parameter cuont is unknown to parametric (did you mean count?), allowed: gain, count, "
             "method, name, on",
         ),
         ("on:=1", "parameter on is 1, allowed: a value of type bool"),
@@ -130,10 +130,10 @@ def test_only_what_names_the_node_is_strict(make_node, capfd, tmp_path, monkeypa
         assert declare(node, Options).gain == 2.0
         (line,) = [line for line in capfd.readouterr().err.splitlines() if "WARN" in line]
         assert line.endswith(
-            "ignored, as given to all nodes and not one of parametric: robot_name, tool"
+            "ignored parameters, given to all nodes but unknown to parametric: robot_name, tool"
         )
     else:
-        with pytest.raises(PlateError, match=r"^parameter robot_name is not one of parametric,"):
+        with pytest.raises(PlateError, match=r"^parameter robot_name is unknown to parametric,"):
             declare(node, Options)
 
 

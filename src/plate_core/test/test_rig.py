@@ -170,7 +170,7 @@ def test_fiducials(data, load):
         ("allowed: marker_0", {"centre_m": {f"m{i}": [i, i] for i in range(4)}}),
         ("allowed: 2 numbers", {"centre_m": {f"marker_{i}": [i] for i in range(4)}}),
         ("apart", {"centre_m": {f"marker_{i}": [i // 2 * 0.1, 0.03 * i] for i in range(4)}}),
-        ("in one line", {"centre_m": {f"marker_{i}": [i, 2 * i] for i in range(4)}}),
+        ("on one line", {"centre_m": {f"marker_{i}": [i, 2 * i] for i in range(4)}}),
         ("unknown key colour", {"colour": "red"}),
     ],
 )
@@ -189,7 +189,7 @@ def test_markers_span_an_area_as_wide_as_their_side(data, load):
         return load({**data, "fiducials": {**MARKERS, "centre_m": centres}}).fiducials
 
     assert placed(1.01).numbers == (0, 1, 2, 3)
-    with pytest.raises(RigError, match="all in one line"):
+    with pytest.raises(RigError, match="all on one line"):
         placed(0.99)
     assert placed(2.0, 1.21 * side).numbers == (0, 1, 2, 3)
     with pytest.raises(RigError, match=r"apart, allowed: more than 1\.2 sides"):

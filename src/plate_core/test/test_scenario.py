@@ -167,8 +167,8 @@ def test_an_unknown_name_lists_the_available_ones():
         ),
         (SORT, ", grey: right", "", r"grey is missing"),
         (SORT, "grey: right", "grey: right, red: left", r"unknown key red, allowed: black, grey"),
-        (SORT, "hold_s: 0.5", "hold_s: 0.5, hold_s: 5", r"key hold_s stands twice, at line"),
-        (SORT, "time_limit_s: 10", "task: {kind: sort}", r"key task stands twice, at"),
+        (SORT, "hold_s: 0.5", "hold_s: 0.5, hold_s: 5", r"key hold_s occurs twice, at line"),
+        (SORT, "time_limit_s: 10", "task: {kind: sort}", r"key task occurs twice, at"),
         (SORT, "time_limit_s: 10", "time_limit_s: 10\nmakred: true", r"did you mean marked\?"),
         (
             SORT,
@@ -184,14 +184,14 @@ def test_an_unknown_name_lists_the_available_ones():
         (SORT, "[[0.1, 0.0]]", "[0.1, 0.0]", r"positions_m is \[0.1, 0.0\], allowed: n x 2"),
         (FOLLOW, "closed: true", "closed: 1", r"closed is 1, allowed: true or false"),
         (FOLLOW, "speed_mps: 0.02", "speed_mps: 0", r"speed_mps is 0, allowed"),
-        (FOLLOW, "[0.1, 0.1]]", "[0.1, 0.0]]", r"waypoints_m is .*apart from the next"),
-        (FOLLOW, "[0.1, 0.1]]", "[0, 0]]", r"waypoints_m is .*not the first"),
+        (FOLLOW, "[0.1, 0.1]]", "[0.1, 0.0]]", r"waypoints_m is .*different from the next"),
+        (FOLLOW, "[0.1, 0.1]]", "[0, 0]]", r"waypoints_m is .*different from the first"),
         (FOLLOW, "- {class: black, w", "- {class: grey, w", r"class is 'grey', allowed: one of bl"),
         (CIRCLE, "turn: right", "turn: up", r"turn is 'up', allowed: one of left, right"),
         (CIRCLE, "radius_m: 0.05", "radius_m: 0", r"circle: radius_m is 0, allowed"),
         (CIRCLE, "circle:", "circel:", r"there is circel \(did you mean circle\?\), allowed"),
         (CIRCLE, "laps: 2", "laps: 2, spline_m: []", r"circle and spline_m are given, allowed"),
-        (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*fractions growing from 0 to 1"),
+        (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*fractions increasing from 0 to 1"),
         (SPLINE, "[0, 0.01]", "[0, 0]", r"speed_mps is .*speeds from 1e-05 to 10"),
         (SPLINE, ", [0.1, 0.1]]", "]", r"spline_m is .*at least three points"),
         (BINS, "top_left", "middle", r"regions: black is 'middle', allowed: one of left, .*"),
@@ -305,18 +305,18 @@ def test_a_bin_whose_parts_would_all_be_lost_is_refused(tmp_path, rig):
         if fits:
             check_scenario(scenario, rig)
             continue
-        with pytest.raises(ScenarioError, match="bin_m of grey is nowhere 14 mm or more from the"):
+        with pytest.raises(ScenarioError, match=r"bin_m of grey is .* 14 mm .*allowed: "):
             check_scenario(scenario, rig)
 
 
 def test_classes_that_the_rig_does_not_know_and_angles_that_nobody_sees_are_refused(tmp_path, rig):
     with pytest.raises(ScenarioError, match=r"class is 'gray' .did you mean grey.*: black, grey$"):
         check_scenario(load_scenario(write(tmp_path, SORT.replace("grey", "gray"))), rig)
-    with pytest.raises(ScenarioError, match="marked is false, allowed with angles of black: true"):
+    with pytest.raises(ScenarioError, match=r"marked is false, .*black require marked: true"):
         check_scenario(load_scenario(write(tmp_path, POSE.replace("marked: true", ""))), rig)
     shapes = load_rig("shapes")
     check_scenario(load_scenario(write(tmp_path, POSE.replace("black", "bar"))), shapes)
-    with pytest.raises(ScenarioError, match="angles of washer are asked for, allowed: of parts"):
+    with pytest.raises(ScenarioError, match=r"angles of washer are given, allowed: .*not round"):
         check_scenario(load_scenario(write(tmp_path, POSE.replace("black", "washer"))), shapes)
     with pytest.raises(ScenarioError, match=r"class is 'black'.*, allowed with this rig: nut, "):
         check_scenario(load_scenario(write(tmp_path, SORT)), shapes)
@@ -363,10 +363,10 @@ def test_regions_of_two_classes_have_no_area_in_common(tmp_path, rig, black, gre
     if not shared_cm2:
         check_scenario(scenario, rig)
         return
-    with pytest.raises(ScenarioError, match="allowed: regions with no area in common") as info:
+    with pytest.raises(ScenarioError, match=r"overlap by .*allowed: regions") as info:
         check_scenario(scenario, rig)
     assert str(info.value).startswith("trial.yaml: task: regions: ")
-    assert f"share {shared_cm2:.3g} cm2" in str(info.value)
+    assert f"by {shared_cm2:.3g} cm2" in str(info.value)
 
 
 def test_a_hundred_parts_in_all_are_allowed(rig):
@@ -431,7 +431,7 @@ def test_given_and_scattered_parts_mix_in_the_order_of_the_file(tmp_path, rig):
 def test_too_many_parts_are_refused(tmp_path, rig):
     scenario = load_scenario(write(tmp_path, SORT.replace("count: 2", "count: 90")))
     large = replace(rig, parts=replace(rig.parts, radius_m=0.025))
-    with pytest.raises(ScenarioError, match=r"count: 90 to scatter, allowed: \d\d; .* 25 mm rad"):
+    with pytest.raises(ScenarioError, match=r"count: 90 .*, allowed: \d\d; .* 25 mm rad"):
         start_positions(scenario, large, np.random.default_rng(0))
 
 
@@ -451,7 +451,7 @@ def test_parts_are_scattered_by_their_size(rig, name, radius, sides):
 @pytest.mark.parametrize("text", [SORT, FOLLOW])
 def test_points_off_the_plate_are_refused(tmp_path, rig, text):
     scenario = load_scenario(write(tmp_path, text.replace("[0.1, 0", "[0.295, 0", 1)))
-    with pytest.raises(ScenarioError, match=r"is \(0.295, 0\) m, allowed: \|x\| up to 0.2"):
+    with pytest.raises(ScenarioError, match=r"is \(0.295, 0\) m, .*allowed: \|x\| up to 0.2"):
         start_positions(scenario, rig, np.random.default_rng(0))
 
 

@@ -295,13 +295,13 @@ def test_sequence_numbers_wrap(sequence, step):
     ("trouble", "words"),
     [
         ((Trouble.REFUSED, 0x1017, 0x06090032),
-         "the drive refuses object 1017h in its set-up (abort 06090032h, value too small)"),
-        ((Trouble.REFUSED, 0x60C2, 0x12), "the drive refuses object 60C2h in its set-up "
+         "the drive refuses object 1017h during set-up (abort 06090032h, value too small)"),
+        ((Trouble.REFUSED, 0x60C2, 0x12), "the drive refuses object 60C2h during set-up "
          "(abort 00000012h, see its manual)"),
         ((Trouble.WRONG_DRIVE, 0x6061, 1),
          "the drive does not fit: object 6061h is 1h (1), allowed: 8, cyclic synchronous position"),
         ((Trouble.EMERGENCY, 0x81, 0xFF07),
-         "emergency FF07h, error register 81h (its maker's own: see its manual)"),
+         "emergency FF07h, error register 81h (manufacturer specific, see its manual)"),
         ((Trouble.EMERGENCY, 0, 0x9000), "emergency 9000h, error register 00h"),
     ],
 )  # fmt: skip

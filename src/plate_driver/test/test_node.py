@@ -124,7 +124,7 @@ def test_good_and_bad_cycles(driven, rig):
     bad += [cycle_to_msg(GENTLE, to_time(stamp - 50 * MS)), JointTrajectory()]
     for msg, why in zip(
         bad,
-        ("joints are ['x', 'y', 'z']", "not finite", "does not close", "times must be finite",
+        ("joints are ['x', 'y', 'z']", "not finite", "not closed", "times must be finite",
          "is older than the last", "joints are []"),
         strict=True,
     ):  # fmt: skip

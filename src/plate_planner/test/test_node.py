@@ -762,7 +762,7 @@ def test_gains_change_while_it_runs_and_wrong_ones_are_refused(graph):
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"scenario": "sort_11"}, r"parameter scenario is not one of planner"),
+        ({"scenario": "sort_11"}, r"parameter scenario is unknown to planner"),
         ({"kp": 3.0}, r"parameter kp is 3.0, allowed: 0.0 to 2.0"),
         ({"rig_file": "nowhere.yaml"}, r"nowhere.yaml: no such file"),
     ],

@@ -183,5 +183,5 @@ def test_a_plate_that_moves_nowhere_finite_is_refused(how):
 def test_a_cycle_that_does_not_close_is_refused():
     states = np.zeros((3, 3, 3))
     states[0, 2, 0] = 1e-3
-    with pytest.raises(PlateError, match=r"does not close: end and start differ by 0\.001 m"):
+    with pytest.raises(PlateError, match=r"not closed: end and start differ by 0\.001 m"):
         PlateCycle.from_knots(np.array([0, 0.1, 0.2]), *states)

@@ -338,7 +338,7 @@ def test_the_world_changes_while_it_runs_where_it_can():
         assert "tilt" in set_parameters(loop, tilt_x=most, tilt_y=most)
         assert (loop.simulator.options.tilt_x, loop.simulator.options.tilt_y) == (most, 0.0)
         assert not set_parameters(loop, noise=3.0)  # what was refused is forgotten
-        assert "while it is not active" in set_parameters(loop, latency=0.1)
+        assert "not active" in set_parameters(loop, latency=0.1)
         assert "rate is 2 in lockstep, allowed: 1" in set_parameters(loop, rate=2.0)
 
 

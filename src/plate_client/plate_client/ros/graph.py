@@ -166,7 +166,7 @@ class Graph(Services):
         print("\n".join([*rows, result.text]), flush=True)
         question = f"Write mu {result.mu:.3g} into the driver's rig file? Type yes, or Enter: "
         if not write and not (sys.stdin.isatty() and input(question).strip() == "yes"):
-            return "nothing is written; --write does"
+            return "mu was not written; use --write to write it"
         answer = self._call(Trigger, "write_friction", Trigger.Request())
         if not answer.success:
             raise PlateError(str(answer.message))
@@ -203,7 +203,7 @@ class Graph(Services):
                     "has ended or was restarted"
                 )
                 print(f"  {why}; requesting the end of the measurement", flush=True)
-                raise SilentError(f"{why}. Check whether the plate rests")
+                raise SilentError(f"{why}. Check whether the plate is at rest")
 
     # State
 
@@ -225,9 +225,9 @@ class Graph(Services):
             raise PlateError(no_graph_text())
         lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
         nodes = {name: f"{each.level.name}, {each.message}" for name, each in reports.items()}
-        nodes |= dict.fromkeys(silent, "no message: it starts, or hangs")
+        nodes |= dict.fromkeys(silent, "no message: it is starting or hangs")
         if silent:
-            lines.append("not all nodes are ready yet: others may lack their messages")
+            lines.append("not all nodes are ready yet: other nodes may wait for their messages")
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _silent(self, reports: dict[str, Report]) -> list[str]:
@@ -267,7 +267,7 @@ class Graph(Services):
         """Return the node of the arguments. All arguments named by `words` are required."""
         if any(getattr(args, word) is None for word in words):
             usage, listed = " ".join(words).upper(), ", ".join(self._nodes(None))
-            raise PlateError(f"{args.command} needs {usage}, nodes here: {listed}")
+            raise PlateError(f"{args.command} requires {usage}; running nodes: {listed}")
         (node,) = self._nodes(args.node)
         return node
 

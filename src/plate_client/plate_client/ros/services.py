@@ -143,7 +143,7 @@ class Services:
             self.node.destroy_subscription(subscription)
         if not statuses or statuses[-1].state != ready:
             raise PlateError(
-                f"not enabled, driver_status: {statuses[-1].text if statuses else 'nothing'}"
+                f"not enabled, driver_status: {statuses[-1].text if statuses else 'no message'}"
             )
         return str(statuses[-1].text)
 

@@ -168,12 +168,12 @@ class PlateCycle:
             np.all(np.isfinite(times)) and times[0] == 0 and rises and len(twice) < 2 and inside
         ):
             raise CycleError(
-                "knot times must be finite, start at 0 and rise; one inside may be given twice"
+                "knot times must be finite, start at 0 and increase; an inner one may occur twice"
             )
         if len(twice):
             k = int(twice[0])
             if any(np.any(state[k] != state[k - 1]) for state in states):
-                raise CycleError(f"the knots given twice, at {times[k]:g} s, differ")
+                raise CycleError(f"two knots at {times[k]:g} s differ")
             tail = cls._ending(times[k:] - times[k], [state[k:] for state in states], at_rest=True)
             return replace(cls._made(times[:k], [state[:k] for state in states]), tail=tail)
         return cls._ending(times, states)
@@ -189,10 +189,10 @@ class PlateCycle:
         closes = gap[0] <= size[0] and gap[1] <= 1e2 * size[1] and gap[2] <= 1e4 * size[2]
         rests = is_rest(np.stack([state[-1] for state in states]))
         if at_rest and not rests:
-            raise CycleError("motion does not close: its tail does not end at rest at home")
+            raise CycleError("motion is not closed: its tail does not end at rest at home")
         if not (closes or rests):
             raise CycleError(
-                f"motion does not close: end and start differ by {gap[0]:.3g} m or rad in pose, "
+                f"motion is not closed: end and start differ by {gap[0]:.3g} m or rad in pose, "
                 f"{gap[1]:.3g} in twist, {gap[2]:.3g} in acceleration"
             )
         for state in states:
@@ -205,7 +205,7 @@ class PlateCycle:
         with np.errstate(all="ignore"):
             coefficients = quintic_pieces(times, pose, twist, accel)
         if not np.all(np.isfinite(coefficients)):
-            raise CycleError("knots are too large, or too close in time, to compute a motion")
+            raise CycleError("knots are too large or too close in time to compute a motion")
         return cls(times, pose, twist, accel, coefficients)
 
     @classmethod

@@ -44,15 +44,16 @@ def main() -> None:
     """Run the command line. Exit code 0: consistent, 1: inconsistent, 2: wrong arguments or
     files."""
     parser = argparse.ArgumentParser(
-        prog="check_rig", description="Tell what a rig can do, and what is wrong with its file."
+        prog="check_rig", description="Report what a rig can do and check its file."
     )
     parser.add_argument(
         "rig", nargs="?", default="",
-        help=f"rig file, or one of {', '.join(rig_names())} (the default rig)",
+        help=f"rig file, or one of {', '.join(rig_names())} (default: the default rig)",
     )  # fmt: skip
     parser.add_argument(
         "--drawing", type=Path, metavar="FILE",
-        help="where the drawing goes, .svg or .png (in this folder: NAME_rig.svg, default_rig.svg)",
+        help="file of the drawing, .svg or .png (default: NAME_rig.svg or default_rig.svg in this "
+        "folder)",
     )  # fmt: skip
     args = parser.parse_args()
     try:
@@ -86,16 +87,16 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
         f"{name}: plate of {plate.length_m:g} x {plate.width_m:g} m and {plate.mass_kg:g} kg, "
         f"parts of {1e3 * parts.radius_m:g} mm radius and {1e3 * parts.mass_kg:g} g",
         f"Gamma = {rig.gamma:.1f}: {rig.reach.accel:.3g} m/s2 in every direction continuously, "
-        f"limited by {rig.reach.limit}; parts slide from mu g = {rig.friction.accel:.3g} m/s2 on",
-        f"motors: {limits.force:g} N at the peak, {limits.continuous_force:g} N continuously (root "
-        f"mean square: peaks of {PEAK_OVER_RMS:g} times that in a task), "
+        f"limited by {rig.reach.limit}; parts slide above mu g = {rig.friction.accel:.3g} m/s2",
+        f"motors: {limits.force:g} N peak, {limits.continuous_force:g} N continuously (root mean "
+        f"square; peaks in a task are {PEAK_OVER_RMS:g} times that), "
         f"{1e3 * limits.stroke_m:g} mm to either side, {limits.speed:g} m/s",
         *_drives(rig),
         *_view(rig),
         "",
-        "shaken as a sinusoid, for a moment travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
+        "short sinusoidal shaking            travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
     ]
-    for way, words in (("x", "along x"), ("y", "along y"), ("theta", "turning, at a corner")):
+    for way, words in (("x", "along x"), ("y", "along y"), ("theta", "theta, at a corner")):
         for hz in FREQUENCIES_HZ:
             one = shake(rig, way, hz)
             lines.append(
@@ -106,7 +107,7 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
     for doubt in found:
         lines.append(f"{'WRONG' if doubt.impossible else 'warning'}: {doubt.text}")
     if not found:
-        lines.append("nothing is inconsistent")
+        lines.append("no inconsistencies")
     return "\n".join(lines)
 
 
@@ -130,9 +131,10 @@ def _view(rig: Rig) -> Iterator[str]:
     place = camera_place(rig)
     if place is None:
         yield (
-            "camera: its place is not known, as the file has neither focal_px nor camera: height_m "
-            "and corners_px show too little perspective; a part of height h is seen r h/(H - h) "
-            "too far out, r from the point below the lens, which is H above the plate"
+            "camera: its position is unknown, because the file has neither focal_px nor camera: "
+            "height_m, and corners_px have too little perspective; the image shows a part of "
+            "height h too far out by r h/(H - h), with its distance r from the point below the "
+            "lens and the height H of the lens above the plate"
         )
         return
     x, y, height = place
@@ -140,9 +142,9 @@ def _view(rig: Rig) -> Iterator[str]:
     if flat and height > EXAMPLE_M:
         far = float(np.max(np.hypot(*(rig.plate.corners - place[:2]).T)))
         yield (
-            f"camera: height_m is 0 (flat, or unknown) of {flat}: a part "
+            f"camera: height_m is 0 (flat or unknown) for {flat}: the image would show a part "
             f"{1e3 * EXAMPLE_M:g} mm high, {1e3 * far:.0f} mm from that point (farthest corner), "
-            f"is seen {1e3 * far * EXAMPLE_M / (height - EXAMPLE_M):.2g} mm too far out"
+            f"{1e3 * far * EXAMPLE_M / (height - EXAMPLE_M):.2g} mm too far out"
         )
 
 
@@ -156,7 +158,7 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
     radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0  # lever arm
     travel = float(np.max(np.abs(motor_levers(rig) @ pose)))
     if travel < 1e-9:
-        return Shake(0.0, 0.0, 0.0, "no motor pushes this way")
+        return Shake(0.0, 0.0, 0.0, "no motor in this direction")
     stiffness, damping, mass = rig.motor_loads
     force = (stiffness - omega**2 * mass + 1j * omega * damping) @ pose
     worst = int(np.argmax(np.abs(force)))

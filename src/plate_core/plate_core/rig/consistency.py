@@ -117,8 +117,8 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "motors",
             "motors: their directions and points cannot move the plate in x, y and theta: one of "
-            "these takes more than 20 times the force of another, allowed: lines of motors that "
-            "neither are all parallel nor all meet in one point",
+            "these requires more than 20 times the force of another, allowed: motors whose lines "
+            "are not all parallel and do not all meet in one point",
             bool(sizes[-1] < 1e-3 * sizes[0]),
         )
 
@@ -136,29 +136,29 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
         )  # fmt: skip
     if len({drive.absolute for drive in drives.values()}) > 1:
         yield Doubt(
-            "motors", "motors: home is 'here' of some and 'absolute' of others: the plate is level "
-            "at home only if it hangs there; better: the same for all four",
+            "motors", "motors: home is 'here' for some motors and 'absolute' for others: the plate "
+            "is level at home only if it hangs there; better: the same for all four",
         )  # fmt: skip
     nodes: dict[int, str] = {}
     serials: dict[int, str] = {}
     for name, drive in drives.items():
         if drive.node in nodes:
             yield Doubt(
-                "motors", f"motors: {name}: node is {drive.node}, as that of {nodes[drive.node]}, "
-                "allowed: another one for each motor", True,
+                "motors", f"motors: {name}: node is {drive.node}, as for {nodes[drive.node]}, "
+                "allowed: a different one for each motor", True,
             )  # fmt: skip
         nodes[drive.node] = name
         if drive.serial in serials:
             yield Doubt(
-                "motors", f"motors: {name}: serial is {drive.serial}, as that of "
-                f"{serials[drive.serial]}, allowed: another one for each motor", True,
+                "motors", f"motors: {name}: serial is {drive.serial}, as for "
+                f"{serials[drive.serial]}, allowed: a different one for each motor", True,
             )  # fmt: skip
         if drive.serial:
             serials[drive.serial] = name
         odrive = drive.kind == "odrive"
         if odrive and drive.node > ODRIVE_NODES:
             yield Doubt(
-                "motors", f"motors: {name}: node is {drive.node}, allowed with an ODrive: 1 to "
+                "motors", f"motors: {name}: node is {drive.node}, allowed for an ODrive: 1 to "
                 f"{ODRIVE_NODES}", True,
             )  # fmt: skip
         key, unit = ("turns_per_m", ODRIVE_COUNTS) if odrive else ("counts_per_m", 1)
@@ -166,13 +166,13 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
         if odrive and scale * rig.limits.speed > ODRIVE_SPEED:
             yield Doubt(
                 "motors", f"motors: {name}: turns_per_m is {scale:g}: at speed_mps "
-                f"{rig.limits.speed:g} that is {scale * rig.limits.speed:.3g} turns/s, and its "
-                f"feed-forward ends at {ODRIVE_SPEED:g}; better: less of either",
+                f"{rig.limits.speed:g} the drive turns at {scale * rig.limits.speed:.3g} turns/s, "
+                f"but its feed-forward is limited to {ODRIVE_SPEED:g}; better: reduce either",
             )  # fmt: skip
         coarse = 1 / drive.counts_per_m
         if coarse > COARSEST_M:
             yield Doubt(
-                "motors", f"motors: {name}: {key} is {scale:g}: a count is "
+                "motors", f"motors: {name}: {key} is {scale:g}: one count is "
                 f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
             )  # fmt: skip
         if drive.counts_per_m * rig.limits.stroke_m > MOST_COUNTS:
@@ -185,13 +185,13 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
     alike = len(set(kinds.values())) == 1
     if alike and len({drive.counts_per_m for drive in drives.values()}) > 1:
         yield Doubt(
-            "motors", f"motors: {key} is {scales} of {', '.join(drives)}: is that so? Drives of "
-            "one make mostly count alike",
+            "motors", f"motors: {key} is {scales} for {', '.join(drives)}: is this correct? Drives "
+            "of one make usually have equal scales",
         )  # fmt: skip
     if rig.limits.following_error_m == 0:
         yield Doubt(
-            "limits", "limits: following_error_m is 0: nobody but the drives themselves notices "
-            "one that does not follow, or counts wrong; better: more than 0",
+            "limits", "limits: following_error_m is 0: only the drives themselves detect a drive "
+            "that does not follow or has lost counts; better: more than 0",
         )  # fmt: skip
 
 
@@ -201,7 +201,7 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "limits",
             f"limits: accel_mps2 is {limits.accel:g}, allowed: more than mu g = {floor:g} m/s2 "
-            "(below that parts never slide)",
+            "(below it parts never slide)",
             True,
         )
     elif rig.gamma <= 1:
@@ -209,35 +209,35 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
         value = limits.force if key == "force_n" else limits.continuous_force
         yield Doubt(
             "limits",
-            f"limits: {key} is {value:g}, which moves a plate of {rig.plate.mass_kg:g} kg by "
+            f"limits: {key} is {value:g}, which accelerates a plate of {rig.plate.mass_kg:g} kg by "
             f"{rig.reach.accel:.3g} m/s2 in every direction, allowed: {value / rig.gamma:.3g} or "
-            f"more, for mu g = {floor:g} m/s2 (below that parts never slide)",
+            f"more, for mu g = {floor:g} m/s2 (below it parts never slide)",
             True,
         )
     elif rig.gamma < LEAST_GAMMA:
         yield Doubt(
             "limits",
-            f"limits: Gamma is {rig.gamma:.3g} (by {rig.reach.limit}), advised: {LEAST_GAMMA:g} or "
-            "more: the plate shakes too little, tasks take long or fail",
+            f"limits: Gamma is {rig.gamma:.3g} (limited by {rig.reach.limit}), advised: "
+            f"{LEAST_GAMMA:g} or more: the plate shakes too little, tasks take long or fail",
         )
     if 0 < limits.following_error_m < LEAST_FOLLOWING_M:
         yield Doubt(
             "limits",
-            f"limits: following_error_m is {limits.following_error_m:g}, allowed: 0 (not watched), "
+            f"limits: following_error_m is {limits.following_error_m:g}, allowed: 0 (no check), "
             f"or {LEAST_FOLLOWING_M:g} and more",
             True,
         )
     elif limits.following_error_m >= limits.stroke_m:
         yield Doubt(
             "limits",
-            f"limits: following_error_m is {limits.following_error_m:g}, so that a motor which is "
-            f"stuck at home is never noticed; better: well below stroke_m, {limits.stroke_m:g}",
+            f"limits: following_error_m is {limits.following_error_m:g}, so a motor that is stuck "
+            f"at home is never detected; better: well below stroke_m, {limits.stroke_m:g}",
         )
     if limits.continuous_force > limits.force:
         yield Doubt(
             "limits",
             f"limits: continuous_force_n is {limits.continuous_force:g}, more than the peak "
-            f"force_n of {limits.force:g}; is it that of other motors?",
+            f"force_n of {limits.force:g}; does it belong to other motors?",
         )
     yield from _speeds(rig)
 
@@ -253,8 +253,8 @@ def _speeds(rig: Rig) -> Iterator[Doubt]:
         if most < min(LEAST_GAMMA * floor, 0.5 * rig.reach.accel):
             yield Doubt(
                 "limits",
-                f"limits: {key} is {value:g} {unit}: at {CYCLE_HZ[1]:g} Hz, the fastest wave in a "
-                f"cycle, that is {most:.3g} m/s2, and parts slide from mu g = {floor:g} m/s2 on; "
+                f"limits: {key} is {value:g} {unit}: at {CYCLE_HZ[1]:g} Hz, the fastest wave of a "
+                f"cycle, it allows {most:.3g} m/s2; parts slide above mu g = {floor:g} m/s2; "
                 f"advised: {LEAST_GAMMA * floor * value / most:.2g} {unit} or more",
                 bool(most <= floor),
             )
@@ -263,7 +263,7 @@ def _speeds(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "limits",
             f"limits: stroke_m is {limits.stroke_m:g}, but at {CYCLE_HZ[0]:g} Hz, the slowest wave "
-            f"in a cycle, {rig.reach.accel:.3g} m/s2 ({rig.reach.limit}) use {needed:.2g} m of it",
+            f"of a cycle, {rig.reach.accel:.3g} m/s2 ({rig.reach.limit}) use only {needed:.2g} m",
         )
 
 
@@ -275,7 +275,7 @@ def _parts(rig: Rig) -> Iterator[Doubt]:
             "parts",
             f"parts: radius_m is {radius:g} on a plate whose shorter side is {2 * half:g} m, "
             f"allowed: up to {most:.3g}, advised: up to {PART_SHARE[1] * half:.2g}, so that "
-            "several parts have room to pass each other",
+            "several parts can pass each other",
             radius > most,
         )
     masses = {name: part.mass_kg or 0.0 for name, part in rig.types.items()}
@@ -286,8 +286,8 @@ def _parts(rig: Rig) -> Iterator[Doubt]:
     if mass > 0.1 * rig.plate.mass_kg:
         yield Doubt(
             "parts",
-            f"{where}: mass_kg is {mass:g} on a plate of {rig.plate.mass_kg:g} kg: the "
-            "plate is taken not to feel the parts, advised: a tenth of it or less",
+            f"{where}: mass_kg is {mass:g} on a plate of {rig.plate.mass_kg:g} kg, advised: a "
+            "tenth of that or less, because the model neglects the parts' forces on the plate",
         )
 
 
@@ -300,8 +300,8 @@ def _fiducials(rig: Rig) -> Iterator[Doubt]:
         room = rig.plate.half - rig.fiducials.side_m / 2
         yield Doubt(
             "camera",
-            f"fiducials: centre_m: marker_{rig.fiducials.numbers[row]} is [{x:g}, {y:g}], so it is "
-            f"not wholly on the plate, allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} for "
+            f"fiducials: centre_m: marker_{rig.fiducials.numbers[row]} is [{x:g}, {y:g}], not "
+            f"completely on the plate, allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} for "
             f"markers of {rig.fiducials.side_m:g} m",
             True,
         )
@@ -333,8 +333,8 @@ def _heights(rig: Rig) -> Iterator[Doubt]:
     if said is not None and lens is not None and abs(said - height) > HEIGHT_ERROR * height:
         yield Doubt(
             "camera",
-            f"camera: height_m is {said:g}, but focal_px and corners_px show the plate from "
-            f"{height:.3g} m, which is used; allowed: {height:.3g}, or no height_m",
+            f"camera: height_m is {said:g}, but focal_px and corners_px give {height:.3g} m, which "
+            f"is used; allowed: {height:.3g}, or no height_m",
         )
     parts = {f"types: {name}": part.height_m for name, part in rig.types.items()}
     for where, value in {"parts": rig.parts.height_m, **parts}.items():
@@ -355,10 +355,10 @@ def _order(corners: np.ndarray) -> Doubt | None:
     turn = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
     if np.all(turn < 0):
         return None
-    what = "go round the other way, as in a mirror" if np.all(turn > 0) else "are no convex figure"
+    what = "are in mirrored order" if np.all(turn > 0) else "are no convex quadrilateral"
     return Doubt(
         "camera",
-        f"camera: corners_px {what}, allowed: the images of (-x,-y), (+x,-y), (+x,+y), (-x,+y) in "
+        f"camera: corners_px {what}, allowed: the pixels of (-x,-y), (+x,-y), (+x,+y), (-x,+y) in "
         "this order, as seen from above (pixel rows count downwards)",
         True,
     )
@@ -373,19 +373,19 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
         ratio = (sides[0] + sides[2]) / (sides[1] + sides[3])
         turned = np.roll(corners, 1, axis=0)
         other = _misfit(rig, turned, rig.plate.corners)[0] < min(GOOD_FIT, misfit / 3)
-        hint = "; they would fit with the last pair first" if other else ""
+        hint = "; they would fit if the last pair came first" if other else ""
         return Doubt(
             "camera",
-            f"camera: corners_px show a plate whose sides are as {ratio:.3g} to 1, no view "
-            f"of one of {length:g} x {width:g} m ({100 * misfit:.0f} % off), allowed: up to "
+            f"camera: corners_px show a plate with a side ratio of {ratio:.3g}, but the plate has "
+            f"{length:g} x {width:g} m: {100 * misfit:.0f} % error, allowed: up to "
             f"{100 * WORST_FIT:g} %; are they of another plate, or in another order?{hint}",
             misfit > WORST_FIT,
         )
     if np.degrees(tilt) > STEEP_DEG:
         return Doubt(
             "camera",
-            f"camera: it looks at corners_px {np.degrees(tilt):.0f} degrees from straight "
-            f"above, advised: up to {STEEP_DEG:g}",
+            f"camera: corners_px give a tilt of {np.degrees(tilt):.0f} degrees from the vertical, "
+            f"advised: up to {STEEP_DEG:g}",
         )
     return None
 
@@ -429,8 +429,8 @@ def _image(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "camera",
             f"camera: corners_px[{row}] is [{corners[row, 0]:g}, {corners[row, 1]:g}], outside the "
-            f"image of {size[0]} x {size[1]} px: parts there are not seen, advised: all four "
-            "corners in the image",
+            f"image of {size[0]} x {size[1]} px: parts there are not visible, advised: all four "
+            "corners inside the image",
             bool(np.any((middle < 0) | (middle > size - 1)) or np.sum(out) > 2),
         )
 
@@ -443,15 +443,15 @@ def _size(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "camera",
             f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.3g} px, "
-            f"allowed: {low:g} to {high:g} px, well seen from {FINE_PX:g} on: take the camera "
-            f"nearer, or one of {rig.camera.width_px * FINE_PX / radius_px:.0f} px width, or parts "
-            f"of {need:.2g} m or more",
+            f"allowed: {low:g} to {high:g} px, advised: {FINE_PX:g} px or more: move the camera "
+            f"nearer, use one of {rig.camera.width_px * FINE_PX / radius_px:.0f} px width, or "
+            f"parts of {need:.2g} m or more",
             radius_px < low,
         )
     elif radius_px > high:
         yield Doubt(
             "camera",
             f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.4g} px, allowed: "
-            f"{low:g} to {high:g} px: take a smaller image, or smaller parts",
+            f"{low:g} to {high:g} px: use a smaller image or smaller parts",
             True,
         )

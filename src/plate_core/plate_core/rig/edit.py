@@ -50,7 +50,7 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
             if not expected(load_rig(file.name)):
                 raise PlateError("the changed file would have other values")
         except PlateError as error:
-            raise PlateError(f"{path} is unchanged, change it by hand: {error}") from None
+            raise PlateError(f"{path} was not changed, edit it by hand: {error}") from None
 
 
 def edited(text: str, values: Values) -> str:

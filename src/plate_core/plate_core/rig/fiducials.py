@@ -63,18 +63,18 @@ def read_fiducials(fields: Fields) -> Fiducials:
         raise RigError(f"{centres.where}: {len(names)} markers, allowed: {LEAST} to {MOST}")
     if not all(NAME.fullmatch(name) for name in names):
         raise RigError(
-            f"{centres.where}: keys are {', '.join(names)}, allowed: marker_0, marker_1 and so on"
+            f"{centres.where}: keys are {', '.join(names)}, allowed: marker_0, marker_1, ..."
         )
     places = [centres.array(name, (2,), -FAR_M, FAR_M) for name in names]
     gap = np.linalg.norm(np.array(places)[:, None] - places, axis=2)
     if np.any(gap[~np.eye(len(places), dtype=bool)] < 1.2 * side):
         raise RigError(
             f"{centres.where}: two centres are {gap[gap > 0].min(initial=0):g} m apart, allowed: "
-            f"more than 1.2 sides, {1.2 * side:g} m"
+            f"more than 1.2 times the side, {1.2 * side:g} m"
         )
     spread = np.linalg.svd(places - np.mean(places, axis=0), compute_uv=False)
     if spread[1] < side:
-        raise RigError(f"{centres.where}: all in one line, allowed: the corners of an area")
+        raise RigError(f"{centres.where}: all on one line, allowed: centres that span an area")
     fields.finish()
     return Fiducials(
         dictionary,

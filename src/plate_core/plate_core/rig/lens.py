@@ -225,8 +225,8 @@ class Lens:
             edge = f", {pixels:.0f} px from the optical centre"
         return (
             f"lens: distortion is {[float(f'{value:.6g}') for value in self.distortion]} "
-            f"({self.model}), which folds the image of the plate{edge}, allowed: a distortion that "
-            "does not (are K and D from this camera, at this size of image?)"
+            f"({self.model}), which folds the image of the plate{edge}, allowed: a distortion "
+            "without a fold on the plate (are K and D from this camera, at this image size?)"
         )
 
     def _rays(self, point_px: np.ndarray) -> np.ndarray:

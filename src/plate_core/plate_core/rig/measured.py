@@ -27,13 +27,13 @@ def unmeasured(rig: Rig) -> list[str]:
         )
     if copied and rig.fiducials is None:
         found.append(
-            "corners: corners_px are those of a shipped rig file. Put markers on the plate (ros2 "
-            "run plate_vision calibrate markers), or read the plate's corners off an image"
+            "corners: corners_px are unchanged from a shipped rig file. Put markers on the plate "
+            "(ros2 run plate_vision calibrate markers), or measure the plate's corners in an image"
         )
     if any(rig.friction.mu == other.friction.mu for other in shipped):
         found.append(
-            f"friction: mu is {rig.friction.mu:g}, as in a shipped rig file. With parts on the "
-            "plate and the motors enabled: plate friction"
+            f"friction: mu is {rig.friction.mu:g}, unchanged from a shipped rig file. Put parts on "
+            "the plate, enable the motors, then: plate friction"
         )
     return found
 

@@ -63,13 +63,12 @@ class Suspension:
             if values.shape != (size,) or not np.all(np.isfinite(values) & (values >= 0)):
                 raise RigError(
                     f"suspension: {name} is {getattr(self, name)!r}, "
-                    f"allowed: {size} numbers, not negative"
+                    f"allowed: {size} numbers, 0 or more"
                 )
             object.__setattr__(self, name, tuple(values.tolist()))
         if not self.motor_bandwidth_hz > 0:
             raise RigError(
-                f"suspension: motor_bandwidth_hz is {self.motor_bandwidth_hz!r}, "
-                "allowed: more than 0"
+                f"suspension: motor_bandwidth_hz is {self.motor_bandwidth_hz!r}, allowed: above 0"
             )
 
 
@@ -82,9 +81,9 @@ def _checked(name: str, matrix: np.ndarray) -> Matrix:
     matrix = (matrix + matrix.T) / 2
     least = float(np.min(np.linalg.eigvalsh(matrix)))
     if least < -1e-12 * size or (name == "mass" and least <= 0):
-        kind = "positive" if name == "mass" else "not negative"
+        kind = "positive definite" if name == "mass" else "positive semidefinite"
         raise RigError(
-            f"suspension: {name} has the eigenvalue {least:.3g}, allowed: a matrix that is {kind}"
+            f"suspension: {name} has the eigenvalue {least:.3g}, allowed: a {kind} matrix"
         )
     return tuple(tuple(row) for row in matrix.tolist())
 

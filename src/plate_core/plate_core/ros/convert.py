@@ -280,7 +280,7 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
         raise PlateError(f"targets: frame is {frame[:50]!r}, allowed: {FRAME}")
     if len(set(ids)) < len(ids):
         again = next(name for name in ids if ids.count(name) > 1)
-        raise PlateError(f"targets: {again[:50]} stands twice, allowed: each part once")
+        raise PlateError(f"targets: {again[:50]} occurs twice, allowed: each part once")
     return tuple(
         PartTarget(each.id, (each.x, each.y), None if math.isnan(each.angle) else each.angle)
         for each in msg.targets
@@ -324,7 +324,7 @@ def _intervals(
         low, high = ends[row, 2 * column : 2 * column + 2]
         raise PlateError(
             f"part_forces: {ids[row]} has {keys[2 * column]} {low:g} and "
-            f"{keys[2 * column + 1]} {high:g}, allowed: min not above max"
+            f"{keys[2 * column + 1]} {high:g}, allowed: minimum up to maximum"
         )
     return ends
 
@@ -342,7 +342,7 @@ def _checked(
     """Return the fields `keys` (M, n) of the parts in a message. Raise an error if an id occurs
     twice or a value is not allowed."""
     if len(set(ids)) < len(ids):
-        raise PlateError(f"{what}: a name is given twice in {list(ids)}")
+        raise PlateError(f"{what}: ids are {list(ids)}, allowed: each part once")
     rows = [[getattr(item, key) for key in keys] for item in items]
     array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
     sane = np.abs(array) <= MOST  # false for NaN

@@ -75,7 +75,7 @@ def scenario_to_goal(scenario: Scenario) -> tuple[str, Any]:
             if name == "move_parts":
                 goal.marked = bool(scenario.marked)
             return name, goal
-    raise TypeError(f"no action does a {type(scenario.task).__name__}")
+    raise TypeError(f"there is no action for a {type(scenario.task).__name__}")
 
 
 def goal_to_scenario(goal: Any) -> Scenario:
@@ -152,7 +152,7 @@ def _read_path(path: Path) -> dict[str, Any]:
     if len(at) != len(speed):
         raise ScenarioError(
             f"follow_paths: {len(at)} profile_fractions and {len(speed)} profile_speeds, "
-            "allowed: as many"
+            "allowed: equal numbers"
         )
     return {
         "class": path.type,
@@ -324,4 +324,4 @@ def _point(at: tuple[float, float]) -> Point:
 def _each_once(what: str, labels: list[str]) -> None:
     again = next((label for label in labels if labels.count(label) > 1), None)
     if again is not None:
-        raise ScenarioError(f"{what}: {again} stands twice, allowed: each type once")
+        raise ScenarioError(f"{what}: {again} occurs twice, allowed: each type once")

@@ -43,13 +43,13 @@ class NodeOptions:
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     frame_prefix: str = parameter(
-        "", "Prefix of frame names, such as left/: two plates in one tf tree."
+        "", "Prefix of frame names, such as left/, for two plates in one tf tree."
     )
     autostart: bool = parameter(
-        True, "Configure and activate at start; false: others do this.", fixed=True
+        True, "Configure and activate at start; false: another program does it.", fixed=True
     )
     end_with_parent: bool = parameter(
-        True, "End with the process that started it; false: keep running.", fixed=True
+        True, "End when the process that started the node ends.", fixed=True
     )
 
 
@@ -194,11 +194,11 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
             for each in found
             if each.node_name != UNKNOWN_NAME
         }
-        told = ", ".join(sorted(names)) or "without a name"
+        told = ", ".join(sorted(names)) or "names unknown"
         if len(names) > 1:
             return f"{len(names)} nodes publish {topic} ({told}), allowed: one"
         if topic in self._turns and self._turns[topic].several(time.monotonic()):
-            return f"two nodes of one name publish {topic} ({told}), allowed: one"
+            return f"two nodes with the same name publish {topic} ({told}), allowed: one"
         return ""
 
     def report(
@@ -244,7 +244,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
             return ""
         return (
             f"parameter {name} is read when {self.get_name()} is configured, "
-            "allowed: while it is not active"
+            "allowed: changes while the node is not active"
         )
 
     def _keep_clock(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -254,7 +254,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
             return SetParametersResult(successful=True)
         reason = (
             f"parameter {USE_SIM_TIME_NAME} changes the clock of {self.get_name()}, "
-            "allowed: while it is not active"
+            "allowed: changes while the node is not active"
         )
         return SetParametersResult(successful=False, reason=reason)
 

@@ -123,18 +123,19 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
     others = for_others(sys.argv, node.get_name()) if names else set()
     for name in names:
         if name not in others and name in moved:
-            raise PlateError(f"parameter {name} of {node.get_name()} is gone: {moved[name]}")
+            raise PlateError(f"parameter {name} of {node.get_name()} was removed: {moved[name]}")
         if name not in others:
             raise PlateError(_unknown(node, name, known))
     if names:
         node.get_logger().warning(
-            f"ignored, as given to all nodes and not one of {node.get_name()}: {', '.join(names)}"
+            f"ignored parameters, given to all nodes but unknown to {node.get_name()}: "
+            f"{', '.join(names)}"
         )
 
 
 def _unknown(node: Node, name: str, known: Sequence[str]) -> str:
     return (
-        f"parameter {name} is not one of {node.get_name()}{did_you_mean(name, known)}, "
+        f"parameter {name} is unknown to {node.get_name()}{did_you_mean(name, known)}, "
         f"allowed: {', '.join(known)}"
     )
 

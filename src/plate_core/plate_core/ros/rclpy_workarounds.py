@@ -196,7 +196,7 @@ def deserialized(data: bytes, kind: type) -> Any:
     try:
         return deserialize_message(data, kind)
     except Exception:  # includes errors of conversions
-        raise PlateError(f"{kind.__name__}: {len(data)} bytes that are none") from None
+        raise PlateError(f"{kind.__name__}: {len(data)} bytes are not a valid message") from None
 
 
 class UnlockedSubscription:

@@ -79,7 +79,7 @@ def usage(start: str, node: Any, options: type | None) -> str:
     lines = [f"usage: {start} [--ros-args -p NAME:=VALUE ...]", ""]
     lines += (inspect.getdoc(node) or "").splitlines()
     if options is not None:
-        lines += ["", "Parameters, with their defaults (* may be changed while it runs):"]
+        lines += ["", "Parameters and defaults (* can be changed while the node runs):"]
         others: dict[str, list[str]] = {}
         for item in fields(options):
             assert item.default is not MISSING

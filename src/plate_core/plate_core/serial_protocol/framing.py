@@ -49,17 +49,17 @@ def unframe(encoded: bytes) -> bytes:
             f"frame has {len(encoded)} bytes, allowed: {CRC_BYTES + 2} to {MAX_PACKET + 1}"
         )
     if END in encoded:
-        raise FrameError(f"frame has its end within, at byte {encoded.index(END)}")
+        raise FrameError(f"frame contains the end byte at byte {encoded.index(END)}")
     decoded, at = bytearray(encoded), 0
     while at < len(encoded):
         decoded[at] = 0
         at += encoded[at]
     if at > len(encoded):
-        raise FrameError(f"frame's last block ends {at - len(encoded)} bytes after it")
+        raise FrameError(f"the last block ends {at - len(encoded)} bytes after the frame's end")
     packet = bytes(decoded[1:-CRC_BYTES])
     crc = int.from_bytes(decoded[-CRC_BYTES:], "little")
     if zlib.crc32(packet) != crc:
-        raise FrameError(f"frame's CRC is {crc:#010x}, its bytes give {zlib.crc32(packet):#010x}")
+        raise FrameError(f"frame's CRC is {crc:#010x}, allowed: {zlib.crc32(packet):#010x}")
     return packet
 
 

@@ -265,7 +265,7 @@ class DriveTrouble:
         whose = f"motor_{self.motor}" if self.motor else "bus"
         errors = [name for bit, name in ODRIVE_ERRORS.items() if self.code >> bit & 1]
         return f"{whose}: " + WORDS[self.kind].format(
-            object=self.object, code=self.code, errors=", ".join(errors) or "none told",
+            object=self.object, code=self.code, errors=", ".join(errors) or "none reported",
             abort=abort_words(self.code), allowed=ALLOWED.get(self.object, "see its manual"),
             meaning=emergency_words(self.code),
         )  # fmt: skip
@@ -284,15 +284,16 @@ def emergency_words(code: int) -> str:
 
 ABORTS = {
     0x06010002: "read only", 0x06020000: "no such object", 0x06040041: "cannot be mapped",
-    0x06040042: "too much is mapped", 0x06070010: "wrong length", 0x06090011: "no such subindex",
+    0x06040042: "too many objects are mapped", 0x06070010: "wrong length",
+    0x06090011: "no such subindex",
     0x06090030: "value not allowed", 0x06090031: "value too great", 0x06090032: "value too small",
-    0x08000020: "cannot be stored", 0x08000021: "it is led by another interface",
-    0x08000022: "not in this state of the drive",
+    0x08000020: "cannot be stored", 0x08000021: "another interface controls the drive",
+    0x08000022: "not possible in this state of the drive",
 }  # fmt: skip
 EMERGENCIES = {
     "8130": "heartbeat missed", "8611": "following error", "81": "communication", "2": "current",
     "3": "voltage", "4": "temperature", "5": "hardware", "6": "software", "7": "sensor",
-    "FF": "its maker's own: see its manual",
+    "FF": "manufacturer specific, see its manual",
 }  # fmt: skip
 """Meanings of emergencies by the first digits of the code. The first entry that matches is used.
 `ABORTS` has the meanings of SDO aborts."""
@@ -310,26 +311,26 @@ WORDS = {
     Trouble.SILENT: "the drive does not answer",
     Trouble.RESET: "the drive was reset",
     Trouble.NOT_OPERATIONAL: "the drive is not operational (NMT state {code})",
-    Trouble.REFUSED: "the drive refuses object {object:04X}h in its set-up ({abort})",
+    Trouble.REFUSED: "the drive refuses object {object:04X}h during set-up ({abort})",
     Trouble.WRONG_DRIVE: "the drive does not fit: object {object:04X}h is {code:X}h ({code}), "
     "allowed: {allowed}",
     Trouble.EMERGENCY: "emergency {code:04X}h, error register {object:02X}h{meaning}",
     Trouble.FAULT: "the drive is in fault (statusword {code:04X}h)",
-    Trouble.LEFT: "the drive has left operation (statusword {code:04X}h)",
-    Trouble.NOT_ENABLED: "the drive does not go into operation (status {code:04X}h)",
+    Trouble.LEFT: "the drive has left the enabled state (statusword {code:04X}h)",
+    Trouble.NOT_ENABLED: "the drive does not become enabled (status {code:04X}h)",
     Trouble.KEEPS: "the drive keeps its current (status {code:04X}h): cut the power by hand",
-    Trouble.NO_POSITION: "the drive does not tell its position",
+    Trouble.NO_POSITION: "the drive does not report its position",
     Trouble.TWICE: "two drives have its node number",
-    Trouble.BUS_OFF: "bus off: look at wires, termination and bit rate",
-    Trouble.OTHER_MASTER: "another master is on it",
+    Trouble.BUS_OFF: "bus off: check wires, termination and bit rate",
+    Trouble.OTHER_MASTER: "another master is on the bus",
     Trouble.ERROR: "errors of the drive: {errors} ({code:08X}h)",
-    Trouble.NO_WATCHDOG: "the drive holds on in silence: set its enable_watchdog, and "
+    Trouble.NO_WATCHDOG: "the drive stays enabled without messages: set its enable_watchdog, and "
     "watchdog_timeout to 0.1 s",
     Trouble.HOME_LOST: "home is lost: let the plate hang at home, then call home, then enable",
-    Trouble.RANGE: "position {code:08X}h at home: its counts end within the stroke, move its zero",
+    Trouble.RANGE: "position {code:08X}h at home: its range ends within the stroke, move its zero",
     Trouble.ASTRAY: "the drive does not follow: {code} um from its setpoint",
-    Trouble.CROOKED: "the motors' positions fit no rigid plate: a drive has lost counts, or two "
-    "are swapped",
+    Trouble.CROOKED: "the motors' positions do not fit a rigid plate: a drive has lost counts or "
+    "two drives are swapped",
 }
 
 ODRIVE_ERRORS = {

@@ -57,9 +57,9 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
         return ""
     away = float(np.min(rig.plate.half - np.abs(point)))
     return (
-        f"({x:g}, {y:g}) m, allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate: "
-        f"{1e3 * least:.3g} mm from its edges, not {1e3 * away:.3g}, since it moves away under "
-        f"parts by up to {1e3 * rig.limits.stroke_m:g} mm, the stroke"
+        f"({x:g}, {y:g}) m, {1e3 * away:.3g} mm from an edge, allowed: |x| up to {room[0]:g}, |y| "
+        f"up to {room[1]:g} m on this plate, {1e3 * least:.3g} mm from its edges, because the "
+        f"plate moves under the parts by up to {1e3 * rig.limits.stroke_m:g} mm (the stroke)"
     )
 
 
@@ -68,8 +68,8 @@ def nowhere_text(label: str, rig: Rig) -> str:
     least = rig.edge_margin(label).least_m
     room = rig.plate.half - least
     return (
-        f"nowhere {1e3 * least:.3g} mm or more from the plate's edges, so parts would be lost, "
-        f"allowed: some of it where |x| is at most {room[0]:g}, |y| at most {room[1]:g} m"
+        f"everywhere nearer than {1e3 * least:.3g} mm to an edge of the plate, so parts would be "
+        f"lost, allowed: some area with |x| up to {room[0]:g}, |y| up to {room[1]:g} m"
     )
 
 
@@ -83,7 +83,8 @@ def edge_doubts(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
             continue
         text = (
             f"{key} of {label} is ({point[0]:g}, {point[1]:g}) m, {1e3 * away:.3g} mm from an "
-            f"edge: a push or a slippery spot may lose a part there, {1e3 * wall:.3g} mm would do"
+            f"edge, advised: {1e3 * wall:.3g} mm, because a push or a slippery spot may move a "
+            "part over the edge"
         )
         doubts[key, label] = away, text
     return tuple(text for _, text in doubts.values())

@@ -46,7 +46,7 @@ def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
     ready = sum(pick.ready for pick in picks)
     if hopper is not None and ready > hopper.fill:
         raise fields.fail(
-            "picks", f"ready, summed up, at most the hopper's fill: it is {ready} of {hopper.fill}"
+            "picks", f"a sum of ready, now {ready}, up to the hopper's fill, {hopper.fill}"
         )
     chute = fields.value(keys.FEED["chute"])
     return FeedTask(
@@ -93,10 +93,10 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
             raise fields.fail("mix", f"the classes of parts: {known}; not {unknown[0]!r}{hint}")
         total = sum(mix.values())
         if abs(total - 1) > WHOLE:
-            raise fields.fail("mix", f"fractions of {known} that sum up to 1")
+            raise fields.fail("mix", f"fractions of {known} whose sum is 1")
         mix = {label: share / total for label, share in mix.items()}
         if none := [pick.label for pick in picks if not mix.get(pick.label)]:
-            raise fields.fail("mix", f"more than 0 of each class of picks: {', '.join(none)} too")
+            raise fields.fail("mix", f"more than 0 for each class of picks, also {', '.join(none)}")
     fill = fields.value(keys.HOPPER["fill"])
     least = fields.value(keys.HOPPER["least"])
     if least is not None and least > fill:
@@ -158,8 +158,8 @@ def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     if pick.ready <= max(most, 1):
         return ""
     return (
-        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}: the window of "
-        f"{1e3 * (high[0] - low[0]):g} by {1e3 * (high[1] - low[1]):g} mm has no room for more at "
+        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}: more do not fit "
+        f"into the window of {1e3 * (high[0] - low[0]):g} by {1e3 * (high[1] - low[1]):g} mm with "
         f"a clearance of {1e3 * clearance_m:g} mm"
     )
 
@@ -186,7 +186,7 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
             "allowed: finite, and up to 3.14"
         )
     if rig.part_type(pick.label).symmetry == 0:
-        return f"angle of {pick.label} is asked for, allowed: none, it is round"
+        return f"angle of {pick.label} is given, allowed: none, because the part is round"
     return ""
 
 

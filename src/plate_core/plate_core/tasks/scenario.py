@@ -121,7 +121,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
     if not all(group.count for group in parts) and not (feeds and any(g.count for g in parts)):
         raise ScenarioError(
             f"{fields.where}: parts: count is 0, allowed: a whole number from 1 to {MOST_PARTS} "
-            "(in a task of feed from 0, but one part in all)"
+            "(for a task of feed 0 is allowed too, but not for all groups)"
         )
     scenario = Scenario(
         name=name,
@@ -158,7 +158,7 @@ def _rig(fields: Fields, folder: Path) -> str:
 def _group(fields: Fields) -> PartGroup:
     label = fields.value(keys.GROUP["class"])
     if not NAME.fullmatch(label):
-        raise fields.fail("class", "small letters and digits, as black or nut_m4")
+        raise fields.fail("class", "small letters and digits, such as black or nut_m4")
     if fields.one_of("count", "positions_m") == "count":
         group = PartGroup(label, fields.value(keys.GROUP["count"]))
     else:
@@ -252,10 +252,10 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
     waypoint = fields.value(keys.PATH[key])
     step = np.hypot(*np.diff(waypoint, axis=0).T)
     if len(waypoint) < 2 or np.min(step) < APART_M:
-        raise fields.fail(key, "at least two points, each apart from the next")
+        raise fields.fail(key, "at least two points, each different from the next")
     closed = fields.value(required(keys.PATH["closed"]))
     if closed and np.hypot(*(waypoint[-1] - waypoint[0])) < APART_M:
-        raise fields.fail(key, "for a closed path, a last point that is not the first")
+        raise fields.fail(key, "for a closed path, a last point different from the first")
     if key == "spline_m":
         if len(waypoint) < 3:
             raise fields.fail(key, "at least three points")
@@ -277,7 +277,7 @@ def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
     ):
         raise fields.fail(
             "speed_mps",
-            f"a number, or pairs [fraction of a lap, m/s], fractions growing from 0 to 1, "
+            f"a number, or pairs [fraction of a lap, m/s], fractions increasing from 0 to 1, "
             f"speeds from {keys.SLOWEST_MPS:g} to {keys.FASTEST_MPS:g}",
         )
     return _pairs(profile)
@@ -382,13 +382,13 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
     for label, part in ((label, rig.part_type(label)) for label in _turned(task)):
         if part.symmetry == 0 and label in rig.types:
             raise ScenarioError(
-                f"{scenario.where}: angles of {label} are asked for, allowed: of parts that are "
-                "not round (marks are seen only on rigs without types)"
+                f"{scenario.where}: angles of {label} are given, allowed: angles of parts that "
+                "are not round (marks are detected only on rigs without types)"
             )
         if part.symmetry == 0 and not scenario.marked:
             raise ScenarioError(
-                f"{scenario.where}: marked is false, allowed with angles of {label}: true (a round "
-                "part without a mark shows no angle)"
+                f"{scenario.where}: marked is false, but angles of {label} require marked: true (a "
+                "round part without a mark shows no angle)"
             )
     placed = [("parts: positions_m", g.label, p) for g in scenario.parts for p in g.position or ()]
     goals = goal_places(scenario)
@@ -424,7 +424,7 @@ def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
     label = part_class(target.id)
     if label not in scenario.labels:
         known = ", ".join(sorted(set(scenario.labels)))
-        return f"{target.id} is of no class of this task, allowed: {known}"
+        return f"class of {target.id} is not in this task, allowed: {known}"
     part = rig.part_type(label)
     if problem := edge_problem(label, target.place, rig):
         return f"place of {target.id} is {problem}"
@@ -433,7 +433,7 @@ def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
     if not math.isfinite(target.angle):
         return f"angle of {target.id} is {target.angle:g}, allowed: finite, or none"
     if part.symmetry == 0 and (label in rig.types or not scenario.marked):
-        return f"{target.id} is round and shows no angle, allowed: none for it (or a mark: marked)"
+        return f"angle of {target.id} is given, but it is round and requires marked: true"
     return ""
 
 
@@ -501,8 +501,8 @@ def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None
         if shared > SHARED_M2:
             words = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in pair)
             raise ScenarioError(
-                f"{scenario.where}: task: regions: {words}: they share {1e4 * shared:.3g} cm2, "
-                "allowed: regions with no area in common"
+                f"{scenario.where}: task: regions: {text}: they overlap by {1e4 * shared:.3g} cm2, "
+                "allowed: regions that do not overlap"
             )
 
 
@@ -574,9 +574,9 @@ def start_positions(
             break
     else:
         raise ScenarioError(
-            f"{scenario.where}: parts: count: {count} to scatter, allowed: {most}; no more parts "
-            f"of up to {1e3 * radius.max():g} mm radius find room, {gap:g} radii apart, on "
-            f"{2 * half[0]:g} x {2 * half[1]:g} m; fewer parts, or positions_m"
+            f"{scenario.where}: parts: count: {count} at random positions, allowed: {most}; more "
+            f"parts of up to {1e3 * radius.max():g} mm radius do not fit, {gap:g} radii apart, on "
+            f"{2 * half[0]:g} x {2 * half[1]:g} m; use fewer parts or positions_m"
         )
     rest = iter(scattered)
     rows = [
