@@ -94,7 +94,7 @@ def test_moments_of_a_polygon_agree_with_a_grid():
         ),
         ("nut: {radius_m: 0.01, symmetry: 3}", "symmetry is 3, allowed: 0 for a disc"),
         ("nut: {radius_m: 0.01, colour: red}", "unknown key colour"),
-        ("nut: {radius_m: 0.01, holes_m: [[[0, 0], [0.009, 0], [0, 0.009]]]}", "about its centre"),
+        ("nut: {radius_m: 0.01, holes_m: [[[0, 0], [0.009, 0], [0, 0.009]]]}", "around its centre"),
         (
             "nut: {outline_m: [[0, 0], [0.01, 0], [0, 0.01]], "
             "holes_m: [[[0, 0], [0.1, 0], [0, 0.1]]]}",
