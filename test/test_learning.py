@@ -116,7 +116,7 @@ def test_a_damaged_file_is_refused_in_one_line(learned, tmp_path, kept):
     save_response(path, learned[0])
     data = path.read_bytes()
     path.write_bytes(data[: int(kept * len(data))])
-    with pytest.raises(PlateError, match=r"response\.npz: is no calibration") as caught:
+    with pytest.raises(PlateError, match=r"response\.npz: not a valid calibration") as caught:
         saved_response(path)
     assert "\n" not in str(caught.value)
 
@@ -125,12 +125,12 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     path = tmp_path / "response.npz"
     for content in ({"frequency": np.arange(3)}, {"frequency": 1.0, "matrix": 2.0, "lever": 3.0}):
         np.savez(path, **content)
-        with pytest.raises(PlateError, match="is no calibration"):
+        with pytest.raises(PlateError, match="not a valid calibration"):
             saved_response(path)
     path.write_bytes(b"hello")
-    with pytest.raises(PlateError, match="is no calibration"):
+    with pytest.raises(PlateError, match="not a valid calibration"):
         saved_response(path)
     path.unlink()
     os.mkfifo(path)  # that nobody writes to
-    with pytest.raises(PlateError, match=r"is no calibration .*is a FIFO, allowed: a regular"):
+    with pytest.raises(PlateError, match=r"not a valid calibration .*is a FIFO, allowed: a reg"):
         saved_response(path)

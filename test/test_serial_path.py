@@ -500,4 +500,4 @@ def test_an_enable_says_that_the_device_speaks_another_version(firmware, monkeyp
     monkeypatch.setattr("plate_driver.transports.link.VERSION", 9)
     transport = link(firmware)
     pass_time(firmware, transport, 0.5)
-    assert "for 4 motors, allowed: version 9 for 4" in transport.enable().failure
+    assert "and 4 motors, allowed: version 9 and 4" in transport.enable().failure

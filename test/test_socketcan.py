@@ -244,7 +244,7 @@ def test_what_cannot_be_led_is_refused():
     unwatched = replace(free, limits=replace(free.limits, following_error_m=0))
     for wrong, port, text in (
         (free, "", "port is '', allowed with socketcan: a CAN interface, such as can0"),
-        (rig, "can0", "trigger_phase is given, allowed with socketcan: a free camera"),
+        (rig, "can0", "trigger_phase is given, allowed with socketcan: a free-running"),
         (unwatched, "can0", "following_error_m is 0, allowed with socketcan: above 0"),
         (RIG, "can0", "drive is bridge, allowed with socketcan: cia402, odrive"),
     ):
@@ -381,7 +381,7 @@ def test_a_process_that_says_nothing_is_no_measurement(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
-    assert "the process that leads the drives has ended" in capsys.readouterr().err
+    assert "the process that controls the drives has ended" in capsys.readouterr().err
 
 
 def test_a_process_that_has_ended_is_no_broken_pipe():
@@ -389,7 +389,7 @@ def test_a_process_that_has_ended_is_no_broken_pipe():
     with near, far:
         port = HostPort(Path("/bin/false"), "ended", lambda _: far.dup())
         os.waitid(os.P_PID, port._process.pid, os.WEXITED | os.WNOWAIT)
-        with pytest.raises(OSError, match="the process that leads the drives has ended"):
+        with pytest.raises(OSError, match="the process that controls the drives has ended"):
             port.write(b"a")
         port.close()
 
@@ -401,5 +401,5 @@ def test_how_late_it_is_can_be_asked(program, monkeypatch, capsys):
         main()
     assert end.value.code in (0, 1)
     said = capsys.readouterr().out
-    assert said.startswith("delay of setpoints, maximum of each 10 ms: median ")
+    assert said.startswith("delay of setpoints, maximum per 10 ms: median ")
     assert "; allowed: 3.00 ms\n" in said

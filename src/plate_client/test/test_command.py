@@ -135,7 +135,7 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
     due = []
 
     def answer(request, response):
-        response.success, response.message = True, "enabling: driver_status tells"
+        response.success, response.message = True, "enabling: driver_status reports"
         due.extend(
             [DriverStatus(state=DriverStatus.ENABLING), DriverStatus(state=state, text=ends)]
         )

@@ -108,7 +108,8 @@ class CycleStarts:
         if played > period + MARGIN_S:
             return 0.0, f"played for {played:.3g} s, allowed: {period:.3g} s, its period"
         if new.time > now + AHEAD_S:
-            return 0.0, f"measured {new.time - now:.3g} s ahead of our time"
+            ahead = new.time - now
+            return 0.0, f"was reported {ahead:.3g} s in the future, allowed: {AHEAD_S:g} s"
         last = self.last
         if last is None or new.device_s < last.device_s:
             return 0.0, ""
@@ -116,19 +117,19 @@ class CycleStarts:
         if not last.table or last.playing is None:
             if began < last.device_s - MARGIN_S:
                 passed = new.device_s - last.device_s
-                return 0.0, f"played for {played:.3g} s, but did not {passed:.3g} s ago"
+                return 0.0, f"played for {played:.3g} s, but not yet {passed:.3g} s ago"
             return 0.0, ""
         before = last.playing.cycle.period
         later = began - (last.device_s - (last.time - last.began))
         off = later - round(later / before) * before
         if last.table != new.table:
             if later < before - MARGIN_S:
-                return 0.0, f"began {later:.3g} s after the table before, allowed: {before:.3g} s"
+                return 0.0, f"began {later:.3g} s after the last table, allowed: {before:.3g} s"
             if abs(off) > MARGIN_S:  # the plate rested between the tables
                 return 0.0, ""
         slip = self.slip + off
         if abs(slip) > MARGIN_S:
-            return 0.0, f"began {slip:.3g} s later than whole periods ago, allowed: {MARGIN_S:g} s"
+            return 0.0, f"began {slip:.3g} s off a multiple of the period, allowed: {MARGIN_S:g} s"
         forgiven = DRIFT * (new.device_s - last.device_s)
         return slip - min(max(slip, -forgiven), forgiven), ""
 

@@ -112,15 +112,15 @@ class Freshness:
         age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
         if not -AHEAD_S <= age <= limit:
             slow = 0 <= age < CLOCKS_S
-            clocks = "does the clock that stamps images agree with this computer's?"
+            clocks = "is the clock of the image stamps synchronised with this computer's?"
             raise CycleError(
-                f"plate_cycle answers an image that is {age:.2f} s old, allowed: 0 to {limit:.2f} s"
+                f"plate_cycle is for an image {age:.2f} s old, allowed: 0 to {limit:.2f} s"
                 f"; {'is the computer too slow?' if slow else clocks}"
             )
         if len(self.last_cycles) > 1:
             raise CycleError(f"{len(self.last_cycles)} nodes publish plate_cycle, allowed: one")
         if 0 < self.since_ns - stamp_ns < RESTART_NS:
-            raise CycleError(f"plate_cycle answers an image from before {self.why}")
+            raise CycleError(f"plate_cycle is for an image from before {self.why}")
         if 0 <= self.ended_ns - stamp_ns < RESTART_NS:
-            raise CycleError("plate_cycle was asked for by a task that has ended")
+            raise CycleError("plate_cycle is for a task that has ended")
         return limit - age

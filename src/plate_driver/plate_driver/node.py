@@ -66,7 +66,7 @@ WATCH_PERIOD_S = 0.02
 """Period at which the transport and the motors' state are checked [s]."""
 
 CORRECTED = (
-    "the plate is corrected by its calibration: cycles that begin in motion are refused, those "
+    "the calibration corrects the plate's motion: cycles that begin in motion are refused, cycles "
     "from rest are played with their tails"
 )
 """Message on activation with a calibration."""
@@ -79,22 +79,22 @@ WORTH_A_WARNING = 0.99
 class Options(NodeOptions):
     """Parameters of the driver."""
 
-    transport: str = parameter("sim", "What moves the plate: sim, serial, or one more installed.")
+    transport: str = parameter("sim", "Transport to the motors: sim, serial or an installed one.")
     port: str = parameter("", "Serial port of the motor controller, or bus of the transport.")
     baud: int = parameter(921_600, "Speed of the serial line [bit/s].", 9600, 4_000_000)
     longest_upload_s: float = parameter(
-        0.5, "Longest time that a cycle of 64 pieces may take on the line [s].", 0.01, 60.0
+        0.5, "Maximum time to send a cycle of 64 pieces over the line [s].", 0.01, 60.0
     )
-    streams: bool = parameter(False, "Whether to stream setpoints, not to send whole cycles ahead.")
+    streams: bool = parameter(False, "Whether to stream setpoints instead of sending whole cycles.")
     hold_cycles: int = parameter(
-        2, "Periods that a cycle from rest to rest is played without a new one.", 1, 20
+        2, "Number of times that a cycle from rest to rest is played if no new one arrives.", 1, 20
     )
     repeats: int = parameter(
-        1, "Times that a cycle which does not start at rest is played.", 1, 100, live=True
+        1, "Number of times that a cycle which begins in motion is played.", 1, 100, live=True
     )
-    state_rate: float = parameter(10.0, "Messages of motor_states [1/s]; 0: none.", 0.0, 200.0)
+    state_rate: float = parameter(10.0, "Rate of motor_states [1/s]; 0: none.", 0.0, 200.0)
     calibration_file: str = parameter(
-        "", "What `calibrate` has learned of the plate: written then, read at configure; or empty."
+        "", "File of the plate's response: `calibrate` writes it, configure reads it; empty: none."
     )
 
 

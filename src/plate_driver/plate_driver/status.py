@@ -126,7 +126,7 @@ def health(
         return Finding(Level.STALE, "; ".join([unplayed, *lasting]))
     problems = (*statistics.problems, *lasting)
     if retries > MANY_RETRIES:
-        problems = (*problems, f"{retries} messages were repeated: the line is bad")
+        problems = (*problems, f"{retries} messages were repeated: the serial line is bad")
     if problems:
         return Finding(Level.WARN, ", ".join(problems))
     return Finding(Level.OK, "all cycles as requested" if quiet_s is None else AT_REST)

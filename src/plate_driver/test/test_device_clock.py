@@ -168,7 +168,7 @@ def test_a_clock_that_no_pulse_tells_is_not_believed():
     assert clock.doubt(1.01) == ""
     later = 1.01 + PULSE_AGE_S
     clock = clock.stamped(round((4.0 + later) * 1e6), later)
-    assert clock.doubt(later) == "the device's clock was not told for 5 s"
+    assert clock.doubt(later).endswith("for 5 s")
 
 
 def test_no_start_of_a_cycle_is_taken_from_a_clock_that_is_doubted():

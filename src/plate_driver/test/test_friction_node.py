@@ -95,7 +95,7 @@ def test_a_task_or_motors_that_are_not_ready_come_first(driven):
     msg = TaskStatus(state=TaskStatus.RUNNING)
     data = serialize_message(msg)
     driven.node.take_task(data, len(data), b"planner")
-    assert start(driven).message == "a task runs, allowed: none; end it with stop"
+    assert start(driven).message == "a task runs, allowed: no task; end it with stop"
     data = serialize_message(TaskStatus(state=TaskStatus.DONE))
     driven.node.take_task(data, len(data), b"planner")
     driven.call("emergency_stop")
@@ -107,7 +107,7 @@ def test_nobody_waits_for_images_that_do_not_come(driven):
     assert start(driven).success
     driven.pass_time(6.0)
     assert said(driven).state == Friction.FAILED
-    assert "no message on parts within 5 s" in said(driven).text
+    assert "no message of parts within 5 s" in said(driven).text
     assert driven.node.status.state is DriverState.READY
     assert not driven.setpoints
 

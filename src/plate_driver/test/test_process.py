@@ -248,7 +248,7 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     assert change("configure")
     assert change("activate")
     peer.moved()
-    stood = "cycle refused: plate_cycle answers an image from before the driver itself stood"
+    stood = "cycle refused: plate_cycle is for an image from before the driver was stalled"
     sent = []
 
     def refused() -> bool:

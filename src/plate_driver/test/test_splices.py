@@ -190,7 +190,7 @@ def test_the_last_look_sees_tail_splice_and_start(pair):
         check_setpoints(RIG, *arrays)
     for row, value, message in (
         (-1, 1e-4, r"travel off its start, or at rest, is 0\.0001 m"),
-        (KNOTS, 1e-4, "given twice for one time differ"),
+        (KNOTS, 1e-4, "for the same time differ"),
         (0, start[0][1] + 1e-4, r"travel off its start, or at rest, is 0\.0001 m"),
     ):
         q = table.q.copy()
@@ -218,7 +218,7 @@ def test_with_a_calibration_only_cycles_from_rest_are_taken(pair):
     assert table.cycle.period == fit.cycle.period == pytest.approx(PERIOD + TAIL)
     t = np.linspace(0, TAIL, 20)
     np.testing.assert_allclose(seen[0].pose(PERIOD + t), first.tail.pose(t), atol=1e-15)
-    with pytest.raises(CycleError, match="allowed with a calibration: one that begins at rest"):
+    with pytest.raises(CycleError, match="allowed with a calibration: a cycle that begins at rest"):
         prepare(RIG, second, 2, correction=correction, before=first)
 
 
@@ -279,8 +279,8 @@ def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng)
         taken.append((k, fit.factor, cycle.starts_at_rest))
         before = guard.table.cycle
         assert np.max(guard.thermal.at_time(weak, now).rise) <= 1 + 1e-6
-    warm = [text for text in refused if "mean force of motors so warm" in text]
-    assert "the plate comes to rest, and a cycle from rest can be" in warm[0]
+    warm = [text for text in refused if "mean force at the motors' temperature" in text]
+    assert "the plate comes to rest, and cycles from rest can be" in warm[0]
     scaled = [k for k, factor, _ in taken if factor < 1]
     in_motion = [k for k, _, at_rest in taken if not at_rest]
     assert len(scaled) > 5
@@ -484,7 +484,7 @@ def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):
     )
     stream, sent = SetpointStream.of(first, 1).until(0.11)
     assert stream.playing.cycle is first.cycle.tail
-    with pytest.raises(CycleError, match="not where the setpoints end that are sent now"):
+    with pytest.raises(CycleError, match="not in the final state of the running setpoints"):
         stream.followed_by(second, 1)
     swing = prepare(RIG, closed(rng), 2)[0]
     stream, more = stream.followed_by(swing, 2).until(50.0)

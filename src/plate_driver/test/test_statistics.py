@@ -31,7 +31,7 @@ def test_counts():
     assert guard.statistics.problems == (
         "a cycle was scaled down",
         "a cycle was refused",
-        "cycles ceased to come",
+        "no more cycles arrived",
     )
 
 

@@ -38,10 +38,10 @@ def test_a_table_made_before_a_stop_is_not_sent_after_it():
     thread.send(TABLE, 1, latch.number)
     number = latch.number
     latch.close(EMERGENCY)
-    with pytest.raises(CycleError, match="was stopped meanwhile"):
+    with pytest.raises(CycleError, match="was stopped in the meantime"):
         thread.send(TABLE, 1, latch.number)
     assert latch.open(latch.number)
-    with pytest.raises(CycleError, match="was stopped meanwhile"):
+    with pytest.raises(CycleError, match="was stopped in the meantime"):
         thread.send(TABLE, 1, number)  # of before
     thread.send(TABLE, 1, latch.number)
     assert len(sent) == 2
@@ -49,7 +49,7 @@ def test_a_table_made_before_a_stop_is_not_sent_after_it():
 
 def test_a_table_that_is_too_old_is_not_sent():
     thread, latch, sent = kept()
-    with pytest.raises(CycleError, match="too late to be sent"):
+    with pytest.raises(CycleError, match="too late"):
         thread.send(replace(TABLE, until=time.monotonic() - 0.01), 1, latch.number)
     assert not sent
 
@@ -323,7 +323,7 @@ SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not ans
         (True, NONE, FOLLOWING, DriverState.STOPPED, DriverReason.FOLLOWING,
          f"stopped: following; {LOOK}"),
         (True, NONE, EARLIER, DriverState.STOPPED, DriverReason.EARLIER_STOP,
-         f"stopped: while this driver was not connected; {LOOK}"),
+         f"stopped while this driver was not connected; {LOOK}"),
         (True, NONE, Report(Condition.ENABLING), DriverState.ENABLING, NONE,
          "enabling: the plate goes home"),
         (True, OFF_SWITCH, Report(Condition.BRAKING, DriverReason.EARLIER_STOP, "stopped"),
@@ -408,7 +408,7 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(activ
         (DriverState.READY, "", ("a cycle was refused",), 0, None, True, Level.WARN,
          "a cycle was refused"),
         (DriverState.READY, "", (), 51, None, True, Level.WARN,
-         "51 messages were repeated: the line is bad"),
+         "51 messages were repeated: the serial line is bad"),
         (DriverState.READY, "", (), 0, 1.2, True, Level.STALE,
          "no plate_cycle for 1.2 s, the plate rests"),
         (DriverState.READY, "", (), 0, 1.2, False, Level.OK, "the plate rests: no task runs"),

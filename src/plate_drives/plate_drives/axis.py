@@ -90,7 +90,7 @@ def switch_off(master: Master, motor: int, node: int) -> None:
     except PlateError as error:
         why = (
             f"{error}: motor_{motor} may have current. Its drive stops it by itself "
-            f"{1e-3 * SILENT_MS:g} s after our last word; look, or cut the power by hand"
+            f"{1e-3 * SILENT_MS:g} s after the last message; check it, or cut the power by hand"
         )
     with contextlib.suppress(PlateError):
         master.send(NMT, bytes([RESET_NODE, node]))
@@ -254,8 +254,8 @@ class Axis:
         counts = amplitude * abs(self.scale)
         if not ends[0] + counts <= self.position <= ends[1] - counts:
             raise PlateError(
-                f"motor_{self._motor}: stands at {self.position}, allowed: {counts:.0f} counts or "
-                f"more from the ends of its range, {ends[0]} and {ends[1]}"
+                f"motor_{self._motor}: position is {self.position}, allowed: at least "
+                f"{counts:.0f} counts from the ends of its range, {ends[0]} and {ends[1]}"
             )
         end = self._master.now + READY_S
         while self._status & 0x6F != 0x27:

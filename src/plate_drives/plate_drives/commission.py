@@ -91,8 +91,9 @@ class Dialogue:
             direction = "({:g}, {:g})".format(*self._rig.motors[number - 1].direction)
             print(f"\nmotor_{number}, {self._found[drive.node]}")
             question = (
-                f"It gets current, moves {1e3 * self._size:g} mm along {direction}, and swings as "
-                "far. Nobody near, emergency stop at hand? Type yes, or Enter to skip it:"
+                f"It gets current, moves {1e3 * self._size:g} mm along {direction}, and oscillates "
+                "with this amplitude. Is nobody near it, and the emergency stop within reach? Type "
+                "yes, or Enter to skip it:"
             )
             if self.ask(question) != "yes":
                 print(f"motor_{number} is skipped")
@@ -100,11 +101,11 @@ class Dialogue:
             try:
                 name, changed = self._axis(number, drive)
                 if name in new:
-                    raise PlateError(f"{name} was named twice")
+                    raise PlateError(f"{name} was given twice, allowed: each motor once")
                 new[name] = changed
             except PlateError as error:
                 well = False
-                print(f"error: {error}\nmotor_{number}: nothing is taken from this", flush=True)
+                print(f"error: {error}\nmotor_{number}: this result is not used", flush=True)
         return new, well
 
     def _axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
@@ -119,9 +120,9 @@ class Dialogue:
             axis.enable(size, ends if ends[0] < ends[1] else (-(2**31), 2**31 - 1))
             before = 0.0
             for part in STAGES:
-                question = f"Told {1e3 * size * before:g} mm, did it move as far as one mm? no/yes:"
+                question = f"Commanded {1e3 * size * before:g} mm: did it move about 1 mm? no/yes:"
                 if before and self.ask(question, axis) != "no":
-                    raise PlateError(f"counts_per_m is {drive.counts_per_m:g}: is it too great?")
+                    raise PlateError(f"counts_per_m is {drive.counts_per_m:g}: is it too large?")
                 axis.follow(_move(size * before, size * part, seconds), seconds)
                 before = part
             if axis.travel < size / 2:
@@ -136,8 +137,8 @@ class Dialogue:
             direction = "({:g}, {:g})".format(*motor.direction)
             travel_mm = 1e3 * axis.travel
             answer = self.ask(
-                f"By its own counts it moved {travel_mm:+.3f} mm. How far did you see, in mm, + "
-                f"along {direction}, - against it? Enter for the same:", axis,
+                f"By its own counts it moved {travel_mm:+.3f} mm. Which distance did you see, in "
+                f"mm, + along {direction}, - against it? Enter for the same:", axis,
             )  # fmt: skip
             axis.follow(_move(size, 0.0, seconds), seconds)
             axis.scale = _scale(scale, travel_mm, answer)
@@ -151,7 +152,7 @@ class Dialogue:
         if home not in ("here", "absolute"):
             raise PlateError(f"home is {home!r}, allowed: here, absolute")
         if home == "absolute" and abs(place) > limits.stroke_m:
-            raise PlateError("home is absolute and beyond stroke_m, allowed: here; or set its zero")
+            raise PlateError("home is absolute and beyond stroke_m, allowed: here, or set its zero")
         return motor.name, replace(
             drive, counts_per_m=abs(axis.scale), sign=1 if axis.scale > 0 else -1,
             absolute=home == "absolute", serial=self._serial(drive),
@@ -161,7 +162,7 @@ class Dialogue:
         """Refuse to enable a motor while another drive is enabled."""
         for number, drive in enumerate(drives_of(self._rig), 1):
             if enabled(self._master.read(drive.node, 0x6041)):
-                raise PlateError(f"motor_{number}: the drive has current, allowed: no drive has")
+                raise PlateError(f"motor_{number}: the drive has current, allowed: no current")
 
     def _serial(self, drive: Drive) -> int:
         """Return a drive's serial number; if several drives report the same, the rig file's."""
@@ -182,7 +183,7 @@ class Dialogue:
         needed, allowed = lag * limits.speed, 1e3 * limits.following_error_m
         print(
             f"It follows {1e3 * size:.3g} mm at {rate / 2 / np.pi:.3g} Hz within {rms:.4f} mm RMS, "
-            f"{np.max(np.abs(error)):.4f} at most: a lag of {lag:.2f} ms, {needed:.2g} mm at "
+            f"maximum {np.max(np.abs(error)):.4f} mm: a lag of {lag:.2f} ms, {needed:.2g} mm at "
             f"speed_mps{' (TOO MUCH)' if 0 < allowed < needed else ''}; following_error_m is "
             f"{allowed:g} mm. Setpoints were up to {1e3 * axis.late_s:.1f} ms late."
         )
@@ -237,11 +238,11 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
     old = {motor.name: drive for motor, drive in zip(rig.motors, drives, strict=True)}
     changes = {name: differences(old[name], drive) for name, drive in new.items()}
     for name, keys in changes.items():
-        print(f"{name}: {', '.join(f'{key}: {v}' for key, v in keys.items()) or 'as it was'}")
+        print(f"{name}: {', '.join(f'{key}: {v}' for key, v in keys.items()) or 'unchanged'}")
     if not any(changes.values()):
         return int(not well)
     if dialogue.ask(f"Write this to {path}? Type yes:") != "yes":
-        print("nothing is written")
+        print("nothing was written")
         return 1
     write(path, new)
     print(f"written: {path}; build and flash the board again")
@@ -258,7 +259,7 @@ def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
             except PlateError as error:
                 off = False
                 print(f"error: {error}", flush=True)
-    print("\nall drives are without current" if off else "")
+    print("\nall drives are switched off" if off else "")
     return off
 
 
@@ -267,14 +268,16 @@ def main() -> None:
     """Run the command line; exit code 0: success, 1: failure, 2: wrong arguments, files or bus."""
     parser = argparse.ArgumentParser(
         prog="commission", description="Commission the drives of a rig (CiA 402 on CANopen): find "
-        "them on the bus, compare them with the rig file; then, motor by motor and only after you "
-        "have typed yes, move each a little, ask for direction and scale, try how well it follows, "
-        "and write down what changed.",
+        "them on the bus and compare them with the rig file. Then, for each motor and only after "
+        "you have typed yes: move it slightly, ask for direction and scale, measure how well it "
+        "follows. Finally write the changes to the rig file.",
     )  # fmt: skip
     parser.add_argument("rig", help="rig file, or the name of one")
-    parser.add_argument("--bus", default="socketcan", help="interface of python-can (socketcan)")
-    parser.add_argument("--channel", default="can0", help="its channel (can0)")
-    parser.add_argument("--bitrate", type=int, default=1_000_000, help="if the interface sets it")
+    parser.add_argument("--bus", default="socketcan", help="python-can's interface (socketcan)")
+    parser.add_argument("--channel", default="can0", help="channel of the interface (can0)")
+    parser.add_argument(
+        "--bitrate", type=int, default=1_000_000, help="bit rate, if the interface sets it"
+    )
     parser.add_argument("--check", action="store_true", help="only read and compare")
     args = parser.parse_args()
     for each in (signal.SIGTERM, signal.SIGHUP):
@@ -291,7 +294,7 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         code = 2
     except KeyboardInterrupt:
-        print("\ninterrupted; nothing is written", file=sys.stderr)
+        print("\ninterrupted; nothing was written", file=sys.stderr)
         code = 130
     sys.exit(code)
 

@@ -50,12 +50,12 @@ def measured(transport: HostTransport, seconds: float) -> np.ndarray:
 def main() -> None:
     """Run the command line; exit code 0: in time, 1: too late, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(
-        prog="lateness", description="Measure how late this computer is as the master of drives on "
-        "a CAN bus, and whether that is good enough for a rig. Use the computer meanwhile as you "
-        "will when the plate moves.",
+        prog="lateness", description="Measure how late this computer sends setpoints as the master "
+        "of drives on a CAN bus, and compare the result with the limit of a rig. Meanwhile, put "
+        "the same load on the computer as later in operation.",
     )  # fmt: skip
-    parser.add_argument("rig", help="rig file, or the name of one, with drives")
-    parser.add_argument("--seconds", type=float, default=20.0, help="how long (20)")
+    parser.add_argument("rig", help="rig file with drives, or the name of one")
+    parser.add_argument("--seconds", type=float, default=20.0, help="duration [s] (default: 20)")
     args = parser.parse_args()
     try:
         rig = load_rig(args.rig)
@@ -78,8 +78,8 @@ def main() -> None:
         print(f"error: {why}", file=sys.stderr)
         sys.exit(2)
     print(
-        f"delay of setpoints, maximum of each 10 ms: median {np.median(late):.2f} ms, "
-        f"99 % below {np.percentile(late, 99):.2f} ms, at most {late.max():.2f} ms; allowed: "
+        f"delay of setpoints, maximum per 10 ms: median {np.median(late):.2f} ms, 99th percentile "
+        f"{np.percentile(late, 99):.2f} ms, maximum {late.max():.2f} ms; allowed: "
         f"{transport.allowed_ms:.2f} ms"
     )
     sys.exit(int(late.max() > transport.allowed_ms))

@@ -78,7 +78,7 @@ class Master:
             self._bus.send(frame, timeout=0.1)
         except (can.CanError, OSError) as error:
             raise PlateError(
-                f"the CAN bus does not accept a frame ({error}): look at the drives' supply, "
+                f"the CAN bus does not accept a frame ({error}): check the drives' supply, "
                 "wires, termination and bit rate"
             ) from None
 
@@ -94,9 +94,7 @@ class Master:
                 raise PlateError(f"the CAN bus has failed ({error})") from None
             if message is not None and message.is_error_frame:
                 if message.arbitration_id != LOST_ARBITRATION:
-                    raise PlateError(
-                        "error on the CAN bus: look at wires, termination and bit rate"
-                    )
+                    raise PlateError("error on the CAN bus: check wires, termination and bit rate")
             elif message is not None and not (message.is_extended_id or message.is_remote_frame):
                 yield message.arbitration_id, bytes(message.data)
             if self.now >= until:
@@ -184,12 +182,12 @@ def open_bus(interface: str, channel: str, bitrate: int) -> Any:
     try:
         import can
     except ImportError:
-        raise PlateError("python-can is missing, allowed: pip install python-can") from None
+        raise PlateError("python-can is not installed: pip install python-can") from None
     try:
         return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
     except (can.CanError, OSError, ImportError, TypeError, ValueError) as error:
         known = ", ".join(sorted(can.interfaces.VALID_INTERFACES))
         raise PlateError(
-            f"CAN bus {interface} {channel} does not open ({error}), allowed: one that is there "
-            f"and up, of {known}"
+            f"CAN bus {interface} {channel} does not open ({error}), allowed: a bus that exists "
+            f"and is up, with an interface of {known}"
         ) from None

@@ -37,7 +37,7 @@ SOURCES = Path(__file__).parent / "firmware"
 """Link in the source tree, copy in the installed package."""
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
-ENDED = "the process that leads the drives has ended"
+ENDED = "the process that controls the drives has ended"
 FADE = 1e-3
 """Decay of the maximum lateness with each telemetry message: it is forgotten in about 10 s."""
 
@@ -161,7 +161,7 @@ class HostPort:
             except OSError as error:
                 raise PlateError(
                     f"{program} does not start ({error.strerror}), allowed: a folder for temporary "
-                    "files, TMPDIR, from which programs may be run"
+                    "files (TMPDIR) that allows programs to run"
                 ) from None
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -260,8 +260,8 @@ class HostTransport(SerialTransport):
 
     def _lateness(self) -> str:
         return (
-            f"setpoints were {self._late_ms:.1f} ms late, allowed: {self.allowed_ms:.1f} ms, by "
-            "following_error_m over speed_mps; this computer is too busy for this rig"
+            f"setpoints were {self._late_ms:.1f} ms late, allowed: {self.allowed_ms:.1f} ms "
+            "(following_error_m / speed_mps); this computer is too busy for this rig"
         )
 
 
@@ -271,7 +271,9 @@ def make(context: TransportContext) -> HostTransport:
     if not channel:
         raise PlateError("port is '', allowed with socketcan: a CAN interface, such as can0")
     if rig.camera.trigger is not None:
-        raise PlateError("camera: trigger_phase is given, allowed with socketcan: a free camera")
+        raise PlateError(
+            "camera: trigger_phase is given, allowed with socketcan: a free-running camera"
+        )
     program = program_of(rig)
     return HostTransport(
         lambda: HostPort(program, channel), rig.limits, context.clock, context.seed

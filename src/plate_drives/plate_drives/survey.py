@@ -104,7 +104,7 @@ def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator
         for text, wrong in _of_limits(drive, one, rig.limits) if one and one.is_drive else ():
             yield Doubt("limits", f"motor_{number}: {text}", wrong)
     for node in sorted(set(found) - {drive.node for drive in drives}):
-        yield Doubt("bus", f"node {node} is on the bus and not in the rig file")
+        yield Doubt("bus", f"node {node} is on the bus but not in the rig file")
 
 
 def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator[str]:
@@ -122,19 +122,19 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
     if one.twice:
         yield trouble_text(number, Trouble.TWICE)
     if not one.is_drive:
-        yield f"{name}: node {node} has device type {device:X}h, allowed: of profile {PROFILE}"
+        yield f"{name}: node {node} has device type {device:X}h, allowed: profile {PROFILE}"
         return
     if not modes & CYCLIC_POSITION:
-        yield f"{name}: modes 6502h are {modes:X}h, allowed: with cyclic synchronous position"
+        yield f"{name}: modes 6502h are {modes:X}h, required: cyclic synchronous position"
     if drive.serial not in (0, serial):
-        yield f"{name}: node {node} has serial {serial}, the rig file {drive.serial}{swapped}"
+        yield f"{name}: node {node} has serial {serial}, allowed: {drive.serial}{swapped}"
     for needed in set(NEEDED) & set(one.refusals):
-        yield f"{name}: {one.refusals[needed]}: it cannot be led"
+        yield f"{name}: {one.refusals[needed]}: it cannot be controlled"
     if in_fault(status):
         why = f"error code {code:04X}h{emergency_words(code)}, error register {register:02X}h"
         yield f"{trouble_text(number, Trouble.FAULT, code=status)}: {why}"
     elif enabled(status):
-        yield f"{name}: the drive has current (statusword {status:04X}h): who leads it?"
+        yield f"{name}: the drive has current (statusword {status:04X}h): who controls it?"
 
 
 def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:
@@ -146,17 +146,17 @@ def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, 
     stroke, following = limits.stroke_m, limits.following_error_m
     span = f"position range limits 607Dh are {1e3 * low:.4g} to {1e3 * high:.4g} mm"
     if low >= high:
-        yield "no position range limits 607Dh: nothing but the rig's stroke_m bounds it", False
+        yield "no position range limits 607Dh: only the rig's stroke_m limits it", False
     elif high - low < 2 * stroke:
-        yield f"{span}, allowed: stroke_m to both sides, {2e3 * stroke:g} mm or more", True
+        yield f"{span}, allowed: {2e3 * stroke:g} mm or more (stroke_m to both sides)", True
     elif drive.absolute and max(low, -high) > -stroke:
-        yield f"{span}, allowed: beyond stroke_m, {1e3 * stroke:g} mm, as home is absolute", True
+        yield f"{span}, allowed with home absolute: beyond stroke_m ({1e3 * stroke:g} mm)", True
     if 0 < speed < limits.speed:
-        yield f"max profile velocity 607Fh is {speed:.3g} m/s, if in counts/s: too low", False
+        yield f"max profile velocity 607Fh is {speed:.3g} m/s (if in counts/s): too low", False
     if one.values.get("window", 0) in (0, UNWATCHED):
-        yield "following error window 6065h is not set: the drive does not watch it", False
+        yield "following error window 6065h is not set: the drive does not check it", False
     elif window < following:
         yield (
             f"following error window 6065h is {1e3 * window:.3g} mm: the drive stops before the "
-            f"rig's following_error_m, {1e3 * following:g} mm", False,
+            f"rig's following_error_m is reached, {1e3 * following:g} mm", False,
         )  # fmt: skip

@@ -270,4 +270,4 @@ def saved_response(path: str | Path) -> Response:
         with np.load(BytesIO(read_file(path, MAX_BYTES)), allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))
     except FILE_ERRORS as error:
-        raise PlateError(f"calibration_file {path}: is no calibration ({error})") from None
+        raise PlateError(f"calibration_file {path}: not a valid calibration ({error})") from None

@@ -69,11 +69,13 @@ class Response:
         if self.matrix.shape != (count, 3, 3) or count < 4 or not np.all(np.diff(self.frequency)):
             raise PlateError(
                 f"response: {count} frequencies and matrices of shape {self.matrix.shape}, "
-                "allowed: at least 4, rising, and (n, 3, 3)"
+                "allowed: at least 4 increasing frequencies, and (n, 3, 3)"
             )
         finite = np.all(np.isfinite(self.matrix)) and np.all(np.isfinite(self.frequency))
         if not finite or self.frequency[0] <= 0 or np.any(np.diff(self.frequency) <= 0):
-            raise PlateError("response: a value is not finite, or frequencies do not rise from 0")
+            raise PlateError(
+                "response: a value is not finite, or frequencies do not increase from above 0"
+            )
 
     @classmethod
     def identity(cls, rig: Rig, frequency: np.ndarray) -> Response:
@@ -214,8 +216,8 @@ def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) 
     solution, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-6)
     if rank < columns.shape[1]:
         raise PlateError(
-            f"{len(t)} samples tell {(rank - 1) // 2} harmonics of {period:g} s apart, "
-            f"allowed: at least {count}"
+            f"{len(t)} samples determine {(rank - 1) // 2} harmonics of {period:g} s, allowed: at "
+            f"least {count}"
         )
     return np.asarray(solution[1 : count + 1] + 1j * solution[count + 1 :])
 

@@ -379,9 +379,9 @@ class FrictionMeasurement:
         for name, value in lag.items():
             if value < -max(SLID_M, NOISE_FACTOR * error):
                 raise PlateError(
-                    f"friction: {name} moved {-1e3 * value:.2f} mm with the push, allowed: against "
-                    "it; do the motors push as the rig file says, and are the camera's corners in "
-                    "its order?"
+                    f"friction: {name} moved {-1e3 * value:.2f} mm in the direction of the push, "
+                    "allowed: against it; are the motors' directions and the order of corners_px "
+                    "in the rig file correct?"
                 )
         rest = replace(rest, place={name: rest.place[name] for name in ids})
         _check_gaps(self.rig, rest, TOUCH_M)
@@ -431,8 +431,8 @@ class FrictionMeasurement:
             return new._distance()
         if accel > self.most:
             raise PlateError(
-                f"friction: {', '.join(left)} did not slide at {trial.push.accel:.1f} m/s2, and "
-                f"the rig's limits allow {self.most:.1f} m/s2: mu is more than "
+                f"friction: {', '.join(left)} did not slide at {trial.push.accel:.1f} m/s2, but "
+                f"the rig's limits allow only {self.most:.1f} m/s2: mu is above "
                 f"{trial.push.accel / gravity:.2f}, or the plate does not move"
             )
         push = make_push(self.rig, 0, -trial.push.sign, accel, new.slow)
@@ -611,7 +611,7 @@ class FrictionMeasurement:
         if len(errors) < 2 or apart < max(AGREE * means[low], SURE * float(np.sqrt(sum(errors)))):
             return ()
         listed = ", ".join(f"{kind} {mu:.3f}" for kind, mu in sorted(means.items()))
-        return (f"types differ: {listed}",)
+        return (f"mu differs between types: {listed}",)
 
     def _axes(self) -> tuple[str, ...]:
         """Return a note if mu differs between x and y."""
@@ -625,7 +625,7 @@ class FrictionMeasurement:
         error = float(np.std(apart, ddof=1)) / np.sqrt(len(apart)) if len(apart) > 1 else np.inf
         if abs(y - x) < max(AGREE * min(x, y), SURE * error):
             return ()
-        return (f"mu differs along x and y: {x:.3f}, {y:.3f}; the rig file has one for both",)
+        return (f"mu differs along x and y: {x:.3f}, {y:.3f}; the rig file has only one value",)
 
 
 def rig_mu(rig: Rig, result: FrictionResult) -> float:
@@ -661,8 +661,8 @@ def _check_slip(trial: Trial, name: str, gravity: float) -> None:
         accel = trial.push.accel
         raise PlateError(
             f"friction: {name} slid {1e3 * trial.lag[name]:.1f} mm at {accel:.2f} m/s2, allowed: "
-            f"{1e3 * longest:.1f} mm. Either mu is less than {accel / RANGE / gravity:.2g}, or "
-            "static friction is about twice dynamic friction or more"
+            f"up to {1e3 * longest:.1f} mm. Either mu is below {accel / RANGE / gravity:.2g}, or "
+            "static friction is about twice the dynamic friction or more"
         )
 
 
@@ -673,8 +673,8 @@ def _check_slips(trial: Trial, gravity: float) -> None:
         if lag <= NOISE_FACTOR * trial.error:
             raise PlateError(
                 f"friction: {name} does not slide at {trial.push.accel:.2f} m/s2, allowed: parts "
-                f"that do. Its static friction may be more than {ABOVE:g} times dynamic friction, "
-                "or it sticks: clean the plate and the part, or take the part away"
+                f"that slide. Its static friction may be above {ABOVE:g} times the dynamic "
+                "friction, or it sticks: clean the plate and the part, or remove the part"
             )
 
 

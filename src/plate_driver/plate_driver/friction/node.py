@@ -100,10 +100,10 @@ class FrictionServer:
         if not request.start:
             response.success, response.message = True, "no measurement of friction was running"
             if self._running:
-                self.fail("it was ended")
+                self.fail("it was canceled")
                 response.message = "ended: the plate rests after its push"
         elif self._running:
-            response.message = "friction is measured already, allowed: one measurement at a time"
+            response.message = "a measurement already runs, allowed: one measurement at a time"
         elif status.state is not DriverState.READY:
             response.message = f"the driver is {status.text}, allowed: ready"
         elif driver.intake.task_runs:
@@ -114,7 +114,7 @@ class FrictionServer:
             self._running, self._since = True, driver.clocks.playback_s()
             self._started = self._after_ns = driver.get_clock().now().nanoseconds
             self._publish(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
-            response.success, response.message = True, "see the topic friction"
+            response.success, response.message = True, "started; see the topic friction"
             response.started = to_time(self._started)
         return response
 
@@ -131,8 +131,8 @@ class FrictionServer:
             )  # fmt: skip
             response.success = True
             response.message = (
-                f"written: {path}: mu {before.friction.mu:g} -> {mu:g}; nodes use it from their "
-                "next configure on"
+                f"written: {path}: mu {before.friction.mu:g} -> {mu:g}; nodes use it after their "
+                "next configure"
             )
         except PlateError as error:
             response.message = str(error)
@@ -190,10 +190,11 @@ class FrictionServer:
                     return
                 self._images = self._images[-IMAGES + 1 :]
             if now - self._since > BLIND_S:
-                seen = f"{len(self._images)} images" if self._images else "no message on parts"
+                seen = f"{len(self._images)} images" if self._images else "no message of parts"
                 raise PlateError(
-                    f"friction: {seen} within {BLIND_S:g} s, allowed: {IMAGES} that show all parts "
-                    "at rest; does the detector run, and is the camera's clock this computer's?"
+                    f"friction: {seen} within {BLIND_S:g} s, allowed: {IMAGES} images that show "
+                    "all parts at rest; does the detector run, and is the camera's clock "
+                    "synchronised with this computer's?"
                 )
         except PlateError as error:
             self.fail(str(error))

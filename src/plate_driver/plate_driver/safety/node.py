@@ -51,11 +51,11 @@ THREADS = 128
 Threads are created on demand."""
 
 
-ENABLING = "enabling: driver_status tells when the motors are ready"
+ENABLING = "enabling: driver_status reports when the motors are ready"
 SILENT = "the device has not answered yet"
 """Replies to an enable and to a home that are not finished at the time of the reply."""
 
-LATE = "the driver itself stood still: call again"
+LATE = "the driver was stalled: call again"
 """Reply to an enable or home that may have waited during a stall."""
 
 
@@ -223,12 +223,12 @@ class SafetyNode:
             response.message = LATE
         elif transport is None or transport.report.condition is not Condition.OFF:
             state = self._driver.status.text
-            response.message = f"the driver is {state}, allowed: motors off; call enable, false"
+            response.message = f"the driver is {state}, allowed: motors off; call enable with false"
         else:
             end = time.monotonic() + ANSWER_S
             order = transport.home()
             response.success = order.wait(end - time.monotonic())
-            response.message = "the next enable finds home"
+            response.message = "the next enable searches for home"
             if not response.success:
                 response.message = order.failure or SILENT
         return response

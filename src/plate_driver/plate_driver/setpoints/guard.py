@@ -223,7 +223,7 @@ class Guard:
         if not self.over(now):
             return self, False
         more = replace(self.statistics, rests=self.statistics.rests + 1)
-        rests = replace(self.resting(now), statistics=more.noted("cycles ceased to come"))
+        rests = replace(self.resting(now), statistics=more.noted("no more cycles arrived"))
         return replace(rests, sent_at=min(self.sent_at, now)), True
 
     def values(self, period_s: float, now: float) -> dict[str, str]:

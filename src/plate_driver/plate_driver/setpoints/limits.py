@@ -59,8 +59,8 @@ class Fit:
     def summary(self) -> str:
         """Text with the scaling factor and the requested peaks."""
         return (
-            f"cycle scaled by {self.factor:.3g}: it used {self.asked.overall:.3g} times the limits "
-            f"({self.asked.stroke_m * 1e3:.3g} mm, {self.asked.speed:.3g} m/s, "
+            f"cycle scaled by {self.factor:.3g}: it needs {self.asked.overall:.3g} times the limits"
+            f" ({self.asked.stroke_m * 1e3:.3g} mm, {self.asked.speed:.3g} m/s, "
             f"{self.asked.accel:.3g} m/s2, {self.asked.force:.3g} N)"
         )
 
@@ -117,7 +117,7 @@ def _scaled(
         factor = _next_factor(large, large_worst, small, secant=trial % 3 != 2)
     if small is None:
         raise CycleError(
-            f"plate_cycle: uses {asked.overall:.3g} times the rig's limits and cannot be scaled, "
+            f"plate_cycle: needs {asked.overall:.3g} times the rig's limits and cannot be scaled, "
             f"allowed: {limits_text(rig)}"
         )
     return small
@@ -151,7 +151,7 @@ def excess(rig: Rig, used: CycleUsage, thermal_load: np.ndarray | float = 1.0) -
         ("speed", used.speed, limits.speed, "m/s"),
         ("acceleration", used.accel, limits.accel, "m/s2"),
         ("peak force", used.force, limits.force, "N"),
-        ("mean force of motors so warm", mean, most, "N"),
+        ("mean force at the motors' temperature", mean, most, "N"),
         key=lambda row: row[1] / row[2],
     )
     return f"{name} is {value:.4g} {unit}, allowed: {limit:.4g} {unit}"
@@ -189,10 +189,10 @@ def check_setpoints(
     once = np.append(True, np.diff(times) != 0)
     again = np.flatnonzero(~once)
     if any(np.any(values[again] != values[again - 1]) for values in (q, qd, qdd)):
-        raise CycleError("motor setpoints: those given twice for one time differ")
+        raise CycleError("motor setpoints: two setpoints for the same time differ")
     times, q, qd, qdd = times[once], q[once], qd[once], qdd[once]
     if times[0] != 0 or np.any(np.diff(times) < 0):
-        raise CycleError("motor setpoints: times must start at 0 and rise")
+        raise CycleError("motor setpoints: times must start at 0 and increase")
     home = HOME_TOLERANCE * max(1.0, *(float(np.hypot(*motor.point)) for motor in rig.motors))
     travel, steps = quintic_pieces(times, q, qd, qdd), np.diff(times)
     first_q, first_qd = (0.0, 0.0) if start is None else start

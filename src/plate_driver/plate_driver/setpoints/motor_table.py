@@ -103,7 +103,7 @@ class MotorTable:
         CycleError
         """
         if now > self.until:
-            raise CycleError(f"its motor table was {now - self.until:.2f} s too late to be sent")
+            raise CycleError(f"its motor table was {now - self.until:.2f} s too late for sending")
 
 
 def plays(cycles: int, hold_s: float, period: float) -> int:
@@ -169,7 +169,7 @@ def prepare(
     if fitted.factor < 1 and not whole.starts_at_rest:
         raise CycleError(
             f"plate_cycle: {excess(rig, fitted.asked, thermal_load)}; it begins in motion and "
-            "cannot be scaled down: the plate comes to rest, and a cycle from rest can be"
+            "cannot be scaled down: the plate comes to rest, and cycles from rest can be scaled"
         )
     command = fitted.cycle
     if correction is not None:
@@ -196,12 +196,12 @@ def _following(
     """
     if cycle.tail is None:
         raise CycleError(
-            "plate_cycle: begins in motion and has no tail, allowed: one that begins at rest, ends "
-            "as it begins, or has a tail"
+            "plate_cycle: begins in motion and has no tail, allowed: a cycle that begins at rest, "
+            "ends in its initial state, or has a tail"
         )
     if correction is not None:
         raise CycleError(
-            "plate_cycle: begins in motion, allowed with a calibration: one that begins at rest"
+            "plate_cycle: begins in motion, allowed with a calibration: a cycle that begins at rest"
         )
     if before is None or not cycle.follows(before):
         end = np.zeros((3, 3)) if before is None else before.state(-1)

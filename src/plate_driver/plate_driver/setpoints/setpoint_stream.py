@@ -91,7 +91,7 @@ class SetpointStream:
         """
         if not (table.cycle.starts_at_rest or table.cycle.follows(self.playing.cycle)):
             raise CycleError(
-                "plate_cycle: begins in motion, and not where the setpoints end that are sent now"
+                "plate_cycle: begins in motion, but not in the final state of the running setpoints"
             )
         return replace(self, newest=table, left=repeats)
 

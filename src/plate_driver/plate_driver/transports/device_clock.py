@@ -136,7 +136,7 @@ class DeviceClock:
         if self.strikes and now - self.strikes[-1] < DOUBT_S:
             return self.problem
         if now - self.pulse_at > PULSE_AGE_S:
-            return f"the device's clock was not told for {now - self.pulse_at:.0f} s"
+            return f"the device has not reported its clock for {now - self.pulse_at:.0f} s"
         return ""
 
     def broken(self, now: float, round_s: float) -> bool:

@@ -311,8 +311,8 @@ class Link:
 
     def _greeted(self, device: Capabilities) -> Link:
         if device.version != VERSION or device.motors != MOTORS:
-            why = f"device speaks version {device.version} for {device.motors} motors, allowed: "
-            why += f"version {VERSION} for {MOTORS}"
+            why = f"device has protocol version {device.version} and {device.motors} motors, "
+            why += f"allowed: version {VERSION} and {MOTORS} motors"
             return self._failing(DriverReason.WRONG_DEVICE, why)
         if device.session != self.session:
             return self  # an answer to an earlier session

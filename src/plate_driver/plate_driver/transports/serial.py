@@ -106,7 +106,7 @@ OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
 
 REFUSED = {
     Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
-    Status.WRONG_STATE: "wrong state: it brakes, or a fault of the board is still there",
+    Status.WRONG_STATE: "wrong state: the device brakes, or has a fault that persists",
 }
 """Text for refused enable and home commands."""
 
@@ -115,7 +115,7 @@ A_PORT = "allowed: the device of a serial port, such as /dev/ttyACM0"
 
 PORT_ERRORS = {
     errno.ENOENT: "is not there",
-    errno.EACCES: "is not allowed to this user: is it in the group dialout?",
+    errno.EACCES: "is not accessible: is this user in the group dialout?",
     errno.EWOULDBLOCK: "is used by another program",
     errno.EBUSY: "is used by another program",
     errno.ENOTTY: f"is a device, but no serial port, {A_PORT}",
@@ -517,7 +517,7 @@ class SerialTransport:
         # The leading zero ends a partial frame that noise may have left on the line.
         data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
         if port.write(data) != len(data):
-            self._note("serial line is full: what is lost is repeated")
+            self._note("serial line is full: lost messages are repeated")
 
     def _note(self, trouble: str) -> None:
         if trouble not in self._troubles:
@@ -712,7 +712,7 @@ def differing(device: Capabilities, limits: Limits) -> str:
         for name, (own, rig) in pairs.items()
         if abs(own - rig) > ROUNDING * abs(rig)
     ]
-    return f"the device's limits are not the rig's: {', '.join(wrong)}" if wrong else ""
+    return f"the device's limits differ from the rig's: {', '.join(wrong)}" if wrong else ""
 
 
 def _refused(status: Status) -> str:

@@ -279,7 +279,7 @@ class TransportThread:
         """
         with self._lock:
             if self._latch.reason or self._latch.number != number:
-                raise CycleError("the plate was stopped meanwhile")
+                raise CycleError("the plate was stopped in the meantime")
 
             table.check_age(time.monotonic())
 
