@@ -19,12 +19,12 @@ EXPECTED = {
     ("kill", "detector"): ("no parts for", "the detector is silent, does it run?", "solver"),
     ("kill", "driver"): ("no driver_status for", "does the driver run?", "simulator"),
     ("freeze", "simulator"): ("no image for", "does the camera run?", "detector"),
-    ("freeze", "planner"): ("the planner itself stood still for", "", "solver"),
+    ("freeze", "planner"): ("the planner was stalled for", "", "solver"),
     ("freeze", "solver"): ("no plate_cycle for", "the solver is silent, does it run?", "planner"),
 }
 """By fault: what task_status says, and a node whose diagnostics go bad (but for the planner's)."""
 
-HELD_UP = "the planner itself stood still for"
+HELD_UP = "the planner was stalled for"
 """What it says instead after some kills, about one in a hundred: DDS held it up (docs/graph.md)."""
 
 

@@ -87,4 +87,4 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         assert answer.success, answer.message
         status = plate.wait(task, 30.0)
         assert (status.state, status.reason) == (TaskStatus.LOST, TaskStatus.PART_UNSEEN)
-        assert f"{new} was seen last at (" in status.text
+        assert f"{new} was last detected at (" in status.text

@@ -57,5 +57,5 @@ def test_a_target_on_another_part_pushes_it_aside_and_says_so():
         said.add(moment.progress.text.partition("; ")[2])
         if moment.time > 3 and np.max(moment.error_m, initial=1.0) < 4e-3:
             break
-    assert "grey_2 lies on the target of black_1" in said
+    assert "grey_2 is on the target of black_1" in said
     assert np.max(moment.error_m) < 4e-3

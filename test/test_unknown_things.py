@@ -45,6 +45,6 @@ def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkey
         away = rig.plate.half - np.abs(moment.world.position[rows])
         least = min(least, float(away.min()))
     assert moment.progress.phase == "done"
-    assert f"{MORE} unknown things are on the plate (unknown_1 at (" in moment.progress.text
+    assert f"{MORE} unknown objects are on the plate (unknown_1 at (" in moment.progress.text
     assert moment.world.dropped == 0
     assert least > rig.edge_margin("unknown").least_m

@@ -285,14 +285,14 @@ class Feeder:
             return Reply(Code.NOT_RESERVED, "no part is reserved")
         if known.client != client and (known.client is not None or part != known.part.id):
             # The same text for all ids, so that ids cannot be guessed.
-            text = "another client has reserved the part, allowed: its id, if that client has gone"
+            text = "another client has reserved the part, allowed: its id, if that client is gone"
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
         self._hold(known.part)
         late = ""
         if self._reserved is None:
-            late = ", but was no longer reserved: the plate may have moved"
+            late = ", but its reservation had expired: the plate may have moved"
             self._unreported -= 1
         self._reserved = self._late = None
         name = known.part.id
@@ -306,7 +306,7 @@ class Feeder:
         self._failures[name] = _Failures(count, x, y)
         while len(self._failures) > MOST_PARTS:
             del self._failures[next(iter(self._failures))]
-        return Reply(Code.DONE, f"{name} is still there, failed picks there: {count}{late}")
+        return Reply(Code.DONE, f"{name} is still there, failed picks at this place: {count}{late}")
 
     def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
         """Bring all parts to the chute, then end the task. None if the command waits."""
@@ -315,7 +315,7 @@ class Feeder:
             return Reply(Code.BAD_ARGUMENT, problem)
         left = self._status.total if self._status is not None else 0
         if self.task.chute is None:
-            return Reply(Code.NOT_PURGED, "the recipe has no chute, allowed: with one", left=left)
+            return Reply(Code.NOT_PURGED, "the recipe has no chute; purge needs one", left=left)
         if refusal := self._refusal(client):
             return replace(refusal, left=left)
         self._prepared = None
@@ -406,7 +406,7 @@ class Feeder:
         """Return a text about missing messages of the planner; empty if none are missing."""
         silent = now - self._since
         if self._task is _Task.REQUESTED and silent > START_S:
-            return f"the planner has not begun feed_parts within {START_S:g} s"
+            return f"the planner has not started feed_parts within {START_S:g} s"
         if self._task is _Task.RUNNING and silent > SILENT_S:
             question = "does the planner run, or is the computer too slow?"
             return f"no feed_status for {silent:.1f} s: {question}"
@@ -423,7 +423,7 @@ class Feeder:
         if (label or pick is not None) and label not in labels:
             problem = f"class is {label!r}, allowed: {', '.join(labels)}"
         elif pick is not None and pick.label != label:
-            problem = f"class is {label}, its pick is of {pick.label}, allowed: the same"
+            problem = f"class is {label}, allowed: {pick.label}, the class of the pick"
         elif pick is not None:
             try:
                 problem = problem or pick_problem(pick, self._rig)
@@ -493,8 +493,8 @@ class Feeder:
         elif self.hopper_empty and not self._on_plate(waiting.request.label):
             self._answer_waiting(
                 Code.HOPPER_EMPTY,
-                f"no {waiting.request.label or 'part'} is on the plate, and {MOST_OPENINGS} "
-                "openings of the hopper brought nothing",
+                f"no {waiting.request.label or 'part'} is on the plate, and no part came out of "
+                f"the hopper in {MOST_OPENINGS} openings",
             )
         elif now >= waiting.until:
             quantity, label = self.quantity(), waiting.request.label

@@ -136,16 +136,16 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     base = float(np.max(np.abs(p[:, None] - p)))
     if base < LEAST_BASE_M:
         raise HandEyeError(
-            f"points lie {1e3 * base:.1f} mm apart on the plate, allowed: "
+            f"points are {1e3 * base:.1f} mm apart on the plate, allowed: "
             f"{1e3 * LEAST_BASE_M:g} mm or more"
         )
     residuals, turn, shift = _fit(p, q)
     worst = int(np.argmax(residuals))
     if not residuals[worst] <= LARGEST_RESIDUAL_M:
         mirrored, *_ = _fit(p.conj(), q)
-        hint = "; they fit mirrored: does z of the robot's frame point down?"
+        hint = "; mirrored points would fit: does z of the robot's frame point down?"
         raise HandEyeError(
-            f"points[{worst}] is {1e3 * residuals[worst]:.2f} mm from the fit to the points, "
+            f"points[{worst}] has a residual of {1e3 * residuals[worst]:.2f} mm, "
             f"allowed: {1e3 * LARGEST_RESIDUAL_M:g} mm"
             + (hint if np.max(mirrored) <= LARGEST_RESIDUAL_M else "")
         )

@@ -78,10 +78,10 @@ def read_line(line: bytes) -> Command:
         With the error and what is allowed.
     """
     if len(line) > LONGEST_LINE:
-        raise LineError(Code.BAD_LINE, f"more than {LONGEST_LINE} bytes in a line")
+        raise LineError(Code.BAD_LINE, f"the line is too long, allowed: {LONGEST_LINE} bytes")
     text = line.decode("ascii", "replace")
     if not text.isascii() or not text.replace("\t", " ").isprintable():
-        raise LineError(Code.BAD_LINE, "the line has other than printable ASCII characters")
+        raise LineError(Code.BAD_LINE, "the line is not plain text, allowed: printable ASCII")
     name, *rest = text.split() or [""]
     name = name.lower()
     if name not in COMMANDS:
@@ -99,7 +99,7 @@ def read_line(line: bytes) -> Command:
         word = rest.pop(0)
     if rest:
         usage = f"{name} {COMMANDS[name]}".strip()
-        raise LineError(Code.BAD_ARGUMENT, f"{rest[0]!r} is too much, allowed: {usage}")
+        raise LineError(Code.BAD_ARGUMENT, f"argument {rest[0]!r} is unexpected, allowed: {usage}")
     if name == "part_taken":
         return Command(name, part=word, taken=taken)
     return Command(name, label=word, timeout_s=timeout_s)
@@ -107,7 +107,7 @@ def read_line(line: bytes) -> Command:
 
 def _seconds(word: str) -> float:
     if not SECONDS.fullmatch(word):
-        raise LineError(Code.BAD_ARGUMENT, f"timeout_s is {word!r}, allowed: such as 2.5")
+        raise LineError(Code.BAD_ARGUMENT, f"timeout_s is {word!r}, allowed: a number such as 2.5")
     return float(word)
 
 

@@ -91,13 +91,13 @@ class Options(NodeOptions):
 
     recipe: str = parameter("feed", "Recipe: a scenario of kind feed, name or path of a .yaml file")
     host: str = parameter(
-        "127.0.0.1", "Address on which robots are served over TCP, without a password; 0.0.0.0: "
+        "127.0.0.1", "Address of the TCP server for robots, which needs no password; 0.0.0.0: "
         "all networks",
     )  # fmt: skip
-    port: int = parameter(7171, "TCP port; 0: any free one, see the log", 0, 65535)
+    port: int = parameter(7171, "TCP port; 0: any free port, see the log", 0, 65535)
     hand_eye: str = parameter(
-        "", "File of points (YAML) that say where the plate is in the robot's frame; empty: robots "
-        "get places in plate_home",
+        "", "File of points (YAML) that define the plate's pose in the robot's frame; empty: "
+        "places in plate_home",
     )  # fmt: skip
 
 
@@ -180,7 +180,9 @@ class FeederNode(SafeLifecycleNode[Options]):
         )
         self.get_logger().info(f"robots are served at {options.host}:{self._server.port}")
         if options.host not in ONE_MACHINE:
-            self.get_logger().warning(f"any machine that reaches {options.host} may command")
+            self.get_logger().warning(
+                f"any machine that can reach {options.host} can command the feeder"
+            )
 
     def rest(self) -> None:
         """Reply to waiting commands, end the task, and stop the server."""
@@ -283,7 +285,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         if msg.state == DriverStatus.READY:
             before, self._enabled_at = self._enabled_at, msg.enabled_at
             if before not in (None, msg.enabled_at) and not self._feeder.stopped:
-                self._wait_for_person("the motors were enabled again: a stop was missed")
+                self._wait_for_person("the motors were enabled again after a stop")
 
     def _on_end(self, status: TaskStatus) -> None:
         self.get_logger().info(f"no longer feeding: {status.text}")
@@ -305,11 +307,11 @@ class FeederNode(SafeLifecycleNode[Options]):
         driver = self._driver
         response.success = driver is None or driver.state == DriverStatus.READY
         if driver is not None and not response.success:
-            response.message = f"driver: {driver.text}; allowed: once it is ready"
+            response.message = f"driver: {driver.text}, allowed: ready"
             return response
         was = self._feeder.stopped
         self._feeder.resume()
-        response.message = f"the next command begins feeding, was {was or 'not stopped'}"
+        response.message = f"the next command starts feeding; state before: {was or 'not stopped'}"
         self.get_logger().info(response.message)
         return response
 

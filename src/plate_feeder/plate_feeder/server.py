@@ -137,7 +137,7 @@ class RobotServer:
         self._count += 1
         client = _Client(self._count, reader, writer, self._ask, self._stop)
         if len(self._tasks) >= MOST_CLIENTS:
-            await client.refuse(f"there are {MOST_CLIENTS} clients, allowed: no more")
+            await client.refuse(f"{MOST_CLIENTS} clients are connected, the maximum")
             return
         self._tasks.add(task)
         try:
@@ -237,7 +237,7 @@ class _Client:
         try:
             item = read_line(line)
             if self._waiting >= MOST_WAITING:
-                item = Code.TOO_MANY, f"{MOST_WAITING} commands wait, allowed: no more"
+                item = Code.TOO_MANY, f"{MOST_WAITING} commands wait, the maximum"
             else:
                 self._waiting += 1
         except LineError as error:

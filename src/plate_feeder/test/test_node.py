@@ -432,7 +432,7 @@ def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, e
         refused = graph.call(Trigger, "resume_feeding")
         assert (refused.success, refused.message) == (
             False,
-            "driver: so; allowed: once it is ready",
+            "driver: so, allowed: ready",
         )
         planner.drive(DriverStatus(state=DriverStatus.READY, text="ready"))
         graph.until(lambda: graph.feeder._driver.state == DriverStatus.READY)
@@ -451,7 +451,7 @@ def test_a_stop_that_was_missed_is_known_by_the_enable_after_it(graph):
         assert not graph.feeder._feeder.stopped
     drive(DriverStatus(state=DriverStatus.READY, text="ready", enabled_at=Time(sec=9)))
     graph.until(lambda: graph.feeder._feeder.stopped)
-    assert "a stop was missed" in graph.say(robot, "get_part")
+    assert "enabled again after a stop" in graph.say(robot, "get_part")
     assert graph.call(Trigger, "resume_feeding").success
     assert graph.say(robot, "get_part").startswith("200 ")
 

@@ -224,7 +224,7 @@ def evaluate(
         chosen("task", task, TASKS)
     seeds = [operator.index(seed) for seed in seeds]
     if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
-        raise PlateError(f"seeds are {seeds}, allowed: one or more, from 0 on, each once")
+        raise PlateError(f"seeds are {seeds}, allowed: one or more, 0 or larger, each once")
     result: dict[str, Any] = {
         "agent": agent, "world": world, "commit": commit(), "sources": sources(),
         "versions": versions(), "tasks": {},
@@ -345,27 +345,27 @@ def check(
     for name, own in here.items():
         made = (result["versions"] | {"sources": result["sources"]}).get(name)
         if made != own:
-            tell(f"{name}: made with {made}, here {own}")
+            tell(f"{name}: {made} in the result, {own} here")
     wrong, chance = [], np.random.default_rng()  # unpredictable choice of seeds
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
-        tell(f"{task}: claimed are seeds {ranges(sorted(rows))}")
+        tell(f"{task}: the result has seeds {ranges(sorted(rows))}")
         again = summary(claimed["rows"])
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
-            wrong.append(f"{task}: the summary is not that of its rows")
+            wrong.append(f"{task}: the summary does not match its rows")
         run = partial(episodes, result["agent"], task=task, workers=workers)
         picks = sorted(chance.permutation(np.array(list(rows), object))[:CHECKED].tolist())
         played = list(run(world=result["world"], seeds=picks))
         for seed, true in zip(picks, played, strict=True):
             wrong += [
-                f"{task}, seed {seed}: {key} is {rows[seed][key]!r}, again: {value!r}"
+                f"{task}, seed {seed}: {key} is {rows[seed][key]!r}, repeated: {value!r}"
                 for key, value in true.items()
                 if key not in TIMES and rows[seed][key] != value
             ]
         took, took_here = again["decision_ms"], summary(played)["decision_ms"]
         tell(
-            f"{task}: {len(picks)} seeds again, {len(wrong)} differences so far; {took:.3g} ms for "
-            f"a decision, here {took_here:.3g}"
+            f"{task}: {len(picks)} seeds repeated, {len(wrong)} differences so far; {took:.3g} ms "
+            f"per decision in the result, {took_here:.3g} ms here"
         )
         if fresh:
             seeds = [drawn(chance) for _ in range(fresh)]
@@ -374,7 +374,7 @@ def check(
             (low, high), (least, most) = found["success_interval"], again["success_interval"]
             if world == result["world"] and (high < least or low > most):
                 wrong.append(
-                    f"{task}: success is {claimed['success']}, with fresh seeds: {found['success']}"
+                    f"{task}: success is {claimed['success']}, {found['success']} with fresh seeds"
                 )
     return wrong
 
@@ -409,15 +409,15 @@ def validate(result: Any) -> None:
         chosen("result: task", task, TASKS)
         rows = found.get("rows") if isinstance(found, dict) else None
         if not isinstance(rows, list) or not rows:
-            raise PlateError(f"result: {task}: rows is {rows!r}, allowed: a list of one or more")
+            raise PlateError(f"result: {task}: rows is {rows!r}, allowed: a list with entries")
         for k, row in enumerate(rows):
             where = f"result: {task}: rows[{k}]"
             check_fields(where, row, ROW)
             for key in ("seed", *TIMES):
                 if row[key] < 0:
-                    raise PlateError(f"{where}: {key} is {row[key]}, allowed: from 0 on")
+                    raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")
         if len({row["seed"] for row in rows}) < len(rows):
-            raise PlateError(f"result: {task}: a seed is given twice, allowed: each once")
+            raise PlateError(f"result: {task}: a seed occurs twice, allowed: each once")
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
@@ -487,19 +487,19 @@ def sources() -> str:
 def main() -> int:
     """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.bench", description=__doc__)
-    parser.add_argument("--agent", help=f"{', '.join(AGENTS)}, or MODULE:CLASS (B)")
+    parser.add_argument("--agent", help=f"{', '.join(AGENTS)}, or MODULE:CLASS (default: B)")
     parser.add_argument(
-        "--task", action="append", help=f"{', '.join(TASKS)} (all); may be given again"
+        "--task", action="append", help=f"{', '.join(TASKS)} (default: all); can be repeated"
     )
-    parser.add_argument("--seeds", type=seed_range, help="0:100 (these), or one")
+    parser.add_argument("--seeds", type=seed_range, help="range or one seed (default: 0:100)")
     parser.add_argument(
-        "--world", help=f"{', '.join(WORLDS)} (nominal; with --fresh: that of the result)"
+        "--world", help=f"{', '.join(WORLDS)} (default: nominal, with --fresh that of the result)"
     )
     parser.add_argument("--json", type=Path, help="file for the result")
     parser.add_argument(
-        "--workers", type=int, default=os.cpu_count(), help="processes (as many as cores)"
+        "--workers", type=int, default=os.cpu_count(), help="processes (default: one per core)"
     )
-    parser.add_argument("--check", type=Path, help="file with a result to be run again in part")
+    parser.add_argument("--check", type=Path, help="file of a result; repeat some of its seeds")
     parser.add_argument(
         "--fresh", type=int, metavar="N", help="with --check: also run N random seeds"
     )
@@ -508,18 +508,18 @@ def main() -> int:
     given = [f"--{name}" for name in own if getattr(args, name) is not None]
     if args.check and given:
         parser.error(
-            f"--check goes with --workers, --fresh and, for these, --world, not with "
+            f"--check allows only --workers, --fresh and, with --fresh, --world, not "
             f"{', '.join(given)}"
         )
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MOST_SEEDS):
-        parser.error(f"--fresh goes with --check, and is from 1 to {MOST_SEEDS}")
+        parser.error(f"--fresh requires --check, allowed: 1 to {MOST_SEEDS}")
     if args.workers < 1:  # in this process an agent could exit, or falsify results
-        parser.error(f"--workers is {args.workers}, allowed: from 1 on")
+        parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     tell = partial(print, flush=True)
     try:
         if args.check:
             wrong = check(read(args.check), tell, args.workers, args.fresh or 0, args.world)
-            print("\n".join(wrong) or "the same again")
+            print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
         def keep(result: dict[str, Any]) -> None:
@@ -538,7 +538,7 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("stopped: the running task is not recorded", file=sys.stderr)
+        print("stopped: the result of the running task is lost", file=sys.stderr)
         return 130
     return 0
 

@@ -22,7 +22,7 @@ from .spaces import action_space, observation_space
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
 MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
-NO_WINDOW = "render_mode is 'human', and there is no window: {}"
+NO_WINDOW = "render_mode is 'human', but no window can be opened: {}"
 
 ROUNDING = 1e-6
 """Tolerance of the bounds of actions, for float32."""
@@ -142,7 +142,7 @@ class PlateVectorEnv(VectorEnv):
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
         for name, value in (("num_envs", num_envs), ("threads", threads)):
             if not isinstance(value, int | np.integer) or value < 1:
-                raise PlateError(f"{name} is {value!r}, allowed: a whole number from 1 on")
+                raise PlateError(f"{name} is {value!r}, allowed: a whole number, 1 or more")
         self.num_envs = num_envs
         self.plates = Plates(task, world, action, observation, num_envs, min(threads, num_envs))
         self.single_action_space = action_space(self.plates)
@@ -166,7 +166,7 @@ class PlateVectorEnv(VectorEnv):
         mask = np.asarray((options or {}).get("reset_mask", np.ones(count, bool)))
         if mask.shape != (count,) or mask.dtype != bool or not mask.any():
             raise PlateError(
-                f"reset_mask is {mask.tolist()}, allowed: {count} of True and False, one True"
+                f"reset_mask is {mask.tolist()}, allowed: {count} booleans, at least one True"
             )
         seeds: list[int | None] = [None] * count
         if isinstance(seed, Sequence | np.ndarray) and getattr(seed, "ndim", True):
@@ -291,7 +291,7 @@ def checked_seed(seed: Any) -> int:
     except TypeError:
         number = -1
     if number < 0 or isinstance(seed, bool):
-        raise PlateError(f"seed is {seed!r}, allowed: a whole number from 0 on")
+        raise PlateError(f"seed is {seed!r}, allowed: a whole number, 0 or more")
     return number
 
 

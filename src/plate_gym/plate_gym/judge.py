@@ -125,7 +125,7 @@ class Feeding:
 def rows_of(task: FeedTask) -> int:
     """Return the maximum number of parts."""
     if task.hopper is None:
-        raise PlateError("feeding without a hopper, allowed: with one")
+        raise PlateError("a task of kind feed requires a hopper")
     return task.hopper.fill
 
 

@@ -229,8 +229,8 @@ class Plates:
         chosen("observation", observation, dict.fromkeys(OBSERVATIONS))
         if observation == "image" and action not in ("motion", "cycle"):
             raise PlateError(
-                f"action is {action!r} with images, allowed: motion, cycle (the others are of "
-                "parts that are known by name)"
+                f"action is {action!r} with images, allowed: motion, cycle (other actions require "
+                "the parts' ids)"
             )
         self.world = chosen("world", world, WORLDS)
         self.scenario, self.rig = scenario_of(task)

@@ -211,11 +211,11 @@ class Planner:
         """
         task = self.scenario.task
         if not isinstance(task, MoveTask) or state.task.phase is not Phase.RUNNING:
-            raise PlateError("targets: no task of move runs, allowed: while one does")
+            raise PlateError("targets: no task of kind move runs")
         known = {*state.known, *state.estimator.seen.ids}
         force, refused = {target.id: target for target in task.targets}, []
         for target in targets:
-            problem = f"{target.id[:50]} is not there, allowed: {', '.join(sorted(known))}"
+            problem = f"{target.id[:50]} is unknown, allowed: {', '.join(sorted(known))}"
             if target.id in known:
                 problem = target_problem(target, self.scenario, self.rig)
             if problem:
@@ -239,7 +239,7 @@ class Planner:
         """
         task = self.scenario.task
         if not isinstance(task, FeedTask) or state.task.phase is not Phase.RUNNING:
-            raise PlateError("feed_orders: no task of feed runs, allowed: while one does")
+            raise PlateError("feed_orders: no task of kind feed runs")
         known = [group.label for group in self.scenario.parts]
         for pick in order.picks:
             problem = (
@@ -250,7 +250,7 @@ class Planner:
             if problem:
                 raise PlateError(f"feed_orders: {problem}")
         if order.mode is FeedMode.PURGE and task.chute is None:
-            raise PlateError("feed_orders: purge, allowed: with a chute in the recipe")
+            raise PlateError("feed_orders: mode is purge, which requires a chute in the recipe")
         return replace(self, scenario=replace(self.scenario, task=replace(task, order=order)))
 
     def record_cycle(

@@ -40,7 +40,7 @@ def test_a_task_ends_well_beside_unknown_things_and_names_them():
             assert not np.any(asked.targets.weight[rows])  # but they need not move
         rows = np.flatnonzero([name not in THINGS for name in asked.parts.ids])
         plant.step(Wanted.make(asked.parts.take(rows), asked.forces.force[rows]))
-    things = "2 unknown things are on the plate (unknown_1 at (0.050, 0.020) m, group_2 at "
+    things = "2 unknown objects are on the plate (unknown_1 at (0.050, 0.020) m, group_2 at "
     assert progress.phase == "done"
     assert f"4 of 4 parts in their regions; {things}" in progress.text
     assert any(text.startswith(f"running: {things}") for text in texts)
@@ -104,7 +104,7 @@ def test_a_task_that_misses_a_part_names_the_thing_that_it_may_be():
     state = planner.start(planner.initial())
     for k in range(110):
         state, _, progress = planner.plan(state, with_things(parts, THINGS[:1]), k * T)
-    assert says(progress.text, "not seen within 10 s", "1 unknown thing", "unknown_1 at (0.050,")
+    assert says(progress.text, "within 10 s of", "1 unknown object", "unknown_1 at (0.050,")
 
 
 def test_the_solver_gets_the_parts_of_the_task_before_unknown_things():

@@ -392,7 +392,7 @@ def test_angles_are_those_between_cycles():
 
 def test_it_says_when_images_do_not_come_as_they_should():
     world, none = World(2, 1.0), Estimator.of(RIG, T, 0.0)
-    for rate, problem in ((10.0, ""), (5.0, ""), (30.0, "30 images a second and 10 cycles")):
+    for rate, problem in ((10.0, ""), (5.0, ""), (30.0, "30 images per second for 10 cycles")):
         estimator = none
         for k in range(30):
             estimator = estimator.update(world.seen(), k / rate)
@@ -401,7 +401,7 @@ def test_it_says_when_images_do_not_come_as_they_should():
         assert bool(estimator.image_problem) == bool(problem)
         assert estimator.image_rate == pytest.approx(rate, rel=1e-3)
     *_, (estimator, _) = run_free(7.0, 0.0, 0.0, cycles=20)
-    assert estimator.image_problem == "7 images a second, allowed: 10 or more, one in each cycle"
+    assert estimator.image_problem == "7 images per second, allowed: 10 or more, one per cycle"
     *_, (estimator, _) = run_free(15.0, 0.0, 0.0, cycles=20)
     assert not estimator.image_problem
 
@@ -432,7 +432,7 @@ def test_it_says_how_many_cycles_had_no_answer_and_what_may_lack(triggered):
         estimator = estimator.started(cycle, T * k, triggered)
     lacking = "images are missing, or " if triggered else ""  # else answers need none
     assert estimator.unanswered == (
-        f"8 of 80 cycles had no answer in time: {lacking}the computer or the line is too slow"
+        f"8 of 80 cycles were not answered in time: {lacking}the computer or the line is too slow"
     )
 
 

@@ -317,10 +317,10 @@ def test_orders_change_what_is_done_and_wrong_ones_are_refused():
     ):
         with pytest.raises(PlateError, match=why):
             feed.order(state, FeedOrder(FeedMode.FEED, (wrong,)))
-    with pytest.raises(PlateError, match="no task of feed runs"):
+    with pytest.raises(PlateError, match="no task of kind feed runs"):
         feed.order(feed.initial(), FeedOrder(FeedMode.REST))
     stay = Planner(RIG, replace(SCENARIO, task=replace(TASK, chute=None)))
-    with pytest.raises(PlateError, match="with a chute"):
+    with pytest.raises(PlateError, match="requires a chute"):
         stay.order(state, FeedOrder(FeedMode.PURGE))
 
 

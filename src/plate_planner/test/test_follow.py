@@ -237,7 +237,7 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
     assert progress.max_error_m <= 0.0045 + 1e-6  # nearer than where references slow down
     led = state.memory.lead_s
     assert 0 < progress.time_s - 0.56 / 0.04 - led - T < 0.7
-    assert f"{led:.1f} s of it to the starts of the paths" in progress.text
+    assert f"{led:.1f} s of the time to reach the starts" in progress.text
     assert most <= 0.05
 
 
@@ -246,9 +246,9 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
     [
         (0.04, 100.0, ""),
         (0.08, 100.0, ""),
-        (0.081, 100.0, "speed_mps is 0.081; 2 parts on this rig keep about 0.08 m/s: they will be"),
-        (0.04, 10.0, "speed_mps is 0.04; 2 parts on this rig keep about 0.019 m/s"),
-        (0.07, 10.0, "no motion of this plate carries a part faster than 0.062 m/s (a T/16)"),
+        (0.081, 100.0, "speed_mps is 0.081; 2 parts on this rig reach about 0.08 m/s"),
+        (0.04, 10.0, "speed_mps is 0.04; 2 parts on this rig reach about 0.019 m/s"),
+        (0.07, 10.0, "no motion of this plate moves a part faster than 0.062 m/s (a T/16)"),
     ],
 )
 def test_what_is_too_fast_is_said_with_the_speed_that_would_do(speed, accel, said):
@@ -275,7 +275,7 @@ def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
         ("sort_4", 7.1, ""),
         ("sort_4", 4.9, "expect it to take longer"),
         ("sort_10", 7.1, ""),
-        ("sort_10", 4.9, "several times as long, and some runs not to end within time_limit_s, 1"),
+        ("sort_10", 4.9, "several times as long, and some runs may exceed time_limit_s, 1"),
     ],
 )
 def test_a_plate_that_shakes_too_little_is_said_with_what_to_expect(name, gamma, said):
@@ -301,9 +301,9 @@ def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
     assert progress.speed_scaling == 0
     assert 0.0045 < progress.max_error_m <= 0.5 * scenario.task.max_error_m + 1e-3
     assert progress.text.startswith("stuck after ")
-    assert "no nearer to the goal for 30 s; black_" in progress.text
-    assert "asked to drift (" in progress.text
-    assert "it drifted (0.0, 0.0) mm/s; friction.mu or the motors may not be as" in progress.text
+    assert "no progress for 30 s; black_" in progress.text
+    assert "requested drift was (" in progress.text
+    assert "its drift (0.0, 0.0) mm/s; friction.mu or the motors may differ" in progress.text
     assert len(asked.parts) == 0
 
 
@@ -350,7 +350,7 @@ def test_it_slows_down_instead_of_failing_when_the_plate_cannot_give_so_much():
     _, _, progress = run(Planner(RIG, plant.scenario), plant)
     assert progress.phase == "done"
     assert progress.pace == pytest.approx(0.56 / 0.04 / (progress.time_s - T), rel=0.01)
-    assert f"slowed down to {100 * progress.pace:.0f} % of the speed asked for" in progress.text
+    assert f"slowed down to {100 * progress.pace:.0f} % of the requested speed" in progress.text
     assert 0.9 < progress.time_s / (0.56 / 0.014) < 1.1
     assert progress.max_error_m < 0.016
 

@@ -77,7 +77,7 @@ def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
         return text
 
     right = Target(id="grey_1", x=0.1, y=0.0, angle=np.nan)
-    assert "no task of move runs" in refused(Targets(targets=[right]))
+    assert "no task of kind move runs" in refused(Targets(targets=[right]))
     graph.begin(100.0, play())
     many = [Target(id=f"black_{k}") for k in range(101)]
     assert "101 targets, allowed: at most 100" in refused(Targets(targets=many))
@@ -87,7 +87,7 @@ def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
     wrong = Target(id="black_7", x=0.0, y=0.0, angle=np.nan)
     off = Target(id="grey_2", x=np.inf, y=0.0, angle=np.nan)
     text = refused(Targets(header=Header(frame_id="plate_home"), targets=[wrong, off, right]))
-    assert "black_7 is not there" in text
+    assert "black_7 is unknown" in text
     assert "place of grey_2 is (inf, 0) m" in text
     graph.until(lambda: ids(heard[-1]) == ["grey_1"])
 

@@ -53,7 +53,8 @@ def test_it_gives_up_waiting_for_parts():
     waiting = run((5.0, GONE, False), state=started())
     assert run((8.0, GONE, False), state=waiting).phase is Phase.RUNNING
     state = run((8.0 + EPS, ("2 of 5 black parts", "grey_1"), False), state=waiting)
-    assert state.text == "aborted: 2 of 5 black parts, grey_1 not seen within 3 s of start; " + LOOK
+    why = "aborted: 2 of 5 black parts, grey_1 not detected within 3 s of the start; "
+    assert state.text == why + LOOK
 
 
 def test_it_gives_up_waiting_for_the_same_parts_again():
@@ -61,7 +62,7 @@ def test_it_gives_up_waiting_for_the_same_parts_again():
     assert not waiting.active
     assert begin(waiting, 8.0, (), False, LIMITS).phase is Phase.RUNNING
     state = begin(waiting, 8.0 + EPS, (), False, LIMITS)
-    assert state.text == "aborted: no two images with the same parts within 3 s of start; " + LOOK
+    assert state.text == "aborted: no two images with equal parts within 3 s of the start; " + LOOK
 
 
 def test_done_when_the_goal_was_met_for_the_hold_time():
@@ -99,8 +100,8 @@ def test_a_time_limit_says_whether_it_was_still_getting_nearer():
     near = judge(near, 109.0, Findings((), False, 0.1), LIMITS)
     state = judge(near, 110.1, Findings((), False, 0.1, detail=lambda: "8 mm to go"), LIMITS)
     assert state.text == (
-        "stuck after 10.1 s: time limit of 10 s (still getting nearer: a longer time_limit_s would "
-        "do); 8 mm to go"
+        "stuck after 10.1 s: time limit of 10 s (still getting nearer: increase time_limit_s"
+        "); 8 mm to go"
     )
 
 
@@ -178,7 +179,7 @@ def at_distances(*to_go, missing=(), met=False, stuck_timeout_s=3.0):
 def test_no_nearer_for_long_is_stuck_and_says_who():
     assert at_distances(0.1, 0.09, 0.09, 0.0885, 0.09).phase is Phase.RUNNING
     state = at_distances(0.1, 0.09, 0.09, 0.0885, 0.09, 0.0885)
-    reason = "no nearer to the goal for 3 s; grey_2 is 8.0 mm short"
+    reason = "no progress for 3 s; grey_2 is 8.0 mm short"
     assert state.text == f"stuck after 5.0 s: {reason}"
     assert at_distances(0.1, 0.09, 0.09, 0.087, 0.09, 0.089).phase is Phase.RUNNING
 
@@ -235,7 +236,7 @@ def test_an_incomplete_image_does_not_break_the_hold_nor_end_the_task():
 )
 def test_an_end_says_how_many_cycles_had_no_answer(found, phase):
     texts = []
-    for slow in ("", "9 of 90 cycles had no answer in time"):
+    for slow in ("", "9 of 90 cycles were not answered in time"):
         now = replace(found, unanswered=slow)
         state = judge(judge(RUNNING, 109.0, now, LIMITS), 111.0, now, LIMITS)
         assert state.phase is phase

@@ -73,5 +73,5 @@ def test_a_part_that_was_to_stay_and_did_not_is_named():
     assert poser.problem(state, parts([[0.0029, 0.0]], [0.0])) == ""
     text = poser.problem(state, parts([[0.004, 0.0]], [0.0]))
     assert text.startswith(
-        "black_1 is 4.0 mm from where it was to turn, allowed: 3 mm (tolerance_m);"
+        "black_1 is 4.0 mm from the place at which it must rotate, allowed: 3 mm (tolerance_m);"
     )

@@ -358,11 +358,11 @@ class Estimator:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
         if self.log.reported and 0 < rate < (1 - FEWER) * cycles:
-            return f"{rate:.3g} images a second, allowed: {cycles:.3g} or more, one in each cycle"
+            return f"{rate:.3g} images per second, allowed: {cycles:.3g} or more, one per cycle"
         if not self.log.reported and self.odd >= ODD_IMAGES:
             return (
-                f"{rate:.3g} images a second and {cycles:.3g} cycles: the camera is not triggered "
-                "at the start of each cycle"
+                f"{rate:.3g} images per second for {cycles:.3g} cycles per second: the camera is "
+                "not triggered at the start of each cycle"
             )
         return ""
 
@@ -371,7 +371,7 @@ class Estimator:
         """Description of a delay of the answers; empty if there is none."""
         late = self.log.delay
         cycles = "a cycle" if late == 1 else f"{late} cycles"
-        return f"answers begin {cycles} late: the computer or the line is too slow" if late else ""
+        return f"results start {cycles} late: the computer or the line is too slow" if late else ""
 
     def begin_task(self) -> Estimator:
         """Reset the counts of cycles and the observed drift error."""
@@ -387,8 +387,8 @@ class Estimator:
             return ""
         lacking = "" if log.reported else "images are missing, or "
         return (
-            f"{log.unanswered} of {log.begun} cycles had no answer in time: {lacking}the computer "
-            "or the line is too slow"
+            f"{log.unanswered} of {log.begun} cycles were not answered in time: {lacking}the "
+            "computer or the line is too slow"
         )
 
     def request_drift(

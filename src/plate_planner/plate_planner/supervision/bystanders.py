@@ -42,7 +42,7 @@ def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
     if not rows:
         return ""
     places = [f"{parts.ids[row]} {_place(*parts.position[row])}" for row in rows]
-    is_ = "1 unknown thing is" if len(rows) == 1 else f"{len(rows)} unknown things are"
+    is_ = "1 unknown object is" if len(rows) == 1 else f"{len(rows)} unknown objects are"
     return f"{is_} on the plate ({_listed(places)})"
 
 
@@ -100,12 +100,12 @@ class Overlooked:
             return ""
         shown = next(one for one in reversed(self.images) if len(one) >= count)
         places = [f"{thing.reason} {_place(thing.x, thing.y)}" for thing in shown[:count]]
-        more = "1 thing more that may be a part"
+        more = "1 undetected object"
         if count > 1:
-            more = f"{count} things more that may be parts"
+            more = f"{count} undetected objects"
         return (
-            f"the image shows {more} ({_listed(places)}): parts may be driven into what is not "
-            "detected (the detector's diagnostics say what to do)"
+            f"the image shows {more} ({_listed(places)}), which may be parts: other parts may hit "
+            "them (see the detector's diagnostics)"
         )
 
 

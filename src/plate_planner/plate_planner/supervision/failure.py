@@ -49,22 +49,22 @@ def loss_of(
     number of parts, and `parts` are the parts in the image.
     """
     if last is None:
-        return Failure(Reason.PART_UNSEEN, f"{name} not seen; {LOOK}")
+        return Failure(Reason.PART_UNSEEN, f"{name} was not detected; {LOOK}")
     x, y = last.position
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
     away = np.hypot(*(parts.position - last.position).T)
     for row in np.flatnonzero(away < SAME_PLACE * rig.parts.radius_m):
         if part_class(parts.ids[row]) in NAMELESS:
-            text = f"{name} was seen last {where}, where {parts.ids[row]} is now"
+            text = f"{name} was last detected {where}, where {parts.ids[row]} is now"
             return Failure(Reason.PART_UNSEEN, f"{text}: its class is no longer recognised; {LOOK}")
     edge = float(np.min(rig.plate.half - np.abs(last.position)))
     if edge > NEAR_EDGE * rig.parts.radius_m:
-        text = f"{name} was seen last {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
+        text = f"{name} was last detected {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
         return Failure(Reason.PART_UNSEEN, text)
     more = " or fewer parts" if count > FEW else ""
     return Failure(
         Reason.PART_LEFT,
-        f"{name} left the plate {where}; starts and goals further from the edges{more} would "
+        f"{name} left the plate {where}; starts and goals farther from the edges{more} would "
         "keep it",
     )
 
@@ -87,8 +87,8 @@ def shortfall_text(
     most = 1e3 * (part.mass_kg or 0.0) * (part.mu or 0.0) * rig.friction.gravity
     force = 1e3 * float(np.hypot(*request.force[row]))
     text += (
-        f": asked to drift ({1e3 * drift[0]:.1f}, {1e3 * drift[1]:.1f}) mm/s (a change that takes "
-        f"{force:.1f} of {most:.1f} mN of friction), it drifted ({1e3 * got[0]:.1f}, "
+        f": its requested drift was ({1e3 * drift[0]:.1f}, {1e3 * drift[1]:.1f}) mm/s (which needs "
+        f"{force:.1f} of {most:.1f} mN of friction), its drift ({1e3 * got[0]:.1f}, "
         f"{1e3 * got[1]:.1f}) mm/s"
     )
     size = float(np.hypot(*drift))
@@ -106,7 +106,7 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
     if count > FEW:
         expect = "several times as long"
         if np.isfinite(time_limit_s):
-            expect += f", and some runs not to end within time_limit_s, {time_limit_s:g} s"
+            expect += f", and some runs may exceed time_limit_s, {time_limit_s:g} s"
     return f"{remedy(rig, count)}; expect it to take {expect}"
 
 
@@ -115,11 +115,11 @@ def remedy(rig: Rig, count: int) -> str:
     if rig.gamma < LEAST_GAMMA:
         return (
             f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "
-            f"{rig.reach.limit}; {LEAST_GAMMA:g} or more would do (check_rig tells more)"
+            f"{rig.reach.limit}, advised: {LEAST_GAMMA:g} or more (see check_rig)"
         )
     if count > FEW:
-        return f"{count} parts at once leave the plate little freedom: fewer parts, or more room"
+        return f"{count} parts at once are hard to control: use fewer parts or more space"
     return (
-        "friction.mu or the motors may not be as the rig file says, or something is in its way "
+        "friction.mu or the motors may differ from the rig file, or an obstacle blocks it "
         "(calibrate the rig)"
     )

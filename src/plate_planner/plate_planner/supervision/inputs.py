@@ -103,9 +103,9 @@ class Inputs:
 
         Cycle starts must be reported, unless the camera is triggered at cycle starts.
         """
-        parts = Input("parts", "parts", "does the detector run, does the camera?", timeout_s, now)
+        parts = Input("parts", "parts", "do the detector and the camera run?", timeout_s, now)
         driver = Input("driver_status", "driver_status", "does the driver run?", timeout_s, now)
-        question = "does the driver, or the simulator, report them?"
+        question = "does the driver or the simulator publish them?"
         starts = Input("start of a cycle", "cycle_started", question, timeout_s, now)
         return cls(parts, driver, now, starts=None if triggered else starts)
 
@@ -231,7 +231,7 @@ class Inputs:
         timeout = self.timeout(period)
         silence = min(self.driver.silence(now), now - began)
         if silence > self.driver.timeout_s:
-            nobody = "" if publishers("driver_status") else "nobody publishes it, "
+            nobody = "" if publishers("driver_status") else "no node publishes it, "
             why = f"no driver_status for {silence:.1f} s: {nobody}{self.driver.question}"
             return Failure(Reason.NO_DRIVER, why)
         if self.error_since is not None:
@@ -311,7 +311,7 @@ class Inputs:
         away = now - self.ran
         if away <= self.timeout(period):
             return None
-        return Failure(Reason.STOOD_STILL, f"the planner itself stood still for {away:.1f} s")
+        return Failure(Reason.STOOD_STILL, f"the planner was stalled for {away:.1f} s")
 
     def ran_at(self, now: float) -> Inputs:
         """Return the inputs with the time of the planner's last activity."""
@@ -340,10 +340,10 @@ class Inputs:
         """Return why a node sends nothing on its topic. If the reason is unknown, return
         `question`."""
         if not publishers(topic):
-            return f"nobody publishes them, does the {node} run?"
+            return f"no node publishes them, does the {node} run?"
         report = self.reports.get(node)
         if report is None:
             return question
         if now - report.at > REPORT_TIMEOUT_S:
             return f"the {node} is silent, does it run?"
-        return f"the {node} runs and says: {report.message}"
+        return f"the {node} runs and reports: {report.message}"

@@ -20,7 +20,7 @@ TIME_TOLERANCE_S = 1e-6
 """Times that differ by less count as equal [s], because stamps are rounded to nanoseconds."""
 
 
-LOOK = "detections_image shows what the camera sees"
+LOOK = "look at the topic detections_image"
 """Advice if parts are not detected."""
 
 STILL_S = 3.0
@@ -318,10 +318,10 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     if state.elapsed(t) > longest + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"
         if state.nearest_at > max(t - STILL_S, t - state.elapsed(t)):
-            text += " (still getting nearer: a longer time_limit_s would do)"
+            text += " (still getting nearer: increase time_limit_s)"
     elif met_since is None and t - state.nearest_at > limits.stuck_timeout_s + TIME_TOLERANCE_S:
         reason = Reason.NO_PROGRESS
-        text = f"no nearer to the goal for {limits.stuck_timeout_s:g} s"
+        text = f"no progress for {limits.stuck_timeout_s:g} s"
     if reason is Reason.NONE:
         return state
     return _end(state, t, Phase.STUCK, reason, _joined(text, found.unanswered, found.detail()))

@@ -43,7 +43,7 @@ class Assembler(TaskRules):
             to_go_m=float(np.sum(error)),
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
             max_error_m=worst,
-            outcome=f"every place has a part, the furthest {1e3 * worst:.1f} mm off",
+            outcome=f"every place has a part, maximum error {1e3 * worst:.1f} mm",
         )
 
     def distance(self, parts: Parts) -> np.ndarray:

@@ -195,7 +195,7 @@ class Feeder(TaskRules):
         if self._mode is FeedMode.PURGE:
             doing = f"{left} parts left to purge"
         elif self._mode is FeedMode.REST:
-            doing += ", the plate rests for the robot"
+            doing += ", the plate is at rest for the robot"
         return FeedMemory(rest_from, place, chosen, clearing, report), Assessment(
             request=request,
             count=ready,

@@ -302,11 +302,11 @@ class Follower(TaskRules):
         kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
         if fastest <= kept:
             return ()
-        why = f"{count} parts on this rig keep about {kept:.2g} m/s: they will be slowed down"
+        why = f"{count} parts on this rig reach about {kept:.2g} m/s: they will be slowed down"
         if fastest > self._bound:
             why = (
-                f"no motion of this plate carries a part faster than {self._bound:.2g} m/s "
-                f"(a T/16); {count} parts keep about {kept:.2g}"
+                f"no motion of this plate moves a part faster than {self._bound:.2g} m/s "
+                f"(a T/16); {count} parts reach about {kept:.2g} m/s"
             )
         return (f"speed_mps is {fastest:g}; {why}",)
 
@@ -405,22 +405,22 @@ class Follower(TaskRules):
         x, y = parts.position[worst]
         return (
             f"{parts.ids[worst]} at ({x:.3f}, {y:.3f}) m is {error[worst] * 1e3:.1f} mm off its "
-            f"path, allowed: {self.task.max_error_m * 1e3:g} mm (max_error_m); a lower speed_mps "
-            "or fewer parts would do"
+            f"path, allowed: {self.task.max_error_m * 1e3:g} mm (max_error_m); reduce speed_mps or "
+            "use fewer parts"
         )
 
     def outcome(self, memory: FollowMemory, t: float) -> str:
         """Return a summary of errors and pace until time t [s]."""
         text = f"error {1e3 * memory.rms_error_m:.2f} mm RMS, {1e3 * memory.max_error_m:.2f} most"
         if memory.lead_s > 0:
-            text += f"; {memory.lead_s:.1f} s of it to the starts of the paths"
+            text += f"; {memory.lead_s:.1f} s of the time to reach the starts of the paths"
         pace = memory.pace(t)
         if pace >= SLOWED:
             return text
         fastest = 1e3 * float(np.max(self._speeds))
         return (
-            f"{text}; slowed down to {100 * pace:.0f} % of the speed asked for: a speed_mps of "
-            f"{1e-3 * fastest * pace:.2g} in place of {1e-3 * fastest:g} would be kept"
+            f"{text}; slowed down to {100 * pace:.0f} % of the requested speed: speed_mps is "
+            f"{1e-3 * fastest:g}, advised: {1e-3 * fastest * pace:.2g}"
         )
 
     def bias_axes(self, memory: FollowMemory | None, parts: Parts, t: float) -> np.ndarray:

@@ -75,8 +75,8 @@ class Poser(TaskRules):
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
             max_error_m=float(np.max(error, initial=0.0)),
             turn_error=turn,
-            outcome=f"{1e3 * np.max(error, initial=0.0):.1f} mm and {np.degrees(turn):.1f} degrees "
-            "off at most",
+            outcome=f"maximum error {1e3 * np.max(error, initial=0.0):.1f} mm and "
+            f"{np.degrees(turn):.1f} degrees",
         )
 
     def begin(self, parts: Parts) -> PoseMemory:
@@ -124,9 +124,9 @@ class Poser(TaskRules):
         if far <= self.task.tolerance_m:
             return ""
         return (
-            f"{parts.ids[worst]} is {1e3 * far:.1f} mm from where it was to turn, "
-            f"allowed: {1e3 * self.task.tolerance_m:g} mm (tolerance_m); fewer parts, more "
-            "room from the plate's ends, a greater tolerance, or anywhere: true would do"
+            f"{parts.ids[worst]} is {1e3 * far:.1f} mm from the place at which it must rotate, "
+            f"allowed: {1e3 * self.task.tolerance_m:g} mm (tolerance_m); use fewer parts, a larger "
+            "distance from the plate's ends, a larger tolerance, or anywhere: true"
         )
 
     def request(self, memory: PoseMemory, parts: Parts) -> Targets:

@@ -71,11 +71,11 @@ class Sorter(TaskRules):
                     hint += f", the nearest {1e3 * away:.3g} mm from the plate's edges"
             else:
                 room = self._room(group.label, region)
-                hint = "touching; a lower goal_fraction has more room"
+                hint = "touching; a lower goal_fraction gives more space"
             if group.count > room:
                 raise ScenarioError(
-                    f"{scenario.where}: task: regions: that of {group.label} is for {group.count} "
-                    f"parts, allowed: at most {room}, {hint}"
+                    f"{scenario.where}: task: regions: {group.label} has {group.count} parts, "
+                    f"allowed in its region: at most {room}, {hint}"
                 )
         radius = self.rig.parts.radius_m
         for (one, (_, a)), (other, (_, b)) in combinations(self._bins.items(), 2):
@@ -83,7 +83,7 @@ class Sorter(TaskRules):
             if gap < 2 * SLOT_CLEAR * radius - 1e-9:
                 raise ScenarioError(
                     f"{scenario.where}: task: regions: bin_m of {one} and of {other} overlap "
-                    f"(parts would come {1e3 * gap:.0f} mm near each other), allowed: one beside "
+                    f"(their parts would be {1e3 * gap:.0f} mm apart), allowed: one beside "
                     "the other"
                 )
 
