@@ -189,7 +189,7 @@ def test_who_is_too_late_for_the_rig_brakes_and_is_not_enabled(bench):
     bench.run(1000, late=5)
     report = bench.transport.report()
     assert (report.condition, report.reason) == (Condition.OFF, DriverReason.OTHER)
-    assert report.text.startswith("setpoints were 5.0 ms late, allowed: 3.0 ms, by following_error")
+    assert report.text.startswith("setpoints were 5.0 ms late, allowed: 3.0 ms (following_error")
     assert bench.off()
     for node in NODES:
         at, travel = bench.targets(node)

@@ -43,7 +43,7 @@ def link(path: Path) -> Path:
 ODD = {
     "fifo": (fifo, "is a FIFO"),
     "zero": (lambda path: Path("/dev/zero"), "is a device"),
-    "sparse": (sparse, "is of 1000 MB"),
+    "sparse": (sparse, "has 1000 MB"),
     "folder": (folder, "is a folder"),
     "socket": (bound, "is a socket"),
     "link": (link, "is a FIFO"),
@@ -75,7 +75,7 @@ def test_regular_files_and_links_to_them_are_read(tmp_path):
         path.write_bytes(content)
         assert read_file(path, MOST) == read_file(str(alias), MOST) == content
         check_file(alias, MOST)
-    with pytest.raises(PlateError, match=r"some: is of 1 MB, allowed: a regular file up to 0\.9"):
+    with pytest.raises(PlateError, match=r"some: has 1 MB, allowed: a regular file up to 0\.9"):
         read_file(path, 999_999)
     path.unlink()
     with pytest.raises(PlateError, match="alias: no such file"):

@@ -192,7 +192,7 @@ def test_markers_span_an_area_as_wide_as_their_side(data, load):
     with pytest.raises(RigError, match="all on one line"):
         placed(0.99)
     assert placed(2.0, 1.21 * side).numbers == (0, 1, 2, 3)
-    with pytest.raises(RigError, match=r"apart, allowed: more than 1\.2 sides"):
+    with pytest.raises(RigError, match=r"apart, allowed: more than 1\.2 times"):
         placed(2.0, 1.19 * side)
 
 

@@ -161,4 +161,4 @@ def test_the_text_has_places_and_reasons():
     things = [thing(0.1 * k - 0.2, 0.05, reason="too large") for k in range(5)]
     overlooked.add(tuple(things), NOBODY)
     places = [f"too large at ({x}, 0.050) m" for x in ("-0.200", "-0.100", "0.000")]
-    assert says(overlooked.text, "5 things more", *places, "and 2 more")
+    assert says(overlooked.text, "5 undetected objects", *places, "and 2 more")

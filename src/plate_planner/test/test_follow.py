@@ -189,7 +189,7 @@ def test_it_follows_the_papers_rectangles(shuffle):
     scenario = load_scenario("follow_2")
     plant = Plant(scenario, shuffle=shuffle, seed=5)
     _, _, progress = run(Planner(RIG, scenario), plant)
-    assert progress.text.endswith(" s: error 0.00 mm RMS, 0.00 most")
+    assert progress.text.endswith(" s: error 0.00 mm RMS, maximum 0.00")
     assert "slowed" not in progress.text
     # Slower at eight corners, and at both ends; then it is seen at rest.
     assert 0 < progress.time_s - 0.56 / 0.04 - 3 * T < 0.5

@@ -64,7 +64,7 @@ GAP_NS = 1_000_000
 MOST_WRONG_NS = 50_000_000
 """Maximum difference between stamps and the system's clock in real time [ns]."""
 
-DRAWN = "What images show, see config/nodes.yaml"
+DRAWN = "Effects in the images, see config/nodes.yaml"
 """Heading of the parameters that only images depend on."""
 
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
@@ -85,85 +85,87 @@ def _drawn(name: str, description: str) -> Any:
 class Options(NodeOptions):
     """Parameters of the simulator."""
 
-    scenario: str = parameter("sort_10", "Scenario whose parts are put on the plate.")
+    scenario: str = parameter("sort_10", "Scenario that defines the parts on the plate.")
     seed: int = parameter(
-        0, "Seed of parts and noise; of the next reset.",
+        0, "Seed of parts and noise; a change applies at the next reset.",
         0, 2**31 - 1, live=True,
     )  # fmt: skip
     driven_by: str = parameter(
-        "setpoints", "What moves the plate: motor_setpoints, or what the device has played.",
+        "setpoints", "Source of the plate's motion: motor_setpoints or the simulated device.",
         choices=("setpoints", "device"),
     )  # fmt: skip
-    lockstep: bool = parameter(False, "Wait for the answer to each image, as fast as they come.")
+    lockstep: bool = parameter(False, "Wait for the result of each image, instead of real time.")
     rate: float = parameter(
-        1.0, "Simulated over wall time; live in simulated time.", 0.01,
+        1.0, "Simulated time per wall time; can change only in simulated time.", 0.01,
         100, live=True,
     )  # fmt: skip
     simulated_time: bool = parameter(
-        False, "Publish /clock at rate 1 too, so that rate may change."
+        False, "Publish /clock also at rate 1, so that rate can change."
     )
     noise: float = parameter(
         NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"],
         live=True,
     )  # fmt: skip
     mu_scale: float = parameter(
-        1.0, "True friction over the rig file's.", *WORLD_RANGES["mu_scale"], live=True
+        1.0, "True friction divided by that of the rig file.", *WORLD_RANGES["mu_scale"], live=True
     )
     hold_cycles: int = parameter(
-        HOLD_CYCLES, "Repetitions of a table when no new one comes.", 0, 1000
+        HOLD_CYCLES, "Repetitions of a table if no new one arrives.", 0, 1000
     )
     input_timeout_s: float = parameter(
-        INPUT_TIMEOUT_S, "Diagnostics say STALE when no motion comes for longer [s].", 0.1, 3600.0
+        INPUT_TIMEOUT_S, "Time without motion until diagnostics are STALE [s].", 0.1, 3600.0
     )
     idle_period: float = parameter(IDLE_S, "Length of a cycle while at rest [s].", 0.01, 10)
     friction_spread: float = _disturbance(
-        "friction_spread", "Friction differs between parts by [share]."
+        "friction_spread", "Spread of friction between parts [fraction]."
     )
     friction_patches: float = _disturbance(
-        "friction_patches", "Friction varies over the plate by [share]."
+        "friction_patches", "Variation of friction over the plate [fraction]."
     )
-    static_ratio: float = _disturbance("static_ratio", "Static over dynamic friction [-].")
+    static_ratio: float = _disturbance(
+        "static_ratio", "Static friction divided by dynamic friction [-]."
+    )
     friction_slope: float = _disturbance(
-        "friction_slope", "How friction changes with the slip [1/(m/s)]."
+        "friction_slope", "Relative change of friction with slip speed [1/(m/s)]."
     )
-    heave: float = _disturbance("heave", "Motion of the plate up over that along x [-].")
-    tilt_x: float = _disturbance("tilt_x", "Lean of the plate that pulls parts along +x [rad].")
-    tilt_y: float = _disturbance("tilt_y", "Lean of the plate that pulls parts along +y [rad].")
+    heave: float = _disturbance("heave", "Upward motion of the plate per motion along x [-].")
+    tilt_x: float = _disturbance("tilt_x", "Tilt of the plate, downwards along +x [rad].")
+    tilt_y: float = _disturbance("tilt_y", "Tilt of the plate, downwards along +y [rad].")
     latency: float = _disturbance(
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
     image_rate: float = _disturbance(
-        "image_rate", "Images of a camera that runs free [1/s]; 0: one at the start of each cycle.",
+        "image_rate", "Images of a free-running camera [1/s]; 0: one at the start of each cycle.",
         live=False,
     )  # fmt: skip
     stamp_jitter: float = _disturbance(
-        "stamp_jitter", "Standard deviation of a free camera's stamps [s].",
+        "stamp_jitter", "Standard deviation of a free-running camera's stamps [s].",
         live=False,
     )  # fmt: skip
     blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.", live=True)
     missed_images: float = _disturbance(
-        "missed_images", "Share of images that are never published."
+        "missed_images", "Fraction of images that are never published."
     )
-    highlights: float = _drawn("highlights", "Share of each part that mirrors the light.")
-    shadows: float = _drawn("shadows", "Darkening of the plate in parts' shadows [share].")
-    missed_parts: float = _drawn("missed_parts", "Share of parts that an image does not show.")
-    false_parts: float = _drawn("false_parts", "False parts in an image [share of true ones].")
+    highlights: float = _drawn("highlights", "Fraction of each part that mirrors the light.")
+    shadows: float = _drawn("shadows", "Darkening of the plate in parts' shadows [fraction].")
+    missed_parts: float = _drawn("missed_parts", "Fraction of parts that an image does not show.")
+    false_parts: float = _drawn("false_parts", "False parts in an image [fraction of true ones].")
     pick_failure: float = _disturbance(
-        "pick_failure", "Share of the robot's grips in which the part slips."
+        "pick_failure", "Fraction of the robot's grips in which the part slips."
     )
 
     part_height_m: float = _drawn(
-        "part_height_m", "Height of parts in images [m]; 0: the rig file's."
+        "part_height_m", "Height of parts in images [m]; 0: that of the rig file."
     )
-    side_shade: float = _drawn("side_shade", "Brightness of side faces over tops [-].")
-    size_spread: float = _drawn("size_spread", "Sizes of parts in images differ by [fraction].")
+    side_shade: float = _drawn("side_shade", "Brightness of side faces over that of tops [-].")
+    size_spread: float = _drawn("size_spread", "Spread of the parts' sizes in images [fraction].")
     gloss: float = _drawn("gloss", "Radius of the lamp's image on a part [radii].")
     shadow_length_m: float = _drawn("shadow_length_m", "Length of the shadows [m].")
     shadow_deg: float = _drawn("shadow_deg", "Direction of the shadows from x [degrees].")
     penumbra_m: float = _drawn("penumbra_m", "Width of the shadows' soft edge [m].")
-    light_step: float = _drawn("light_step", "Change of the light at a time [fraction].")
-    light_step_s: float = _drawn("light_step_s", "That time, from the start [s].")
-    flicker: float = _drawn("flicker", "Light varies to either side by [fraction].")
+    light_step: float = _drawn("light_step", "Change of the light at light_step_s [fraction].")
+    light_step_s: float = _drawn("light_step_s", "Time of the light's change, from the start [s].")
+    flicker: float = _drawn("flicker", "Amplitude of the light's flicker [fraction].")
     flicker_hz: float = _drawn("flicker_hz", "Frequency of the flicker [Hz].")
     defocus_px: float = _drawn("defocus_px", "Gaussian blur of images [px].")
     plate_grey: float = _drawn("plate_grey", "Grey value of the plate at full light.")
@@ -234,7 +236,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._driven = options.driven_by == "device"
         if self._driven and self._simulated_time:
             raise PlateError(
-                "driven_by is 'device' with lockstep, rate or simulated_time, allowed: in real time"
+                "driven_by is 'device', which allows no lockstep, rate or simulated_time"
             )
         if options.image_rate > 0 and options.lockstep:
             raise PlateError(
@@ -243,9 +245,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             )
         self._by_line = self._driven and self._rig.camera.trigger is not None
         if self._by_line and options.latency > 0:
-            raise PlateError(
-                f"latency is {options.latency:g} with a trigger_phase, allowed: 0, images at once"
-            )
+            raise PlateError(f"latency is {options.latency:g} with a trigger_phase, allowed: 0")
         self._next_ns = START_NS  # start of the next cycle
         self._simulation = self._scattered()
         self._warm_up()
@@ -287,10 +287,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         """
         options, before = self.options, self._rate
         if options.rate != before and (options.lockstep or not self._simulated_time):
-            now = "in lockstep" if options.lockstep else "in real time, by which other nodes go"
+            now = "in lockstep" if options.lockstep else "in real time, which other nodes use"
             raise PlateError(
-                f"rate is {options.rate:g} {now}, allowed: {before:g} (other rates where it is "
-                "started with simulated_time, or with a rate that is not 1)"
+                f"rate is {options.rate:g} {now}, allowed: {before:g} (for other rates, start the "
+                "simulator with simulated_time or with a rate other than 1)"
             )
         self._simulation.change(options.disturbances, options.noise, options.mu_scale)
         if options.rate != before:
@@ -477,7 +477,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         except PlateError as error:
             self._refuse(error)
             self.get_logger().warning(
-                f"motor table refused, the plate carries on: {error}",
+                f"motor table refused, the plate continues its motion: {error}",
                 throttle_duration_sec=WARN_S,
             )
         if lockstep:
@@ -492,7 +492,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         except PlateError as error:
             self._refuse(error)
             self.get_logger().warning(
-                f"motor motion refused, the parts stay: {error}",
+                f"motor motion refused, the parts do not move: {error}",
                 throttle_duration_sec=WARN_S,
             )
             return
@@ -534,7 +534,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         plate, self._next_seed = self._simulation.plate, None
         self._simulation = self._scattered()
         self._simulation.plate = plate  # the plate continues its motion
-        response.success, response.message = True, f"parts put down anew, seed {self._seed}"
+        response.success, response.message = True, f"parts are at new positions, seed {self._seed}"
         return response
 
     def _on_place(
@@ -549,7 +549,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             return response
         new = "" if request.id else "new: "
         response.success = True
-        response.message = f"{new}{response.id} lies at ({request.x:.3f}, {request.y:.3f}) m"
+        response.message = f"{new}{response.id} is at ({request.x:.3f}, {request.y:.3f}) m"
         return response
 
     def _on_remove(
@@ -561,7 +561,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         except PlateError as error:
             response.message = str(error)
             return response
-        response.success, response.message = True, f"{request.id} is gone"
+        response.success, response.message = True, f"{request.id} was removed"
         return response
 
     def _on_open(
@@ -574,7 +574,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             response.message = str(error)
             return response
         response.success = True
-        response.message = f"open for {request.duration_s:g} s, parts that drop: {count}"
+        response.message = f"open for {request.duration_s:g} s, {count} parts will drop"
         return response
 
     def _on_move(
@@ -639,7 +639,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             troubles.append(f"late cycles: {tally.late}")
         overtravel = self._simulation.plate.overtravel_m
         if overtravel > 0:
-            troubles.append(f"a motor would hit its stop, {1e3 * overtravel:.2g} mm too far")
+            troubles.append(f"a motor would hit its stop: {1e3 * overtravel:.2g} mm beyond it")
         findings += [Finding(Level.WARN, trouble) for trouble in troubles]
         return worst(findings, "all parts on the plate, all cycles on time")
 

@@ -217,7 +217,7 @@ def test_parts_for_which_there_is_no_room_stay_in_the_hopper():
 @pytest.mark.parametrize("duration", [-0.1, np.nan, np.inf, LONGEST_OPEN_S + 0.1])
 def test_a_hopper_is_opened_for_a_time_that_makes_sense(duration):
     simulation = world()
-    with pytest.raises(PlateError, match=r"duration is .* s, allowed: 0, which shuts it, to 60 s"):
+    with pytest.raises(PlateError, match=r"duration is .* s, allowed: 0 .* to 60 s"):
         simulation.open_hopper(duration)
     run(simulation, 3)
     assert len(simulation.state.ids) == 10
@@ -227,7 +227,7 @@ def test_where_there_is_no_hopper_none_is_opened():
     feed = load_scenario("feed")
     shut = replace(feed, task=replace(feed.task, hopper=None))
     for scenario in (load_scenario("sort_4"), shut):
-        with pytest.raises(PlateError, match="this scenario has no hopper, allowed: one of"):
+        with pytest.raises(PlateError, match="this scenario has no hopper, required: "):
             Simulation(DISCS, scenario).open_hopper(1.0)
 
 

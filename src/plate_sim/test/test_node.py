@@ -198,7 +198,7 @@ def test_reset_puts_the_parts_down_as_the_next_seed_would():
         assert loop.spin(client.service_is_ready)
         future = client.call_async(Trigger.Request())
         assert loop.spin(future.done)
-        assert future.result().message == "parts put down anew, seed 8"
+        assert future.result().message == "parts are at new positions, seed 8"
         loop.answer = good
         assert loop.spin(lambda: len(loop.truths) >= 2)
         seeds = [msg_to_parts(msg).position for msg in loop.truths[:2]]
@@ -255,7 +255,7 @@ def test_a_hopper_is_opened_and_a_robot_takes_parts():
     with Loop(lockstep=True, scenario="feed", noise=0.0, seed=3) as loop:
         assert loop.spin(lambda: len(loop.truths) == 1)
         told = open_hopper(loop, 0.2)
-        assert (told.success, told.message) == (True, "open for 0.2 s, parts that drop: 2")
+        assert (told.success, told.message) == (True, "open for 0.2 s, 2 parts will drop")
         loop.answer = still
         assert loop.spin(lambda: len(loop.truths) >= 4)
         loop.answer = None
@@ -285,7 +285,7 @@ def test_what_hopper_and_robot_cannot_do_is_refused_in_words(duration):
     with Loop(lockstep=True, scenario="feed") as loop:
         told = open_hopper(loop, duration)
         assert not told.success
-        assert "allowed: 0, which shuts it, to 60 s" in told.message
+        assert "allowed: 0 (closes it) to 60 s" in told.message
         told = call(loop, MoveRobot, "move_robot", to=7)
         assert (told.success, told.message[:8]) == (False, "to is 7,")
         told = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=duration)
@@ -326,7 +326,7 @@ def test_a_seed_that_is_set_counts_at_the_next_reset():
         for seed, told in ((7, 7), (None, 8), (3, 3), (3, 3)):
             assert seed is None or not set_parameters(loop, seed=seed)
             answer = call(loop, Trigger, "reset")
-            assert answer.message == f"parts put down anew, seed {told}"
+            assert answer.message == f"parts are at new positions, seed {told}"
 
 
 def test_the_world_changes_while_it_runs_where_it_can():

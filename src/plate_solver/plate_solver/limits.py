@@ -122,7 +122,7 @@ def within_limits(
     least = _use(rest, full)
     if not least <= CERTAIN:
         raise CycleError(
-            f"the plate takes {least:.3g} times its limits to rest from where the cycle begins, "
+            f"to stop from the cycle's start, the plate needs {least:.3g} times its limits, "
             f"allowed: {CERTAIN:g}"
         )
     for _ in range(4):  # utilisation is nearly linear in the fraction

@@ -62,23 +62,23 @@ class Options(NodeOptions):
     )
     seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
     restarts: int = parameter(
-        0, "Most further starts of each search; 0: what suits the method (40 for "
-        "sinusoids). Half of it if the cycle need not end at rest.", 0, 1000,
+        0, "Maximum number of restarts of each search; 0: the default of the method (40 for "
+        "sinusoids). Half of it if the cycle may end in motion.", 0, 1000,
     )  # fmt: skip
     threads: int = parameter(
-        0, "Cores that a search may use, the answers are the same; 0: all that there are.",
+        0, "Number of cores for a search, without influence on the results; 0: all cores.",
         0, 1024,
     )  # fmt: skip
     handover_s: float = parameter(
-        0.02, "A search begins no further start when its answer would come later than this before "
-        "its cycle begins [s]: driver and line need it; with a serial line 0.08. Where answers are "
-        "late all the same, up to 0.06 s is taken for a while. 0: it takes the time it needs, "
-        "as in simulated time, where a seed gives the same cycles on any computer.",
+        0.02, "Time before the start of the cycle at which a result must be ready, for driver and "
+        "line [s]; with a serial line 0.08. A search makes no further restart that would end "
+        "later. After late results, it is increased temporarily, up to 0.06. 0: no time limit, as "
+        "in simulated time, where a seed gives the same cycles on any computer.",
         0.0, 1.0,
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Diagnostics say STALE when no part_forces come for longer [s].",
+        "Time without part_forces until diagnostics are STALE [s].",
         0.1,
         3600.0,
     )
@@ -123,7 +123,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         options = self.options
         self._rig = rig = load_rig(options.rig_file)
         limit = rig.reach.limit
-        self.get_logger().info(f"Gamma = {rig.gamma:.1f}, limited by {limit} of the rig file")
+        self.get_logger().info(f"Gamma = {rig.gamma:.1f}, limited by {limit} in the rig file")
         for doubt in doubts(rig, "motors", "limits"):
             self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)

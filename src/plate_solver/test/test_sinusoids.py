@@ -65,7 +65,7 @@ def test_options_are_followed(rig):
     ("options", "message"),
     [
         ({"harmonics": 65}, "harmonics is 65, allowed: 0 to 64"),
-        ({"harmonics": 1, "at_rest": True}, "harmonics is 1, allowed with at_rest"),
+        ({"harmonics": 1, "at_rest": True}, "harmonics is 1; at_rest requires"),
     ],
 )
 def test_wrong_options_are_named(rig, options, message):

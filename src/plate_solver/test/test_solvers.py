@@ -197,7 +197,7 @@ PLACE, PUSH = np.array([[0.1, 0.05]]), np.array([[0.1, 0.0]])
         ({"position": PLACE * np.nan}, "position has values that are not finite"),
         ({"force": PUSH - np.inf}, "force has values that are not finite"),
         ({"velocity": PUSH * np.nan}, "velocity has values that are not finite"),
-        ({"curl": [np.inf]}, "curl has infinite values, allowed: numbers, NaN where it is free"),
+        ({"curl": [np.inf]}, "curl has infinite values, allowed: finite numbers"),
     ],
 )
 def test_wrong_requests_are_named(rig, method, asked, message):

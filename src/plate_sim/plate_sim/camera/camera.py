@@ -365,7 +365,7 @@ class Camera:
         """Return s positions per part over the exposure, (s, M, 2) [m], s at least 2."""
         position = np.asarray(position, dtype=float)
         if position.ndim == 3 and velocity is not None:
-            raise PlateError("velocity: allowed only with positions (M, 2), not over the exposure")
+            raise PlateError("velocity requires positions of shape (M, 2), not over the exposure")
         if position.ndim != 3:
             position = position.reshape(1, -1, 2)
         path = _samples("position", position, position.shape[1:])
@@ -379,7 +379,7 @@ class Camera:
     def _outlines_of(self, types: Sequence[PartType] | None, count: int) -> Outlines:
         """Return the outlines of M parts. The outlines of each type are computed once."""
         if types is not None and len(types) != count:
-            raise PlateError(f"types: {len(types)} for {count} parts, allowed: as many")
+            raise PlateError(f"types: {len(types)} for {count} parts, allowed: {count}")
         new = [part for part in dict.fromkeys(types or ()) if part not in self._types]
         if new:
             self._types += new
@@ -410,7 +410,7 @@ class Camera:
         high = _checked("height", height, (count,))
         if self._place is None:
             raise PlateError(
-                "height: the camera's place is not known, allowed: 0, or a rig file with focal_px "
+                "height: the camera's position is unknown, allowed: 0, or a rig file with focal_px "
                 "or camera: height_m"
             )
         low, above = self._place[:2], float(self._place[2])
@@ -591,7 +591,7 @@ def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
         size = ", ".join(map(str, shape))
         raise PlateError(f"{name}: shape is {array.shape}, allowed: ({size}) or (s, {size})")
     if not np.all(np.isfinite(array)):
-        raise PlateError(f"{name}: not all are finite, allowed: finite numbers")
+        raise PlateError(f"{name}: some values are not finite, allowed: finite numbers")
     return array
 
 

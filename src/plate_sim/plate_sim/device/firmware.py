@@ -50,7 +50,7 @@ class FirmwareOnDesk:
         drives = [motor.drive for motor in rig.motors if motor.drive is not None]
         if not drives:
             raise PlateError(
-                "firmware with drives: the rig has none, allowed: `drive: cia402` or odrive"
+                "firmware with drives: the rig has bridges, allowed: `drive: cia402` or odrive"
             )
         try:
             self._process = subprocess.Popen(
@@ -97,9 +97,9 @@ class FirmwareOnDesk:
         return {
             "state": self.state.name.lower(),
             "damaged frames": self._refused,
-            "stroke asked of the drives": f"{stroke:.4f}",
-            "speed asked of the drives": f"{speed:.4f}",
-            "acceleration asked of the drives": f"{accel:.4f}",
+            "commanded stroke of the drives": f"{stroke:.4f}",
+            "commanded speed of the drives": f"{speed:.4f}",
+            "commanded acceleration of the drives": f"{accel:.4f}",
         }
 
     def tick(self) -> list[Segment]:

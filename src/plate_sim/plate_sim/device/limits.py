@@ -99,7 +99,7 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
     values = [(field.name, getattr(limits, field.name)) for field in fields(limits)]
     lines = [f"    .{key} = {_literal(np.asarray(value, np.float32))}," for key, value in values]
     return "\n".join([
-        f"/* Of {name}, by `python -m plate_sim.device.limits_header`: change that, not this. */",
+        f"/* Generated from {name} by `python -m plate_sim.device.limits_header`; do not edit. */",
         "static const Limits LIMITS = {",
         *lines,
         "};",

@@ -51,21 +51,21 @@ def _every(description: str) -> Any:
 class Options(NodeOptions):
     """Parameters of the device."""
 
-    link: str = parameter("/tmp/plate_device", "Name of the serial port that is made.")
-    seed: int = parameter(0, "Seed of what goes wrong.", 0, 2**31 - 1)
+    link: str = parameter("/tmp/plate_device", "Name of the serial port to create.")
+    seed: int = parameter(0, "Seed of the random faults.", 0, 2**31 - 1)
     firmware: str = parameter(
-        "", "The firmware's program for drives on a CAN bus, on simulated ones; empty: no bus."
+        "", "Firmware program for drives on a CAN bus, run with simulated drives; empty: no bus."
     )
     baud: float = parameter(921_600.0, "Speed of the line [bit/s]; 0: none.", 0, 1e9, live=True)
-    dropped: float = _fraction("Bytes that vanish on the line [fraction].")
-    corrupted: float = _fraction("Bytes that change on the line [fraction].")
-    repeated: float = _fraction("Bytes that come twice [fraction].")
-    split: float = _fraction("Transmissions that come in two parts [fraction].")
-    delay: float = parameter(0.0, "Delay of the line, each way [s].", 0.0, 1.0, live=True)
-    disconnect_every: float = _every("Time from one disconnection to the next [s]; 0: none.")
-    disconnect_s: float = parameter(2.0, "Length of a disconnection [s].", 0.0, 1e3, live=True)
-    reset_every: float = _every("Time from one reset of the device to the next [s]; 0: none.")
-    brown_out_every: float = _every("Time from one brown-out to the next [s]; 0: none.")
+    dropped: float = _fraction("Lost bytes on the line [fraction].")
+    corrupted: float = _fraction("Changed bytes on the line [fraction].")
+    repeated: float = _fraction("Repeated bytes [fraction].")
+    split: float = _fraction("Transmissions that arrive in two parts [fraction].")
+    delay: float = parameter(0.0, "Delay of the line in each direction [s].", 0.0, 1.0, live=True)
+    disconnect_every: float = _every("Time between disconnections [s]; 0: none.")
+    disconnect_s: float = parameter(2.0, "Duration of a disconnection [s].", 0.0, 1e3, live=True)
+    reset_every: float = _every("Time between resets of the device [s]; 0: none.")
+    brown_out_every: float = _every("Time between brown-outs [s]; 0: none.")
 
     @property
     def schedule(self) -> FaultSchedule:

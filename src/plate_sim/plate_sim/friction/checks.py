@@ -29,7 +29,7 @@ def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
     if isinstance(cycle, PlateCycle):
         return
     if cycles > 1:
-        raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion, as it need not close")
+        raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion")
     finite = np.isfinite(cycle.coefficients).all(axis=(1, 2))
     if not finite.all():
         raise PlateError(f"piece {int(np.argmin(finite))} of the plate's motion is not finite")

@@ -63,7 +63,7 @@ class PlateMotion:
         if not (np.all(np.isfinite(motors)) and np.all(np.isfinite(times))):
             raise CycleError("motor motion: a value is not finite")
         if times[0] != 0 or np.any(np.diff(times) <= 0):
-            raise CycleError("motor motion: times must start at 0 and rise")
+            raise CycleError("motor motion: times must start at 0 and increase")
         return cls(times, quintic_pieces(times, *plate_state(rig, *np.moveaxis(motors, 1, 0))))
 
     @classmethod

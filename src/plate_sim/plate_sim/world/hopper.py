@@ -79,7 +79,7 @@ def check_duration(duration_s: float) -> None:
     """Raise a PlateError if a hopper cannot be opened for this time [s]."""
     if not 0 <= duration_s <= LONGEST_OPEN_S:  # also refuses NaN
         raise PlateError(
-            f"duration is {duration_s:g} s, allowed: 0, which shuts it, to {LONGEST_OPEN_S:g} s"
+            f"duration is {duration_s:g} s, allowed: 0 (closes it) to {LONGEST_OPEN_S:g} s"
         )
 
 
@@ -199,7 +199,7 @@ class Dispenser:
             If there is no hopper, the time is not allowed, or the plate is full.
         """
         if self._hopper is None:
-            raise PlateError("this scenario has no hopper, allowed: one of the kind feed that does")
+            raise PlateError("this scenario has no hopper, required: kind feed with a hopper")
         check_duration(duration_s)
         there = int(np.count_nonzero(state.on_plate))
         if duration_s > 0 and there >= MOST_PARTS:

@@ -271,8 +271,8 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
     if not high or (place := camera_place(rig)) is None:
         if high:
             raise PlateError(
-                f"{high[0][0]} is {high[0][1]:g}, allowed: 0, as the rig file gives neither "
-                "focal_px nor camera: height_m: the camera's place is not known"
+                f"{high[0][0]} is {high[0][1]:g}, allowed: 0, because the rig file gives neither "
+                "focal_px nor camera: height_m, so the camera's position is unknown"
             )
         return
     for name, value in high:

@@ -92,7 +92,7 @@ class Simulation:
         if disturbances.image_rate > 0 and rig.camera.trigger is not None:
             raise PlateError(
                 f"image_rate is {disturbances.image_rate:g} with a trigger_phase, allowed: 0, "
-                "as the rig file has the motor controller trigger the camera"
+                "because the motor controller triggers the camera"
             )
         # The order is part of each seed's run.
         layout, pixels, field, images, parts, stamps, hand, hopper, robot = np.random.default_rng(

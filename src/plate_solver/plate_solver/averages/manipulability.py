@@ -104,7 +104,7 @@ def library_force(
     direction = np.atleast_2d(np.asarray(direction, dtype=float))
     if direction.shape[1] != len(columns) or not np.all(np.any(direction, axis=1)):
         raise PlateError(
-            f"direction has shape {direction.shape}, allowed: (D, {len(columns)}), not zero"
+            f"direction has shape {direction.shape}, allowed: (D, {len(columns)}), nonzero"
         )
     return np.array([_force_along(columns, unit(row))[0] for row in direction])
 

@@ -109,22 +109,27 @@ def largest_fraction(
     why = whole.message
     proven = fits < 1 or (prove is not None and prove(request))
     if proven:
-        why = f"proven out of reach of such motions; {why}"
+        why = f"proven impossible for such motions; {why}"
     if fits < 1:
-        why = f"a part is asked to bear {request.flags.loaded:.3g} mu m g, allowed: {most:g}"
+        why = (
+            f"the requested force on a part is {request.flags.loaded:.3g} mu m g, allowed: {most:g}"
+        )
     rest_of_whole = whole.residual + (1 - fits) * request.force
     if low > 0:
         residual = best.residual + (1 - low) * request.force
-        message = f"{low:.3g} of the request is met; all of it: {why}"
+        message = f"a fraction of {low:.3g} of the request is met; for the whole: {why}"
         if prove is None and _size(rest_of_whole) < _size(residual):
             best, residual = whole, rest_of_whole
-            message = f"{low:.3g} of the request can be met, this misses less of the whole; {why}"
+            message = (
+                f"a fraction of {low:.3g} of the request can be met, but this solution is nearer "
+                f"to the whole request; {why}"
+            )
     elif request.must_move or _size(rest_of_whole) < WORTH_IT * _size(request.force):
         residual = rest_of_whole
-        message = f"nothing of the request is met, this comes near; {why}"
+        message = f"the request is not met, this is the nearest solution; {why}"
     else:
         best, residual = nothing(), request.force
-        message = f"nothing of the request is met, so the plate rests; {why}"
+        message = f"the request is not met, so the plate rests; {why}"
     return replace(
         best,
         success=False,

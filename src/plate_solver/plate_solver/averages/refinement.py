@@ -76,7 +76,7 @@ def judged(request: Request, solution: Solution, error: np.ndarray, bound: float
     success = worst <= bound
     message = f"force error {np.max(np.abs(error)):.2g} mu m g"
     if not success:
-        message += f", {worst:.2g} beyond what is tolerated, allowed: {bound:.2g}"
+        message += f", {worst:.2g} above the tolerance, allowed: {bound:.2g}"
     return replace(
         solution,
         success=success,

@@ -108,7 +108,7 @@ class RotationSolver(ForceSolver, RotationCycles):
         if fraction >= 1:
             return solution
         return replace(
-            solution, message=f"{solution.message}; about {fraction:.2g} of it is in reach"
+            solution, message=f"{solution.message}; a fraction of about {fraction:.2g} is possible"
         )
 
     def _judged(

@@ -63,7 +63,7 @@ class SinusoidForceOptions(SinusoidOptions):
         super().__post_init__()
         check_options(self, tolerance=(0.0, 1.0))
         if self.at_rest and self.harmonics == 1:
-            raise PlateError("harmonics is 1, allowed with at_rest: 0 (choose) or at least 2")
+            raise PlateError("harmonics is 1; at_rest requires 0 (automatic) or at least 2")
 
 
 class SinusoidSolver(ForceSolver, SinusoidCycles):

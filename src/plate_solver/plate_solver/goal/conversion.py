@@ -196,8 +196,8 @@ def _to_go(rig: Rig, wanted: Wanted, to: Targets) -> np.ndarray:
 
 def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTargets) -> None:
     """Check the intervals and weights of targets (M, ...)."""
-    _check(ids, f"low end of the {name}", targets.low, -MAX_REQUEST)
-    _check(ids, f"high end of the {name}", targets.high, -MAX_REQUEST)
+    _check(ids, f"lower bound of the {name}", targets.low, -MAX_REQUEST)
+    _check(ids, f"upper bound of the {name}", targets.high, -MAX_REQUEST)
     _check(ids, f"width of the {name}", targets.high - targets.low, 0.0, np.inf)
     _check(ids, f"weight of the {name}", targets.weight, 0.0)
 

@@ -316,7 +316,7 @@ def goal_solution(
         message = f"{1e3 * float(np.sqrt(np.mean(left**2))):.3g} mm to go"
         if goal.turns is not None and goal.turns.count:
             turn = float(np.sqrt(np.mean(goal.left_to_turn(end) ** 2)))
-            message += f", {np.degrees(turn):.2g} deg to turn"
+            message += f", {np.degrees(turn):.2g} deg to rotate"
     else:
         message = f"displacement error {1e3 * float(np.max(np.abs(error))):.3g} mm"
     return Solution(
