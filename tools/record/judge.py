@@ -109,7 +109,9 @@ def judge(
     follows = isinstance(task, FollowTask)
     poses = isinstance(task, PoseTask)
     follows &= float(record.last("planner", "max_error_m")) > 0
-    bus = {name: float(record.last("device", f"commanded {name} of the drives", "nan")) for name in BUS}
+    bus = {
+        name: float(record.last("device", f"commanded {name} of the drives", "nan")) for name in BUS
+    }
     kept = limits.tables > 0 and not limits.faults
     if options.firmware:
         kept &= all(bus[name] <= most for name, most in BUS.items())

@@ -100,7 +100,7 @@ CAMERA = Section(
             "k2, p1, p2, k3, ...; equidistant: k1 to k4.", None, "zeros",
         ),
         Key(
-            "distortion_model", Choice(tuple(MODELS)), "distortion_model of camera_info.",
+            "distortion_model", Choice(tuple(MODELS)), "distortion_model in camera_info.",
             "plumb_bob",
         ),
     ),
@@ -137,11 +137,11 @@ SUSPENSION = Section(
         Key("damping_ratio", Numbers((3,), 0, 2), "Their damping.", None, "or `damping`"),
         Key(
             "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "Stiffness matrix of x, y "
-            "and theta [N/m, N, N m/rad].", None, "`frequency_hz` is required",
+            "and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
         ),
         Key(
-            "damping", Numbers((3, 3), -STIFFEST, STIFFEST), "Damping matrix of x, y and theta "
-            "[N s/m, N s, N m s/rad].", None, "`damping_ratio` is required",
+            "damping", Numbers((3, 3), -STIFFEST, STIFFEST), "Damping matrix [N s/m, N s, "
+            "N m s/rad].", None, "or `damping_ratio`",
         ),
         Key(
             "inertia_kgm2", Number(1e-9, 1e6), "Inertia of the plate about its centre of mass.",

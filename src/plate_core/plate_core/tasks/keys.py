@@ -75,7 +75,8 @@ FILE = Section(
         Key("task", Table(), "`kind`, and its keys."),
         Key(
             "time_limit_s", Number(0.1, 1e5), "Maximum duration, from the detection of all parts. "
-            "Longer tasks fail. Not allowed with `until_canceled`.", None, "none",
+            "Longer tasks fail. Required, except for `feed` and with `until_canceled`.",
+            None, "none",
         ),
     ),
 )  # fmt: skip
@@ -111,8 +112,7 @@ TASK = Section(
 
 SORT = Section(
     "task, kind: sort",
-    "Move every class to its region. The task is done when all parts have been in their regions "
-    "for `hold_s`.",
+    "Every class to its region. Done when all parts have been in their regions for `hold_s`.",
     (
         Key(
             "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Region of "
@@ -188,8 +188,7 @@ CIRCLE = Section(
         Key(
             "start_deg", Number(-360, 360), "Start of the path, counter-clockwise from x.", 0.0,
         ),
-        Key("turn", Choice(("left", "right")), "Direction: left is counter-clockwise, right is "
-            "clockwise."),
+        Key("turn", Choice(("left", "right")), "left: counter-clockwise; right: clockwise."),
     ),
 )  # fmt: skip
 
