@@ -237,7 +237,7 @@ def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(
         if k == 4:
             shoot(page, "8_lens")
             assert "tilt it" not in page.inner_text("#lens-missing")
-    await_text(page, "#lens-missing", "enough: fit the lens")
+    await_text(page, "#lens-missing", "enough pictures")
     assert page.inner_text("#camera-state") == "Next: lens."
     before = (folder / "rig.yaml").read_text(encoding="utf-8")
     page.get_by_role("button", name="Fit the lens").click()

@@ -56,7 +56,7 @@ def _nanobind() -> Path:
     for place in [*map(Path, places), DEBIAN]:
         if (place / "src/nb_combined.cpp").exists():
             return place
-    raise FileNotFoundError("nanobind is missing: pip install nanobind (or apt: nanobind-dev)")
+    raise FileNotFoundError("nanobind is not installed: pip install nanobind (apt: nanobind-dev)")
 
 
 class CompileKernels(build_ext):

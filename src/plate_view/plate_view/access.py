@@ -70,7 +70,7 @@ class Access:
                     "letters and digits"
                 )
         if self.operator_token and self.operator_token == self.viewer_token:
-            raise AccessError("operator_token and viewer_token are the same, allowed: two tokens")
+            raise AccessError("operator_token and viewer_token are equal, allowed: two tokens")
 
     @property
     def is_local(self) -> bool:

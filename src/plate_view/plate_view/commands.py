@@ -66,12 +66,12 @@ def read_command(text: str | bytes, role: Role) -> Command:
     if not isinstance(name, str) or name not in COMMANDS:
         raise CommandError(f"do is {_short(name)}, allowed: {', '.join(COMMANDS)}")
     if role is not Role.OPERATOR and name not in FOR_ALL:
-        raise CommandError(f"{name} is for operators, this page is read only")
+        raise CommandError(f"{name} is allowed only for operators, this page is read only")
     data.pop("number", None)
     readers = COMMANDS[name]
     strange = sorted(data.keys() - readers.keys())
     if strange:
-        allowed = ", ".join(readers) or "nothing else"
+        allowed = ", ".join(readers) or "no further keys"
         raise CommandError(f"{name} has {_short(strange[0])}, allowed: {allowed}")
     values = {key: read(f"{name}: {key}", data.get(key)) for key, read in readers.items()}
     return Command(name, number, values)

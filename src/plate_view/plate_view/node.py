@@ -45,16 +45,16 @@ class Options(NodeOptions):
     """Parameters of the page."""
 
     address: str = parameter(
-        "127.0.0.1", "IP address on which the page is served; 0.0.0.0: all networks, with a token"
+        "127.0.0.1", "IP address of the page's server; 0.0.0.0: all networks, requires a token"
     )
-    port: int = parameter(8080, "TCP port; the next free one if it is taken", 1, 65000)
+    port: int = parameter(8080, "TCP port; if it is in use, the next free one", 1, 65000)
     operator_token: str = parameter(
-        "", "The page commands only if its address ends with ?token= and this; empty: every "
-        "browser of this machine may",
+        "", "Token of operators: commands require ?token=TOKEN at the end of the page's address; "
+        "empty: every browser of this machine may command",
     )  # fmt: skip
-    viewer_token: str = parameter("", "Token of browsers that may only watch; empty: none")
-    scenario: str = parameter("", "Scenario that is selected at first")
-    bag: str = parameter("", "Folder of a recorded bag that is shown instead of the graph")
+    viewer_token: str = parameter("", "Token of read-only browsers; empty: none")
+    scenario: str = parameter("", "Scenario that is selected initially")
+    bag: str = parameter("", "Folder of a bag to replay instead of showing the graph")
 
 
 class PageNode(SafeLifecycleNode[Options]):
@@ -194,7 +194,7 @@ class PageNode(SafeLifecycleNode[Options]):
         if self._server is None:
             return
         if old:
-            self._server.answer(browser, command.number, False, "it waited too long: send it again")
+            self._server.answer(browser, command.number, False, "waited too long: send it again")
         elif self._replay is not None or command.name == "replay":
             self._do_replay(browser, command)
         else:
@@ -212,7 +212,7 @@ class PageNode(SafeLifecycleNode[Options]):
         assert server is not None
         why = ""
         if replay is None:
-            why = "this page shows a graph that runs, allowed with the parameter bag"
+            why = "this page shows a running graph; replay requires the parameter bag"
         elif command.name != "replay":
             why = f"{command.name}: this page shows a recorded run, allowed: replay"
         else:

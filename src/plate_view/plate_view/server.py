@@ -173,11 +173,11 @@ class Socket(tornado.websocket.WebSocketHandler):
     def _refusal(self, within: bool) -> str:
         """Return the reason to refuse a command that does not stop; "" to accept it."""
         if not within:
-            return f"more than {COMMANDS_PER_S:g} commands a second"
+            return f"too many commands, allowed: {COMMANDS_PER_S:g} per second"
         if self.page.is_late():
             return "the page was stalled: send it again"
         if self.open_commands >= MOST_OPEN or self.page.open_commands >= MOST_OF_ALL:
-            return f"{MOST_OPEN} commands, or {MOST_OF_ALL} of all browsers, wait for an answer"
+            return f"{MOST_OPEN} commands of this page, or {MOST_OF_ALL} of all, wait for replies"
         return ""
 
     def _spend(self, price: float = 1.0) -> bool:
@@ -247,7 +247,7 @@ class File(tornado.web.StaticFileHandler):
         if page and self._access.role(self.get_query_argument("token", "")) is None:
             self.set_status(401)
             self.finish(
-                "This page needs a token: its address ends with ?token=..., as set by the "
+                "This page requires a token: add ?token=... to its address, with the value of the "
                 "parameter operator_token or viewer_token.\n"
             )
 
@@ -400,5 +400,5 @@ def _bound(address: str, port: int) -> tuple[list[Any], int]:
         except OSError as error:
             problem = error
     raise PlateError(
-        f"the page has no port: {address}:{port} to {port + NEW_PORTS - 1}: {problem.strerror}"
+        f"no free port for the page, {address}:{port} to {port + NEW_PORTS - 1}: {problem.strerror}"
     )

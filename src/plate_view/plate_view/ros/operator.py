@@ -280,7 +280,7 @@ class Operator:
     def _start(self, pending: PendingCommand) -> None:
         scenario, task = pending.values["scenario"], pending.values["task"]
         if (scenario is None) == (task is None):
-            raise PlateError("start has both scenario and task, or neither, allowed: exactly one")
+            raise PlateError("start requires exactly one of scenario and task")
         if scenario is None:
             chosen = read_scenario(Fields(task, "task", ScenarioError), "task")
         elif scenario in scenario_names():
@@ -352,7 +352,7 @@ class Operator:
                 if replied:
                     return
                 why = "does not answer" if sent else "is not there"
-                never_began(f"the action {name} {why}: does the planner run, and is it configured?")
+                never_began(f"the action {name} {why}: is the planner running and configured?")
 
         self._caller.poll(tick)
         tick()
@@ -434,7 +434,7 @@ class Operator:
         """Start a task in which a part follows a drawn path."""
         part, closed, speed = (pending.values[key] for key in ("id", "closed", "speed"))
         if not any(each.id == part for each in self._listener.parts.parts):
-            raise PlateError(f"follow: no part {part!r} is seen")
+            raise PlateError(f"follow: part {part!r} is not detected")
         path = Path(type=part_class(part), closed=closed, laps=float(closed), speed=speed)
         path.waypoints = [Point(x=x, y=y) for x, y in pending.values["points"]]
         goal = FollowPaths.Goal(
@@ -466,7 +466,7 @@ class Operator:
         """Return the number of parts of each type in the newest image."""
         types = [part_class(part.id) for part in self._listener.parts.parts]
         if not types:
-            raise PlateError("no parts are seen yet")
+            raise PlateError("no parts have been detected yet")
         return [PartCount(type=kind, count=types.count(kind)) for kind in sorted(set(types))]
 
 

@@ -77,7 +77,7 @@ class Replay:
         if not any(each.msgcount for each in self._chosen):
             self.close()
             raise PlateError(
-                f"bag is {str(folder)!r} without our topics, allowed: one with {', '.join(kinds)}"
+                f"bag is {str(folder)!r}, allowed: a bag with topics of {', '.join(kinds)}"
             )
         self.begin, self.end = 1e-9 * self._reader.start_time, 1e-9 * self._reader.end_time
         self.now, self.playing, self.rate, self.problem = self.begin, False, 1.0, ""
@@ -182,7 +182,7 @@ class Replay:
 
 
 def _damaged(error: Exception) -> PlateError:
-    return PlateError(f"bag is damaged, allowed: a whole one: {error}")
+    return PlateError(f"bag is damaged, allowed: an intact one: {error}")
 
 
 KEPT = ("rosout", "diagnostics")

@@ -82,9 +82,9 @@ export class AimView {
       label(context, id || reason, px, py - Math.max(4, scale * radius) - 8, id ? TAKEN : LEFT);
     }
     for (const point of lens?.corners ?? []) dot(context, at(point), 2.5, BOARD);
-    label(context, "dashed: the plate by the rig file; dots: its edges as seen", left + 6, top + 12, EXPECTED, "left");
+    label(context, "dashed: the plate according to the rig file; dots: its detected edges", left + 6, top + 12, EXPECTED, "left");
     const taken = things.filter(({ id }) => id).length;
-    this.canvas.setAttribute("aria-label", `The camera's picture: ${taken} parts taken, ${things.length - taken} things left. The panel Camera lists the same values.`);
+    this.canvas.setAttribute("aria-label", `The camera's picture: ${taken} parts detected, ${things.length - taken} other objects. The panel Camera lists the same values.`);
   }
 }
 

@@ -51,7 +51,7 @@ export class Chart {
     context.fillText("now", width - RIGHT, height - 5);
     if (!values.length) {
       context.textAlign = "center";
-      context.fillText("nothing yet", (LEFT + width - RIGHT) / 2, height / 2 - 12);
+      context.fillText("no data yet", (LEFT + width - RIGHT) / 2, height / 2 - 12);
       return;
     }
     const labels = [];

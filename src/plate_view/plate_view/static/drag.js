@@ -11,9 +11,9 @@ const BY_HAND = "by hand"; // instead of a part's id: the simulator uses other n
 const WISH_MS = 2000; // how long a request is shown whose confirmed target differs
 
 const HINTS = {
-  target: "Drag a part or a target. Shift and click: several. The round knob rotates.",
-  select: "Draw a frame around parts, then drag one of them: all move, in their pattern.",
-  path: "Draw from a part with the pointer pressed.",
+  target: "Drag a part or a target. Shift-click selects several. The round knob rotates the target.",
+  select: "Draw a frame around parts, then drag one of them: all move together.",
+  path: "Draw a path: start on a part and keep the button pressed.",
   hand: "Simulator: drag a part to its new place.",
 };
 

@@ -65,7 +65,7 @@ function allow() {
   for (const controls of document.querySelectorAll(".controls")) controls.disabled = !connected || looks;
   byId("replay").disabled = !connected;
   byId("emergency-stop").disabled = looks;
-  if (looks) stop.say(recorded ? "a recorded run: nothing to stop" : "read only: use an operator\u2019s page or the switch");
+  if (looks) stop.say(recorded ? "a recorded run: nothing to stop" : "read only: use an operator\u2019s page or the emergency stop switch");
   if (!connected) drag.drop();
 }
 

@@ -19,7 +19,7 @@ export const LAYERS = [
   ["spread", "Spread \u00d710", true, "the uncertainty of the places, enlarged ten times"],
   ["trail", "Trails", true, "the recent paths of the parts"],
   ["target", "Targets", true, "the targets of the parts"],
-  ["wanted", "Wanted", false, "the planner's request for each part"],
+  ["wanted", "Requested", false, "the planner's request for each part"],
   ["task", "Task", true, "regions, paths and places of the task"],
   ["drift", "Drift", false, "how the running cycle moves resting parts"],
   ["force", "Mean force", false, "mean friction of the running cycle on resting parts"],

@@ -50,15 +50,15 @@ export function camera(panel, ask, aim) {
   const step = (words, text, ...content) =>
     el("fieldset", { className: "controls stack" }, el("legend", {}, words), el("p", { className: "small" }, text), ...content);
   panel.append(el("h2", {}, "Camera"), state, checks,
-    step("1. The lens", "Hold a printed board before the camera: into each corner, tilted to each side, still for a second. Marker 0: a chessboard.",
+    step("1. The lens", "Hold a printed board in front of the camera, in each corner and tilted to each side, each time still for a second. A marker side of 0 means a chessboard.",
       el("div", { className: "row" }, columnsBox, rowsBox, squareBox, markerBox), taking,
       el("div", { className: "row" }, take, fit, save, drop), answers.lens),
-    step("2. Home", "After the lens. The plate at rest, the whole of it in the picture. With markers on the plate these are searched, else its outline.",
+    step("2. Home", "Calibrate the lens first. The plate must be at rest and completely in the picture. The search uses the markers on the plate or, without markers, its outline.",
       el("div", { className: "row" }, button("Find home", () => ({ do: "find_home" }), answers.home), keep), answers.home, home),
-    step("3. The plate", "Take everything off the plate, and let the light be as it will be. For rigs with part types.",
+    step("3. The plate", "Only for rigs with part types. Remove all parts from the plate, and set up the light as it will be in operation.",
       el("div", { className: "row" }, button("Learn the bare plate", () => ({ do: "learn_plate" }), answers.plate)), answers.plate),
     step("4. Parts", "Put one part of a new type on the plate, away from the edge, and give the type a name.", teach, answers.part),
-    el("section", { className: "stack" }, el("h3", {}, "Not taken for parts"), left));
+    el("section", { className: "stack" }, el("h3", {}, "Objects not detected as parts"), left));
 
   const showLens = ({ state: now, kept, needed, columns: wide, cover: cells, missing: lacks, text, error_px: error, file }) => {
     taking.hidden = now === "idle";
@@ -77,7 +77,7 @@ export function camera(panel, ask, aim) {
     tell(lensText, words);
     const next = now === "taking" ? lacks : [];
     missing.replaceChildren(...next.map((each) => el("li", {}, each)));
-    if (now === "taking" && !lacks.length) missing.append(el("li", {}, "enough: fit the lens"));
+    if (now === "taking" && !lacks.length) missing.append(el("li", {}, "enough pictures: fit the lens"));
   };
   let said = "";
   const show = () => {
@@ -88,7 +88,7 @@ export function camera(panel, ask, aim) {
       return el("li", { "data-grade": grade, "data-check": what }, el("b", {}, sign), el("b", {}, what), el("span", {}, text));
     }));
     const next = now.checks.find(({ level }) => level !== "ok");
-    const words = next ? `Next: ${next.name}.` : "\u2713 Ready: nothing is left to do at the camera.";
+    const words = next ? `Next: ${next.name}.` : "\u2713 Ready: the camera is set up.";
     tell(state, words);
     state.dataset.grade = next ? "" : "good";
     if (words !== said) tell(byId("spoken"), next ? `${words} ${next.text}` : words);
@@ -100,7 +100,7 @@ export function camera(panel, ask, aim) {
     tell(byId("sharpness-note"), sharpness === null ? "not measured" : `${sharpness.toFixed(3)} per px, ${trend}`);
     const things = Map.groupBy(now.things.filter(({ id }) => !id), ({ reason }) => reason);
     left.replaceChildren(...[...things].map(([reason, all]) => el("li", {}, `${all.length} ${reason}: ${all[0].remedy}`)));
-    if (!things.size) left.append(el("li", {}, "nothing"));
+    if (!things.size) left.append(el("li", {}, "none"));
     showLens(now.lens);
   };
   on("aim", show);

@@ -14,7 +14,7 @@ export function log(panel) {
   panel.append(
     el("h2", {}, "Log"),
     el("p", {}, el("label", { htmlFor: "log-kinds" }, "Show "), kinds),
-    el("p", { className: "small" }, "A line with $ is the call that does the same as the control."),
+    el("p", { className: "small" }, "A line with $ is the command that has the same effect as the control."),
     lines,
   );
   kinds.addEventListener("change", () => (lines.dataset.only = kinds.value));

@@ -60,7 +60,7 @@ const rare = ({ name, value, choices, live }) => live === false || name === "use
 /** The controls of a node in a box: created once, then updated. */
 export function parameterBox(node, ask, keep = () => true) {
   const box = el("fieldset", { className: "controls parameters" }, el("legend", {}, `Parameters of the ${node}`), el("p", { className: "empty" }, "not received yet"));
-  const more = el("details", {}, el("summary", {}, "At start only, names and files"));
+  const more = el("details", {}, el("summary", {}, "Names, files and parameters that are read only at start"));
   let rows = new Map();
   on("parameters", (message) => {
     if (message.node.replace(/^.*\//, "") !== node) return;

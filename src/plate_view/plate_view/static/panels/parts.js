@@ -18,7 +18,7 @@ export function parts(panel, view, drag) {
   const form = el("form", { className: "row" }, ...["x mm", "y mm", "angle \u00b0"].map((words, i) => el("label", { htmlFor: fields[i].id }, `${words} `, fields[i])), send);
   const legend = el("legend", {}, "Target: choose a part");
   const group = el("fieldset", { className: "controls stack" }, legend, form,
-    el("p", { className: "small" }, "On a row: arrow keys move its target by 1 mm (Shift: 10 mm), Q and E turn it by 5\u00b0."));
+    el("p", { className: "small" }, "On a row, the arrow keys move its target by 1 mm (Shift: 10 mm), and Q and E rotate it by 5\u00b0."));
   const count = el("p", { className: "small" });
   panel.append(el("h2", {}, "Parts"), group, count, el("div", { className: "scroll", tabIndex: 0, role: "region", "aria-label": "Table of parts" }, table));
   const rows = new Map();

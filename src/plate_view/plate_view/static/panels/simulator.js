@@ -27,7 +27,7 @@ export function simulator(panel, ask, view) {
     el("div", { className: "row" }, labelled("Part", part), button("Remove", () => ask({ do: "remove", id: simulated(view, part.value) }, answer))),
     el("div", { className: "row" }, labelled("Seed", seed), button("Reset", () => ask({ do: "reset", seed: seed.value === "" ? null : number(seed) }, answer).then(({ ok }) => ok && view.trails.clear()))),
     el("div", { className: "row" }, "Time ", ...rates),
-    el("p", { className: "small" }, "Times other than \u00d71 need simulated time: make play ARGS=--simulated-time"), answer);
+    el("p", { className: "small" }, "Rates other than \u00d71 require simulated time: make play ARGS=--simulated-time"), answer);
   panel.append(el("h2", {}, "Simulator"), el("p", { className: "small" }, "\u201cMove by hand\u201d over the plate lets you drag parts."), controls,
     parameterBox("simulator", ask, ({ name }) => name !== "scenario"));
   on("hello", ({ types }) => type.replaceChildren(...Object.keys(types).map((name) => el("option", {}, name))));

@@ -49,7 +49,7 @@ export function status(ask) {
     if (!known.driver) return;
     const { state, text } = known.driver;
     const lost = silent().includes("driver");
-    badge(byId("driver-state"), lost ? "silent" : state, lost ? `no word (was ${state})` : state);
+    badge(byId("driver-state"), lost ? "silent" : state, lost ? `no message (was ${state})` : state);
     byId("driver-state").title = text || "";
     tell(byId("enable"), state === "ready" ? "Disable" : "Enable");
   };

@@ -11,7 +11,7 @@ const PROGRESS = [
   ["to go", ({ to_go_m }) => `${mm(to_go_m)} mm`],
   ["error, rms", ({ rms_error_m }) => `${mm(rms_error_m, 2)} mm`],
   ["error, max", ({ max_error_m }) => `${mm(max_error_m, 2)} mm`],
-  ["angle missing", ({ turn_error }) => `${degrees(turn_error, 1)}\u00b0`],
+  ["angle error", ({ turn_error }) => `${degrees(turn_error, 1)}\u00b0`],
   ["pace", ({ pace }) => (Number.isFinite(pace) ? pace.toFixed(2) : null)],
 ];
 
@@ -20,7 +20,7 @@ export function tasks(panel, ask) {
   const choose = el("select", { id: "scenario" });
   const about = el("p", { className: "small" });
   const numbers = el("div", { className: "numbers" });
-  const edit = el("details", { hidden: true }, el("summary", {}, "Its numbers"), numbers);
+  const edit = el("details", { hidden: true }, el("summary", {}, "Numbers of the scenario"), numbers);
   const button = (words, work, className = "") => {
     const node = el("button", { type: "button", className }, words);
     node.addEventListener("click", work);
@@ -41,14 +41,14 @@ export function tasks(panel, ask) {
   const start = () => send(changed ? { do: "start", task: structuredClone(scenario) } : { do: "start", scenario: choose.value });
   const pause = button("Pause", async () => {
     if (paused) return send(paused);
-    if (!last || known.task?.state !== "running") return tell(answer, "\u2715 refused: no task runs that this page has started");
+    if (!last || known.task?.state !== "running") return tell(answer, "\u2715 refused: this page has started no running task");
     if ((await ask({ do: "cancel" }, answer)).ok) rest(last);
   });
   panel.append(el("h2", {}, "Task"),
     el("fieldset", { className: "controls stack" }, el("legend", {}, "Start a task"),
       el("label", { htmlFor: "scenario" }, "Scenario ", choose), about, edit,
       el("div", { className: "row" }, button("Start", start, "main"), pause, button("Cancel", () => ask({ do: "cancel" }, answer).then(() => rest(null))), button("Stop", () => ask({ do: "stop" }, answer))),
-      el("p", { className: "small" }, "Pause and Cancel cancel the goal of the task; Resume starts it again, from where the parts lie. Stop ends any task."), answer));
+      el("p", { className: "small" }, "Pause and Cancel cancel the task's goal. Resume starts the task again from the parts' current places. Stop ends any task."), answer));
 
   const describe = () => {
     const told = known.hello?.scenarios[choose.value];
@@ -68,15 +68,15 @@ export function tasks(panel, ask) {
 
   const state = el("p", { className: "said" }, "No task yet.");
   const cells = new Map(PROGRESS.map(([name]) => [name, el("dd")]));
-  const bar = el("progress", { max: 1, value: 0, "aria-label": "Parts where they belong" });
-  panel.append(el("section", { className: "stack" }, el("h3", {}, "How it is getting on"), state, bar,
+  const bar = el("progress", { max: 1, value: 0, "aria-label": "Parts in place" });
+  panel.append(el("section", { className: "stack" }, el("h3", {}, "Progress"), state, bar,
     el("dl", { className: "figures" }, ...[...cells].map(([name, cell]) => el("div", {}, el("dt", {}, name), cell)))));
   const show = () => {
     const task = known.task;
     if (!task || panel.hidden) return;
     const { parts_seen: seen, parts_total: total, time_s: time } = task.progress ?? {};
     const waits = task.state === "running" && !time && seen < total;
-    tell(state, waits ? `waits for its parts: ${seen} of ${total} are seen` : task.text || `${task.task || "No task"}: ${task.state}`);
+    tell(state, waits ? `waiting for its parts: ${seen} of ${total} are detected` : task.text || `${task.task || "No task"}: ${task.state}`);
     const progress = task.progress ?? {};
     for (const [name, words] of PROGRESS) tell(cells.get(name), Object.keys(progress).length ? (words(progress) ?? "\u2013") : "\u2013");
     bar.value = progress.parts_total ? progress.parts_sorted / progress.parts_total : 0;
