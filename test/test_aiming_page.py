@@ -178,7 +178,7 @@ def test_no_camera_one_that_looks_elsewhere_and_a_little_shift_are_reported(grap
 
 def test_it_is_covered_dark_and_burnt(graph, page, shows):
     graph[0].show(np.full((480, 640), 2, np.uint8))
-    shows("light", "is the light on, the lens open", "3_covered")
+    shows("light", "is the light on, is the lens open", "3_covered")
     shows("focus", "is the lens covered")
     graph[0].show(np.clip(picture().astype(int) * 2, 0, 255).astype(np.uint8))
     shows("light", "clipped at 255|burnt out", "4_burnt")
@@ -215,7 +215,7 @@ def test_home_is_found_where_the_camera_is_mounted(graph, page, shows, folder):
     page.get_by_role("button", name="Find home").click()
     await_text(page, "#camera-home", "corners_px.*Write them to the rig file")
     shows("outline", "as predicted, within 0", "7_home")
-    shows("parts", "4 taken, nothing else is seen")
+    shows("parts", "4 detected, no other objects")
     before = (folder / "rig.yaml").read_text(encoding="utf-8")
     assert before == (folder / "rig_before.yaml").read_text(encoding="utf-8")  # it asks first
     page.get_by_role("button", name="Write to the rig file").click()
@@ -230,7 +230,7 @@ def test_pictures_for_the_lens_are_taken_fitted_and_written_after_asking(
     print_px = draw_board(BOARD, 40)
     graph[0].show(np.full((480, 640), 150, np.uint8))
     page.get_by_role("button", name="Take pictures for the lens").click()
-    await_text(page, "#lens-missing", "hold it into the top left corner")
+    await_text(page, "#lens-missing", "hold it in the top left corner")
     for k, pose in enumerate(POSES):
         graph[0].show(board_picture(print_px, BOARD, MATRIX, BEND, *pose))
         await_text(page, "#lens-text", f"^{k + 1} taken")

@@ -87,7 +87,7 @@ class Options(NodeOptions):
 
     scenario: str = parameter("sort_10", "Scenario that defines the parts on the plate.")
     seed: int = parameter(
-        0, "Seed of parts and noise; a change applies at the next reset.",
+        0, "Seed of parts and noise for the next reset.",
         0, 2**31 - 1, live=True,
     )  # fmt: skip
     driven_by: str = parameter(
@@ -126,7 +126,7 @@ class Options(NodeOptions):
         "static_ratio", "Static friction divided by dynamic friction [-]."
     )
     friction_slope: float = _disturbance(
-        "friction_slope", "Relative change of friction with slip speed [1/(m/s)]."
+        "friction_slope", "Change of friction with slip speed [1/(m/s)]."
     )
     heave: float = _disturbance("heave", "Upward motion of the plate per motion along x [-].")
     tilt_x: float = _disturbance("tilt_x", "Tilt of the plate, downwards along +x [rad].")
@@ -139,7 +139,7 @@ class Options(NodeOptions):
         live=False,
     )  # fmt: skip
     stamp_jitter: float = _disturbance(
-        "stamp_jitter", "Standard deviation of a free-running camera's stamps [s].",
+        "stamp_jitter", "Noise of a free-running camera's stamps, RMS [s].",
         live=False,
     )  # fmt: skip
     blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.", live=True)
@@ -150,9 +150,7 @@ class Options(NodeOptions):
     shadows: float = _drawn("shadows", "Darkening of the plate in parts' shadows [fraction].")
     missed_parts: float = _drawn("missed_parts", "Fraction of parts that an image does not show.")
     false_parts: float = _drawn("false_parts", "False parts in an image [fraction of true ones].")
-    pick_failure: float = _disturbance(
-        "pick_failure", "Fraction of the robot's grips in which the part slips."
-    )
+    pick_failure: float = _disturbance("pick_failure", "Fraction of grips in which the part slips.")
 
     part_height_m: float = _drawn(
         "part_height_m", "Height of parts in images [m]; 0: that of the rig file."

@@ -282,14 +282,12 @@ class Focus:
     def finding(self) -> Finding:
         """State of the focus, with the remedy."""
         if not math.isfinite(self.now):
-            text = "too little contrast to measure sharpness: is the lens covered?"
+            text = "too little contrast for measuring sharpness: is the lens covered?"
             return Finding(Level.ERROR, text)
         text = f"{self.now:.3f} per px, {self.trend}"
         ratio = self.now / self.best
         if ratio < BLURRED:
-            why = (
-                f"{ratio:.0%} of the best of the last minute ({self.best:.3f}): turn the focus back"
-            )
+            why = f"{ratio:.0%} of the last minute's best ({self.best:.3f}): turn the focus back"
             return Finding(Level.WARN, f"{text}, {why}")
         edges = ""
         if math.isfinite(self.blur_px):
@@ -299,7 +297,7 @@ class Focus:
         turn = "turn the focus past the best value and back"
         if edges:
             return Finding(Level.WARN, f"{text}{edges}, allowed: {SHARP_PX:g} px: {turn}")
-        return Finding(Level.STALE, f"{text}, the best value is not known yet: {turn}")
+        return Finding(Level.STALE, f"{text}, the best value is unknown yet: {turn}")
 
 
 def outline_px(outline: Outline, field: AimField) -> np.ndarray:
@@ -327,7 +325,7 @@ def outline_finding(
     if finding is not None:
         return finding
     if seen < 3:
-        hint = "move the camera until the plate fills the drawn outline, or find home"
+        hint = "move the camera until the plate fills the drawn outline, or call find_home"
         return Finding(Level.WARN, f"the plate's outline is {text}: {hint}")
     return Finding(Level.OK, text)
 
@@ -338,10 +336,10 @@ def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
     if problem:
         return Finding(Level.ERROR, problem)
     if light.white > CLIPPED:
-        why = "clipped at 255: less light or a shorter exposure"
+        why = "clipped at 255: reduce light or exposure"
         return Finding(Level.WARN, f"{light.white:.1%} of the plate is {why}")
     if light.black > CLIPPED:
-        why = "at 0: more light, a longer exposure, or a higher black level"
+        why = "at 0: increase light, exposure or black level"
         return Finding(Level.WARN, f"{light.black:.1%} of the plate is {why}")
     middle = (float(np.argmax(np.cumsum(light.histogram) * 2 >= light.histogram.sum())) + 0.5) * 4
     return Finding(Level.OK, f"median of the plate {middle:.0f} grey levels, nothing clipped")
@@ -353,7 +351,7 @@ def size_finding(part_px: tuple[float, float]) -> Finding:
     low, high = part_px
     text = f"parts are {low:.1f} to {high:.1f} px across"
     if low < LEAST_PART_PX:
-        why = f"allowed: {LEAST_PART_PX:g} at least (a nearer camera, or more pixels)"
+        why = f"allowed: at least {LEAST_PART_PX:g} px (use a nearer camera or more pixels)"
         return Finding(Level.WARN, f"{text}, {why}")
     return Finding(Level.OK, text)
 

@@ -24,7 +24,7 @@ __all__ = ["BARE_IMAGES", "MODELLED", "BarePlate", "know_plate", "learn_next"]
 BARE_IMAGES = 5
 """Number of images from which the bare plate is learned; averaging reduces their noise."""
 
-MODELLED = "the bare plate is modelled from an image with parts: call ~/learn_plate when it is bare"
+MODELLED = "the bare plate is estimated from an image with parts: call ~/learn_plate without parts"
 """Warning until the bare plate is learned."""
 
 
@@ -56,10 +56,10 @@ class BarePlate:
 def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tuple[BarePlate, str]:
     """Start learning: the next images must show the bare plate. Also return a message for the user.
     It lists objects on the plate in the last image (H, W) or (H, W, 3)."""
-    text = f"the next {BARE_IMAGES} images are taken for the bare plate"
+    text = f"the next {BARE_IMAGES} images are used for the bare plate"
     things = "" if image is None else lying(image, region)
     if things:
-        text += f"; {things} now: if these are parts, take them off, and call again"
+        text += f"; {things} now: if these are parts, remove them and call again"
     return replace(plate, requested=BARE_IMAGES, images=()), text
 
 
@@ -101,4 +101,4 @@ def know_plate(
 def lying(image: np.ndarray, region: Region) -> str:
     """Describe the objects on a plate that should be bare; empty if it seems to be bare."""
     count = len(find_patches(image, model_plate(image, region), region))
-    return f"{count} thing{'s lie' if count > 1 else ' lies'} on it" if count else ""
+    return f"{count} object{'s are' if count > 1 else ' is'} on it" if count else ""

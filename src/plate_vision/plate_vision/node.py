@@ -102,17 +102,17 @@ class DetectorParameters(NodeOptions):
     )
 
     photographs: bool = parameter(
-        False, "Each image is a separate photograph: the log lists its parts"
+        False, "Whether each image is a separate photograph; the log then lists its parts"
     )
     camera_file: str = parameter("", "Lens: camera_info YAML; empty: camera_info or the rig file")
     image_transport: str = parameter(
-        "raw", "Images come on image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
+        "raw", "Topic of the images: image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
     )
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S, "Time without an image after which diagnostics are STALE [s]", 0.1, 3600.0
     )
     bare_plate_file: str = parameter(
-        "", "For part types: picture of the bare plate, or a folder; empty: it is modelled"
+        "", "For part types: picture of the bare plate, or a folder; empty: it is estimated"
     )
     teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
     teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")
@@ -120,7 +120,7 @@ class DetectorParameters(NodeOptions):
     threshold: float = _option(
         DetectorOptions,
         "threshold",
-        "Parts are darker than this fraction of the plate's brightness, or differ as much [-]",
+        "Parts are darker than this fraction of the plate's brightness, or have that contrast [-]",
     )
     class_threshold: float = _option(
         DetectorOptions,
@@ -421,13 +421,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if stamp < last and early is None:
             self._early = stamp
             raise ImageError(
-                f"stamp is {stamp:.3f} s, {last - stamp:.3f} s before that of the image before, "
-                "allowed: one image after the other, of one camera"
+                f"stamp is {stamp:.3f} s, {last - stamp:.3f} s before that of the last image, "
+                "allowed: increasing stamps, from one camera"
             )
         if stamp == last and not np.array_equal(image, self._last_image):
             raise ImageError(
-                f"stamp is {stamp:.3f} s, that of another image before, allowed: a stamp of its "
-                "own (does the camera's node fill it in?)"
+                f"stamp is {stamp:.3f} s, that of an earlier image, allowed: a different stamp for "
+                "each image (does the camera's node set it?)"
             )
 
     def _know_plate(self, image: np.ndarray) -> None:
@@ -457,7 +457,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         """Learn a part type from the parts on the plate."""
         try:
             if self._image is None:
-                raise TeachError("no image came yet, allowed: a part before the camera")
+                raise TeachError("no image has arrived yet")
             teaching = self._teaching.shown(self.options.teach_name, self._image)
             untyped = self._vision.catalogue is None
             part, self._vision, response.message = learn_shown(
@@ -481,13 +481,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         tally.add(count, things, radius)
         found = tally.finding(expected)
         if found is None and count:
-            found = Finding(Level.OK, f"{count} taken, nothing else is seen")
+            found = Finding(Level.OK, f"{count} detected, no other objects")
         findings = [
             ("lens", self._lens_finding()),
-            ("parts", found or Finding(Level.STALE, "none is seen: put some on the plate")),
+            ("parts", found or Finding(Level.STALE, "none detected: put some on the plate")),
         ]
         if self._vision.catalogue is not None:
-            learned = Finding(Level.OK, "the bare plate is learned")
+            learned = Finding(Level.OK, "the bare plate has been learned")
             plate = learned if self._plate.learned else Finding(Level.WARN, MODELLED)
             findings.insert(1, ("plate", plate))
         return Situation(
@@ -538,7 +538,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._lens_problem:
             return Finding(Level.ERROR, self._lens_problem)
         if lens is None:
-            return Finding(Level.WARN, "not known: take pictures of a board for the lens")
+            return Finding(Level.WARN, "unknown: take pictures of a board for the lens")
         return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
 
     def _take_corners(self, corners_px: np.ndarray) -> None:
@@ -630,9 +630,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         given_up, renamed = self._tracker.given_up, self._tracker.renamed
         if given_up:
             images = self._tracker.options.max_missed + 1
-            self.get_logger().info(f"given up after {images} images: {', '.join(given_up)}")
+            self.get_logger().info(f"lost after {images} images: {', '.join(given_up)}")
         for before, now in renamed:
-            self.get_logger().info(f"{before} has been seen as another class since: it is {now}")
+            self.get_logger().info(f"{before} has changed its class: its id is now {now}")
         self._given_up += len(given_up)
         self._renamed += len(renamed)
 

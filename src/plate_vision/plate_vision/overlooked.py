@@ -69,12 +69,12 @@ example a hand, a cable, a lamp's reflection. The strip beside a plate 10 mm awa
 smaller."""
 
 REMEDIES = {
-    "too faint": "more light, or parts that differ more from the plate",
-    "at the edge": "move them inwards; or it is the edge of a plate that is not at home",
-    "beyond the plate": "check camera: corners_px, or clear the surround",
+    "too faint": "use more light, or parts with more contrast to the plate",
+    "at the edge": "move them inwards; or the plate is not at home and this is its edge",
+    "beyond the plate": "check camera: corners_px, or clear the surroundings",
     "group": "move them apart",
-    "blurred": "focus the camera, or expose for a shorter time: types cannot be distinguished",
-    "unsettled": "wait for some images: light or shadow has changed",
+    "blurred": "types cannot be distinguished: focus the camera, or reduce the exposure time",
+    "unsettled": "light or shadow has changed: wait for a few images",
 }
 """Remedy for each reason whose remedy is the same for all rigs."""
 
@@ -230,10 +230,10 @@ class OverlookedTally:
             return None
         why = ", ".join(text for _, text in named)
         if not self.taken:
-            things = "1 thing is" if total == 1 else f"{total} things are"
-            return Finding(Level.WARN, f"no part is detected, but {things} seen: {why}")
-        of = f"{total} of {total + taken} things on the plate"
-        verb = "is not taken for a part" if total == 1 else "are not taken for parts"
+            things = "1 other object" if total == 1 else f"{total} other objects"
+            return Finding(Level.WARN, f"no part is detected, but {things}: {why}")
+        of = f"{total} of {total + taken} objects on the plate"
+        verb = "is not recognised as a part" if total == 1 else "are not recognised as parts"
         counts = (radius >= SPECK_RADIUS * expected.smallest) & ~np.isin(reason, EDGE_REASONS)
         large = np.count_nonzero(counts)
         cover = float(np.max(radius, initial=0))
@@ -241,8 +241,8 @@ class OverlookedTally:
             mm = round(1e3 * cover)
             return Finding(
                 Level.WARN,
-                f"a thing as large as a disc of {mm} mm radius covers the plate, parts under it "
-                f"are not seen: take it away, or check corners_px and light; {of} {verb}: {why}",
+                f"an object as large as a disc of {mm} mm radius covers the plate and hides parts: "
+                f"remove it, or check corners_px and light; {of} {verb}: {why}",
             )
         many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images
         return Finding(Level.WARN if many else Level.OK, f"{of} {verb}: {why}")
@@ -265,6 +265,6 @@ def remedy(reason: str, radius_mm: float, expected: Expected) -> str:
     if reason in ("too small", "too large"):
         return f"radius {radius_mm:.3g} mm, {expected.size}"
     if reason == "misfit":
-        teach = "teach its type" if expected.typed else "parts that are not round need types"
-        return f"check focus, light, the lens and parts: height_m; {teach}"
+        teach = "teach its type" if expected.typed else "parts that are not round require types"
+        return f"check focus, light, lens and parts: height_m; {teach}"
     return REMEDIES[reason]

@@ -252,8 +252,8 @@ def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> li
             corner_px *= np.exp(-0.5 * wave**2)
             if corner_px < LEAST_CORNER_PX:
                 found.append(
-                    f"type {name}: {part.symmetry} corners stand out by {corner_px:.2f} px in the "
-                    f"image, allowed: {LEAST_CORNER_PX} px: its angle cannot be measured"
+                    f"type {name}: {part.symmetry} corners protrude by {corner_px:.2f} px in the "
+                    f"image, allowed: at least {LEAST_CORNER_PX} px for measuring its angle"
                 )
     for one, other in combinations(types.values(), 2):
         gap = gap_between(one, other, scale)
@@ -261,7 +261,7 @@ def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> li
             found.append(gap.text)
         elif gap.far < SIZE_ALONE and abs(gap.size) > 0.9 * gap.far:
             found.append(
-                f"types {one.name} and {other.name} differ in size alone, by "
-                f"{abs(gap.size_px):.1f} px: light or blur may swell one to the other"
+                f"types {one.name} and {other.name} differ only in size, by "
+                f"{abs(gap.size_px):.1f} px: light or blur may make one look like the other"
             )
     return found

@@ -170,7 +170,7 @@ def test_boards_that_begin_white_are_recognised(columns, rows, legacy, make_scen
     assert np.linalg.norm(place - true[:, 0], axis=1).max() < 0.35
     assert len(which) > 0.9 * len(board.corners)
     assert find_board(np.full_like(image, 200), printed) == (printed, None)  # as the one before
-    with pytest.raises(CalibrationError, match=f"as {columns}x{rows} they would fit.*allowed: "):
+    with pytest.raises(CalibrationError, match=f"they fit {columns}x{rows}.*allowed: "):
         find_corners(image, Board(rows, columns, 0.03, 0.022))
 
 
@@ -223,7 +223,7 @@ def test_what_tells_no_lens_is_refused(rng):
     flat = [(which, 60 + 12000 * CHESS.corners[:, :2] * 0.1 + k) for k in range(8)]
     with pytest.raises(CalibrationError, match="allowed: "):
         fit_lens(CHESS, flat, (640, 480))  # always from the front
-    with pytest.raises(CalibrationError, match="seen in 4 pictures, allowed: at least 5"):
+    with pytest.raises(CalibrationError, match="detected in 4 pictures, allowed: at least 5"):
         fit_lens(CHESS, flat[:4], (640, 480))
     noise = [(which, rng.uniform(0, 480, (len(which), 2))) for _ in range(6)]
     with pytest.raises(CalibrationError, match="allowed: "):

@@ -168,7 +168,7 @@ def test_the_size_of_a_board_is_asked_for(capsys):
     ("words", "arguments"),
     [
         ("no such file or folder", ["lens", "/nowhere", *BOARD]),
-        ("no pictures in it", ["lens", ".", *BOARD]),
+        ("contains no pictures", ["lens", ".", *BOARD]),
         ("fiducials are missing", ["markers"]),
         (
             "a_fifo.png: is a FIFO, allowed: a regular file up to 64 MB",
@@ -179,7 +179,7 @@ def test_the_size_of_a_board_is_asked_for(capsys):
         ("/dev/zero: is a device, allowed", ["lens", "/dev/zero", *BOARD]),
         ("large.png: is of 1000 MB, allowed", ["lens", "odd/large.png", *BOARD]),
         ("large: cannot be read, allowed: a video", ["lens", "odd/large", *BOARD]),
-        ("empty.png: cannot be read, allowed: a whole picture", ["lens", "odd/empty.png", *BOARD]),
+        ("empty.png: cannot be read, allowed: a complete pict", ["lens", "odd/empty.png", *BOARD]),
         ("2 x 7 squares, allowed", ["board", "--board", "2x7", "--square", "0.03"]),
         ("3 x 7 squares, allowed: 4 x 4 to", ["board", "--board", "3x7", "--square", "0.03"]),
         ("squares of 30 m, allowed: 0.001 to 1", ["board", "--board", "9x7", "--square", "30"]),

@@ -200,13 +200,13 @@ def test_an_unplugged_camera_is_named_and_goes_on_when_it_is_back(start, camera)
     graph = start(camera, device=camera.path, **SIZE)
     shown(graph, camera)
     camera.unplug()
-    graph.report("is unplugged; images go on when it is back")
+    graph.report("is unplugged; images continue when it is back")
     camera.plug()
     shown(graph, camera)
     assert "unplugged" not in graph.camera._find(time.monotonic()).message
     assert [text for text in graph.notes if "video0" in text] == [
-        f"{camera.path}: the camera is unplugged; images go on when it is back",
-        f"{camera.path}: images go on",
+        f"{camera.path}: the camera is unplugged; images continue when it is back",
+        f"{camera.path}: images continue",
     ]
 
 
@@ -217,7 +217,7 @@ def test_a_silent_camera_is_named(start, camera):
 
 def test_a_silent_pipe_is_named(start, tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    start(device=tmp_path / "pipe", **SIZE).report("s: does a program write into this pipe")
+    start(device=tmp_path / "pipe", **SIZE).report("s: does a program write frames")
 
 
 def test_an_error_of_a_library_is_told_and_images_go_on(start, camera):
@@ -253,7 +253,7 @@ def test_frames_of_another_size_are_refused_and_the_others_used(start, camera):
 def test_a_black_and_a_frozen_picture_are_errors(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
     black = np.full((48, 64), 5, np.uint8)
-    graph.report("the image is black: take off the lens cap", shows=lambda: black)
+    graph.report("the image is black: remove the lens cap", shows=lambda: black)
     graph.report("the image is frozen", shows=lambda: NOISE)
 
 
@@ -344,7 +344,7 @@ def test_a_folder_begins_when_somebody_looks_and_ends_with_its_last_picture(
     graph = start(device=folder(tmp_path, draw, rng), rate=50.0, listen=False)
     graph.report("waiting for a subscriber of image_raw", Level.OK)
     graph.listen()
-    graph.report("the last image was played, of 3", Level.OK)
+    graph.report("the last of 3 images was played", Level.OK)
     assert graph.notes[1:4] == [f"image {k + 1} is {k}.png" for k in range(3)]
     assert [image.encoding for image in graph.images] == ["bgr8"] * 3
 

@@ -351,7 +351,7 @@ def test_pictures_are_never_turned(tmp_path, capsys, rng, kind, orientation):
     else:
         (text,) = warnings
         assert text.startswith(f"a{kind}: orientation {orientation} is ignored: viewers ")
-        assert "pixels stay where the sensor" in text
+        assert "pixels are used as stored" in text
     next(read_pictures(folder))
     assert capsys.readouterr().err.count("warning: a") == (orientation > 1)
 

@@ -86,7 +86,9 @@ def test_covered_markers(straight, rng):
                 continue
             assert np.linalg.norm(found[:2] - pose[:2]) < 1.5e-4
             assert abs(found[2] - pose[2]) < 1e-3
-        with pytest.raises(CalibrationError, match=f"{number}.* not seen, allowed: all of 0, 1"):
+        with pytest.raises(
+            CalibrationError, match=f"{number}.* not detected, required: all of 0, 1"
+        ):
             find_home(image, straight.fiducials)
 
 
@@ -106,9 +108,9 @@ def test_other_pictures_have_no_pose(straight, rng, draw):
 def test_markers_that_are_not_where_they_should_be(straight, rng):
     image = straight.take(HOME, rng)
     swapped = Fiducials("4X4_50", 0.03, (0, 1, 3, 2), straight.fiducials.centres)
-    with pytest.raises(CalibrationError, match="mm from where the rig file has them, allowed: 1"):
+    with pytest.raises(CalibrationError, match="mm from their places in the rig file, allowed: 1"):
         find_home(image, swapped)
-    with pytest.raises(CalibrationError, match="mm from where the rig file has them"):
+    with pytest.raises(CalibrationError, match="mm from their places in the rig file"):
         find_home(image, Fiducials("4X4_50", 0.04, (0, 1, 2, 3), straight.fiducials.centres))
     with pytest.raises(CalibrationError, match=r"dictionary is '4X4', allowed: .*4X4_50"):
         find_home(image, Fiducials("4X4", 0.03, (0, 1, 2, 3), straight.fiducials.centres))
@@ -234,7 +236,7 @@ def test_until_home_is_found_there_is_no_answer(leaning, rng):
     region = vision.region
     assert "8.0 mm from home" in away.problem
     lost, vision, _ = follow_plate(away, vision, dark)
-    assert "markers are not seen" in lost.problem
+    assert "markers are not detected" in lost.problem
     assert lost.pose is None
     assert lost.home is home
     assert vision.region is region  # the plate is taken to be where it was

@@ -90,8 +90,8 @@ def test_stamps_of_another_clock_are_not_believed_and_it_is_said_once(make, age_
     frames = [opened.frame(age_s) for _ in range(3)]
     assert frames[0].instant == pytest.approx(1000.0 - 0.002)
     (warning,) = opened.warnings
-    assert "not of the kernel's monotonic clock" in warning
-    assert "stamped when they arrive" in warning
+    assert "not from the kernel's monotonic clock" in warning
+    assert "stamped on arrival" in warning
 
 
 def test_what_is_automatic_is_off_and_what_is_given_is_set(make):
@@ -116,8 +116,8 @@ def test_what_is_automatic_is_off_and_what_is_given_is_set(make):
         ({"auto_gain": True}, "auto_gain is true, but the device has no such control"),
         ({"format": "YUYV"}, "format is YUYV, allowed by Fake camera: GREY"),
         ({"width": 65}, "size is 65 x 48 px, allowed by Fake camera: GREY 64x48"),
-        ({"rate": 5.0}, "rate is 5 images a second at 64 x 48 px, allowed .*: at least 30 with"),
-        ({"rate": 90.0}, "rate is 90 images a second at 64 x 48 px, allowed .*: 60 with GREY"),
+        ({"rate": 5.0}, "rate is 5 images per second at 64 x 48 px, allowed .*: at least 30 wi"),
+        ({"rate": 90.0}, "rate is 90 images per second at 64 x 48 px, allowed .*: 60 with GREY"),
     ],
 )
 def test_what_the_device_cannot_do_is_said_with_what_it_can(make, settings, words):
@@ -178,7 +178,7 @@ def test_an_unplugged_camera_is_named_and_may_come_back(make):
     opened = make().opened()
     opened.frame()
     opened.camera.unplug()
-    with pytest.raises(CameraError, match="is unplugged; images go on when it is back"):
+    with pytest.raises(CameraError, match="is unplugged; images continue when it is back"):
         opened.source.read(Event())
     opened.source.close()
     with pytest.raises(v4l2.AbsentError):
@@ -215,7 +215,7 @@ def test_jpeg_frames(make):
     assert (found.shape, name) == ((48, 64, 3), "bgr8")
     with pytest.raises(ImageError, match="size is 64 x 48 px, allowed: 32 x 24"):
         unpack_frame(data, "MJPG", (32, 24))
-    with pytest.raises(ImageError, match=r"200 bytes .* allowed: whole files"):
+    with pytest.raises(ImageError, match=r"200 bytes .* allowed: complete files"):
         unpack_frame(data[:200], "MJPG", (64, 48))
 
 
@@ -225,7 +225,7 @@ def test_the_list_tells_formats_sizes_rates_and_controls(tmp_path, monkeypatch):
     lines = list(listing([str(camera.path)]))
     assert lines[0].endswith("video0: Fake camera (driver fake)")
     assert "  MJPG: pixels as MJPG" in lines
-    assert "    1280x720 px: 30, 60 images a second" in lines
+    assert "    1280x720 px: 30, 60 images per second" in lines
     assert "    Gain: 20, allowed: 0 to 100, default: 20" in lines
     menu = "(0: mode 0, 1: mode 1, 3: mode 3)"
     assert f"    Exposure, Auto: 3, allowed: 0 to 3, default: 3 {menu}" in lines
@@ -297,7 +297,7 @@ def test_a_pipe_of_raw_frames(tmp_path):
         file.flush()
         assert source.read(Event()).instant == pytest.approx(5.0 - 0.005)
     source.close()
-    with pytest.raises(CameraError, match="format is MJPG, allowed in a pipe: GREY"):
+    with pytest.raises(CameraError, match="format is MJPG, allowed for a pipe: GREY"):
         PipeSource(Settings(str(path), format="MJPG"), pytest.fail).open()
 
 
@@ -369,7 +369,7 @@ def test_black_and_frozen_pictures():
     black = Seen().show(20, np.full((70, 70), 9, np.uint8))
     ((level, text),) = black.said(live=False)
     assert level == Level.ERROR
-    assert "the image is black: take off the lens cap" in text
+    assert "the image is black: remove the lens cap" in text
     assert black.show(1).said() == []
     still = np.random.default_rng(0).integers(0, 255, (70, 70, 3), np.uint8)
     assert Seen().show(10, still).said() == []

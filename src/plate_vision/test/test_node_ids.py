@@ -55,7 +55,7 @@ def test_ids_that_end_are_reported(draw, rng):
         one = draw(CENTRE_PX[:1], ["grey"], rng, radius=7.9)
         for k, frame in enumerate((both, one, one)):
             graph.answer(image(frame, 1.0 + 0.1 * k))
-        assert "given up after 2 images: grey_2" in graph.notes
+        assert "lost after 2 images: grey_2" in graph.notes
         assert graph.detector._values()["ids_given_up"] == 1
         black = draw(CENTRE_PX[:1], ["black"], rng, radius=7.9)
         for k in range(8):

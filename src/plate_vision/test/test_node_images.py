@@ -144,7 +144,7 @@ def test_each_image_needs_a_stamp_of_its_own(graph, draw, rng):
     for again in (one, one):
         assert names(graph.answer(image(again, 0.0))) == ["black_1", "grey_1"]
     assert graph.answer(image(other, 0.0)) is None
-    assert "stamp is 0.000 s, that of another image before, allowed: a stamp" in graph.warnings[-1]
+    assert "stamp is 0.000 s, that of an earlier image, allowed: " in graph.warnings[-1]
 
 
 def test_one_image_that_comes_late_ends_no_ids_but_time_may_begin_anew(graph, draw, rng):
@@ -153,7 +153,7 @@ def test_one_image_that_comes_late_ends_no_ids_but_time_may_begin_anew(graph, dr
     graph.answer(image(both, 5.0))
     assert names(graph.answer(image(second, 5.1))) == ["grey_2"]
     assert graph.answer(image(both, 5.05)) is None
-    assert "stamp is 5.050 s, 0.050 s before that of the image before" in graph.warnings[-1]
+    assert "stamp is 5.050 s, 0.050 s before that of the last image" in graph.warnings[-1]
     assert names(graph.answer(image(second, 5.2))) == ["grey_2"]
     assert graph.answer(image(second, 0.0)) is None
     assert names(graph.answer(image(second, 0.1))) == ["grey_1"]

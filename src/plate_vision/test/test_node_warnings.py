@@ -19,7 +19,7 @@ from plate_vision.tracking import update
 pytestmark = pytest.mark.usefixtures("detector_time")
 
 
-@pytest.mark.parametrize(("grey", "words"), [(0, "is the light on"), (255, "burnt out")])
+@pytest.mark.parametrize(("grey", "words"), [(0, "is the light on"), (255, "overexposed")])
 def test_without_light_or_with_too_much_nothing_is_found(graph, grey, words):
     graph.images.publish(image(np.full((480, 640), grey, np.uint8), 1.0))
     graph.until(lambda: graph.parts)
@@ -86,7 +86,7 @@ def test_things_that_are_no_parts_are_published_and_counted(graph, draw, rng, mo
     assert (msg.overlooked[0].x, msg.overlooked[0].y) == pytest.approx((-0.17, 0.04), abs=0.01)
     graph.until(lambda: reports and reports[-1].status[0].level == b"\x01")
     status = reports[-1].status[0]
-    assert says(status.message, "no part", "2 things", "2 too large", "9.8")
+    assert says(status.message, "no part", "2 other objects", "2 too large", "9.8")
     assert {item.key: item.value for item in status.values}["overlooked_too_large"] == "2"
 
 

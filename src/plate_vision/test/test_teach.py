@@ -112,12 +112,12 @@ def test_what_cannot_be_learned_says_why(draw_types):
         learn_type("nut", [], HOME)
     with pytest.raises(TeachError, match=r"type nut: 6 examples, allowed: 1 to 5"):
         learn_type("nut", [nuts] * 6, HOME)
-    with pytest.raises(TeachError, match=r"type nut: bare\.png: no part is there, allowed"):
+    with pytest.raises(TeachError, match=r"type nut: bare\.png: no part is visible, allowed"):
         learn_type("nut", [Example(bare, name="bare.png")], HOME)
     with pytest.raises(TeachError, match=r"examples differ: .* holes, but .* in .*, allowed"):
         learn_type("nut", [nuts, coins], HOME)
     small = Example(picture(draw_types, "coin_small", 8), name="small")
-    with pytest.raises(TeachError, match=r"examples differ: in small size is .* px from"):
+    with pytest.raises(TeachError, match=r"examples differ: in small the size differs by .* px"):
         learn_type("coin", [coins, small], HOME)
     with pytest.raises(RigError, match=r"type 'Nut', allowed: small letters"):
         learn_type("Nut", [nuts], HOME)
@@ -161,14 +161,14 @@ def test_nuts_of_different_sizes_keep_their_angle(draw_types):
 def test_an_outline_with_too_many_corners_is_refused(draw_types):
     types, rng = {"gear": gear(20)}, np.random.default_rng(9)
     example = Example(draw_types(types, [("gear", 0, 0, 0)], rng, scale=2500.0, size_px=SIZE_PX))
-    with pytest.raises(TeachError, match=r"its outline has \d+ corners, allowed: 32, with which"):
+    with pytest.raises(TeachError, match=r"its outline has \d+ corners, allowed: 32, with a"):
         learn_type("gear", [example], calibrate_by_scale(2500.0))
 
 
 def test_types_that_look_alike_are_refused_and_may_be_merged(draw_types):
     nut = learn_type("nut", [Example(picture(draw_types, "nut", 10))], HOME).part
     again = learn_type("nut_b", [Example(picture(draw_types, "nut", 11))], HOME).part
-    with pytest.raises(TeachError, match=r"types nut_b and nut look alike: outlines .* px, sizes"):
+    with pytest.raises(TeachError, match=r"types nut_b and nut look alike: .* px, .* sizes"):
         check_alike(again, {"nut": nut}, HOME)
     check_alike(nut, {"nut": nut, "washer": TYPES["washer"]}, HOME)
     one = merged(nut, again)
@@ -236,7 +236,7 @@ def test_a_type_is_not_merged_into_itself(folder, capsys):
     save_part_types(folder / "parts.yaml", TYPES)
     with pytest.raises(SystemExit):
         main(["merge", "nut", "nut"])
-    assert "type 'nut' into itself, allowed: another one" in capsys.readouterr().err
+    assert "type 'nut' into itself, allowed: another type" in capsys.readouterr().err
     assert [*load_part_types("parts.yaml")] == [*TYPES]
 
 
@@ -313,7 +313,7 @@ def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkey
         (["nut", "small.png", "--box", "1,9"], "box is '1,9', allowed: x, y, width and height"),
         (["nut", "small.png", "--scale", "0"], "scale is '0', allowed: 0.01 to 1000 px/mm"),
         (["nut", "nothing.png"], "nothing.png: no such file or folder"),
-        (["nut", "bare.png", "--bare", "bare.png"], "no part is there"),
+        (["nut", "bare.png", "--bare", "bare.png"], "no part is visible"),
         (["list", "--out", "no.yaml"], "no.yaml"),
     ],
 )

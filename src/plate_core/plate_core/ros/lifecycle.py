@@ -43,7 +43,7 @@ class NodeOptions:
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     frame_prefix: str = parameter(
-        "", "Prefix of frame names, such as left/, for two plates in one tf tree."
+        "", "Prefix of frame names, such as left/, if two plates share tf."
     )
     autostart: bool = parameter(
         True, "Configure and activate at start; false: another program does it.", fixed=True

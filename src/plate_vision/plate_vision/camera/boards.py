@@ -230,12 +230,11 @@ def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
     if misfit > WORST_MISFIT:
         turned = replace(board, columns=board.rows, rows=board.columns)
         swapped = min(_misfit(found, replace(turned, white_first=first)) for first in (False, True))
-        hint = (
-            f" (as {board.rows}x{board.columns} they would fit)" if swapped < WORST_MISFIT else ""
-        )
+        hint = f" (they fit {board.rows}x{board.columns})" if swapped < WORST_MISFIT else ""
         raise CalibrationError(
-            f"{len(found)} markers are seen, but not where a board of {board.columns}x{board.rows} "
-            f"has them{hint}, allowed: its squares along x and y, numbered along the rows"
+            f"{len(found)} markers were detected, but not at the places of a board of "
+            f"{board.columns}x{board.rows}{hint}, allowed: the board's squares along x and y, with "
+            "markers numbered along the rows"
         )
     return best
 
@@ -352,14 +351,14 @@ class LensFit:
         """Advice on better pictures; None if there is none."""
         if min(self.cover) < LEAST_COVER:
             return (
-                f"the board was seen in {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
-                f"of the height, better: {LEAST_COVER:.0%} or more (hold it into the corners)"
+                f"the board covered {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
+                f"of the height, advised: {LEAST_COVER:.0%} or more (hold it in the corners)"
             )
         model = self.lens.model  # no undistorted image for a wide fisheye
         if model != "equidistant" and not _shows(self.lens, self.size_px):
             return (
-                "the lens folds the image near its edges, allowed there: no part of the plate, "
-                "better: pictures with the board in the corners"
+                "the fitted lens folds the image near its edges: keep the plate away from them, or "
+                "take pictures with the board in the corners"
             )
         return None
 
@@ -379,8 +378,8 @@ def fit_lens(
     """
     if len(seen) < LEAST_PICTURES:
         raise CalibrationError(
-            f"board seen in {len(seen)} pictures, allowed: at least {LEAST_PICTURES}, from "
-            "different sides (is the number of squares right?)"
+            f"the board was detected in {len(seen)} pictures, allowed: at least {LEAST_PICTURES}, "
+            "from different sides (is the number of squares correct?)"
         )
     corners = np.column_stack([board.corners, np.zeros(len(board.corners))])
     points = [corners[which] for which, _ in seen]
@@ -391,13 +390,13 @@ def fit_lens(
     error_px = float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
     if not np.all(np.isfinite(matrix)) or not error_px <= WORST_ERROR_PX:
         raise CalibrationError(
-            f"corners are {error_px:.3g} px from where the lens has them, allowed: "
-            f"{WORST_ERROR_PX:g} px (is the board flat, are its numbers right?)"
+            f"corners are {error_px:.3g} px from their predicted places, allowed: "
+            f"{WORST_ERROR_PX:g} px (is the board flat, are its numbers correct?)"
         )
     if not deviation[0] <= 0.05 * matrix[0, 0]:
         raise CalibrationError(
             f"focal length is {matrix[0, 0]:.0f} +- {deviation[0]:.0f} px, allowed: 5 % (tilt the "
-            "board against the camera, by 20 to 40 degrees, to all sides)"
+            "board by 20 to 40 degrees to all sides)"
         )
     width, height = np.ptp(np.concatenate(places), axis=0) / size_px
     return LensFit(

@@ -71,12 +71,12 @@ def _parser() -> argparse.ArgumentParser:
         prog="calibrate", description=(__doc__ or "").partition("\n")[0]
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    lens = commands.add_parser("lens", help="find the lens from pictures of a board")
+    lens = commands.add_parser("lens", help="calibrate the lens with pictures of a board")
     lens.add_argument("pictures", type=Path, help="folder of pictures, or a video file")
     _board_options(lens)
     lens.add_argument(
         "--model", choices=tuple(LENS_MODELS), default="plumb_bob",
-        help="of the distortion: rational_polynomial for wide lenses, equidistant for fisheyes "
+        help="distortion model: rational_polynomial for wide lenses, equidistant for fisheyes "
         "(plumb_bob)",
     )  # fmt: skip
     lens.add_argument("--name", default="camera", help="name of the camera (camera)")
@@ -94,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     home = commands.add_parser("home", help="find the plate's corners in pictures with markers")
     home.add_argument("pictures", type=Path, help="folder of pictures of the plate at rest")
     home.add_argument("--rig-file", default="", help="rig file with fiducials")
-    home.add_argument("--camera", type=Path, help="camera_info file; else the rig's lens")
+    home.add_argument("--camera", type=Path, help="camera_info file (default: the rig's lens)")
     home.set_defaults(run=_home)
     return parser
 
@@ -103,8 +103,8 @@ def _board_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--board", type=_size, required=True, metavar="9x7", help="squares along x and y")
     add("--square", type=float, required=True, metavar="M", help="side of a square [m]")
-    add("--marker", type=float, default=0.0, metavar="M", help="of a ChArUco marker (chessboard)")
-    add("--dictionary", default="5X5_100", help="of the markers (5X5_100)")
+    add("--marker", type=float, default=0.0, metavar="M", help="side of a ChArUco marker [m] (0)")
+    add("--dictionary", default="5X5_100", help="set of markers (5X5_100)")
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -127,7 +127,7 @@ def _lens(args: argparse.Namespace) -> None:
     pictures = read_pictures(args.pictures)
     board, seen, size_px = _search(pictures, board)
     if board.white_first:
-        print("the board's first square is white, as in OpenCV before 4.6")
+        print("the board's first square is white, as in OpenCV versions before 4.6")
     chosen = choose(seen, board)
     if len(chosen) < len(seen):
         print(f"the lens is fitted to the {len(chosen)} pictures that differ most")
@@ -150,7 +150,7 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
     for name, picture in pictures:
         here = (picture.shape[1], picture.shape[0])
         if size_px not in ((0, 0), here):
-            raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as the one before")
+            raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as in the last one")
         size_px = here
         corners = None
         try:
@@ -199,7 +199,7 @@ class Progress:
         read, count = self._pictures.place, self._pictures.count
         of = f" of {count}" if count >= read else ""
         kind = "frames" if self._pictures.is_film else "pictures"
-        return f"{read}{of} {kind} read, {self.count} searched, board found in {self._found}"
+        return f"{read}{of} {kind} read, {self.count} searched, board detected in {self._found}"
 
 
 def _summary(fit: LensFit) -> str:
@@ -250,7 +250,7 @@ def _home(args: argparse.Namespace) -> None:
         check_size(f"{name}:", picture.shape[1::-1], size_px, CalibrationError, why)
         calibration, error = find_home(picture, rig.fiducials, lens)
         corners.append(calibration.to_image(rig.plate.corners))
-        print(f"{name}: corners of the markers {1e3 * error:.3f} mm rms from where they should be")
+        print(f"{name}: error of the markers' corners {1e3 * error:.3f} mm rms")
     mean = np.mean(corners, axis=0)
     print("for the rig file, section camera:")
     print(f"  corners_px: [{', '.join(f'[{x:.2f}, {y:.2f}]' for x, y in mean)}]")

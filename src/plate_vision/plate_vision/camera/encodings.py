@@ -154,18 +154,18 @@ def decode_file(
     content = bytes(data)
     header = read_header(content)
     if header is None or header.kind not in ("JPEG", "PNG"):
-        raise ImageError(f"image: {len(content)} bytes are no JPEG or PNG file, allowed: these")
+        raise ImageError(f"image: {len(content)} bytes are not a file, allowed: JPEG, PNG")
     check_pixels(header.width, header.height)
     if size_px is not None:
         check_size("image: size is", (header.width, header.height), size_px)
     tail = content[-TAIL:]
     if not (b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail):
         raise ImageError(
-            f"image: {len(content)} bytes end before the picture's end, allowed: whole files"
+            f"image: {len(content)} bytes are an incomplete file, allowed: complete files"
         )
     pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH, header)
     if pixels is None:
-        raise ImageError(f"image: {len(content)} bytes are damaged, allowed: a JPEG or PNG file")
+        raise ImageError(f"image: {len(content)} bytes are damaged, allowed: intact JPEG, PNG")
     if pixels.dtype != np.uint8:
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]

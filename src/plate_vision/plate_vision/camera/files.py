@@ -38,7 +38,7 @@ PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
 """Maximum size of a file [bytes]: 20 megapixels without compression; half an hour of full HD."""
 
 
-NO_FILM = "cannot be read, allowed: a video that OpenCV knows"
+NO_FILM = "cannot be read, allowed: a video that OpenCV can decode"
 
 
 def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> Lens:
@@ -132,7 +132,7 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
         if not files:
-            raise ImageError(f"{path}: no pictures in it, allowed: {', '.join(PICTURES)}")
+            raise ImageError(f"{path}: contains no pictures, allowed: {', '.join(PICTURES)}")
     elif not path.exists():
         raise ImageError(f"{path}: no such file or folder, allowed: pictures or a video")
     else:
@@ -208,7 +208,7 @@ class Pictures:
                 self._warn_once(f"{file.name}: {text}")
         pixels = unpack(content, cv2.IMREAD_COLOR, header)
         if pixels is None:
-            raise ImageError(f"{file}: cannot be read, allowed: a whole picture ({KINDS})")
+            raise ImageError(f"{file}: cannot be read, allowed: a complete picture ({KINDS})")
         return pixels
 
     def _warn_once(self, text: str) -> None:
@@ -236,7 +236,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
         done = False
     if not done:
         raise ImageError(
-            f"{path}: cannot be written, allowed: {', '.join(PICTURES)}, in a folder that is there"
+            f"{path}: cannot be written, allowed: {', '.join(PICTURES)}, in an existing folder"
         )
 
 
@@ -254,12 +254,12 @@ def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
     corners = ((-0.5, height - 0.5), (width - 0.5, height - 0.5), (width - 0.5, -0.5), (-0.5, -0.5))
     plate = replace(rig.plate, width_m=rig.plate.length_m * height / width)
     text = (
-        f"{width} x {height} px, not {camera.width_px} x {camera.height_px} px as the rig's "
-        f"camera: taken for a view from above of a plate of {plate.length_m:g} x "
-        f"{plate.width_m:.3g} m that fills it; the rig's is {rig.plate.length_m:g} x "
-        f"{rig.plate.width_m:g} m. If this is wrong: cut the picture at the plate's edges, and "
-        "write length_m of what it shows into the rig file; or, of the camera that took it, "
-        "width_px, height_px and corners_px"
+        f"{width} x {height} px, but the rig's camera has {camera.width_px} x "
+        f"{camera.height_px} px: the picture is used as a view from above that a plate of "
+        f"{plate.length_m:g} x {plate.width_m:.3g} m fills; the rig's plate has "
+        f"{rig.plate.length_m:g} x {rig.plate.width_m:g} m. If this is wrong: crop the picture at "
+        "the plate's edges and write its length_m to the rig file, or write width_px, height_px "
+        "and corners_px of the picture's camera to it"
     )
     camera = replace(camera, width_px=width, height_px=height, corners_px=corners, lens=None)
     return replace(rig, plate=plate, camera=camera), text

@@ -58,8 +58,8 @@ def read_opencv(content: bytes, path: Path) -> Fields:
     """
     if content.lstrip()[:1] == b"<":
         raise CalibrationError(
-            f"{path.name}: an XML file of OpenCV, allowed: YAML (cv::FileStorage writes it into a "
-            "file that ends with .yml)"
+            f"{path.name}: an XML file of OpenCV, allowed: YAML (cv::FileStorage writes YAML if "
+            "the file's name ends with .yml)"
         )
     content = MATRIX.sub(b"", content.removeprefix(OPENCV))
     given = parse_yaml(content, path, CalibrationError).data
@@ -117,7 +117,7 @@ def read_ini(content: bytes, path: Path) -> Fields:
             if text[0].isdigit() or text[0] in "+-.":
                 raise CalibrationError(
                     f"{path.name}: {text!r} at line {number}, allowed: numbers, or the name of a "
-                    "block of them"
+                    "block of numbers"
                 ) from None
             continue
         blocks.setdefault(name, []).extend(values)

@@ -25,7 +25,7 @@ TURNS = {
 }  # fmt: skip
 """Actions of viewers for each orientation."""
 
-AS_STORED = "here, as in ROS, pixels stay where the sensor stores them"
+AS_STORED = "here, as in ROS, pixels are used as stored"
 """End of the warning about a picture that viewers rotate."""
 
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -249,7 +249,7 @@ def check_quadrilateral(
     if not (np.all(turns > 0) or np.all(turns < 0)):
         raise error(
             f"{name}: got {polygon.tolist()} {unit}, allowed: four corners in order around a "
-            "convex quadrilateral, no three of them in line"
+            "convex quadrilateral, no three of them on one line"
         )
     area = 0.5 * abs(float(np.sum(cross(polygon, np.roll(polygon, -1, axis=0)))))
     if area < least:

@@ -87,18 +87,18 @@ class LensPictures:
         from those in all kept pictures.
         """
         if corners is None:
-            return replace(self, last=None), "the board is not seen"
+            return replace(self, last=None), "the board is not detected"
         which, place_px = corners
         outer = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * [board.columns, board.rows]
         matrix, _ = cv2.findHomography(board.corners[which], np.asarray(place_px))
         if matrix is None:
-            return replace(self, last=None), "too little of the board is seen"
+            return replace(self, last=None), "too little of the board is detected"
         place = (project(matrix, board.square_m * outer) / self.size_px[0]).ravel()
         now = replace(self, board=board, last=place)
         if self.last is None or _away(place, self.last) > STILL:
             return now, "hold the board still"
         if any(_away(place, one) < DIFFERS for one in self.places):
-            return now, "like a picture that was taken: hold the board otherwise"
+            return now, "similar to an earlier picture: hold the board differently"
         if len(self.kept) >= MOST:
             return now, f"{MOST} pictures are enough"
         tilt = _tilt(board, corners, self.size_px)
@@ -123,10 +123,10 @@ class LensPictures:
     def missing(self) -> tuple[str, ...]:
         """Instructions for the next pictures; empty if the pictures suffice."""
         cover = self.cover
-        lacks = [f"hold it into the {name} corner" for name, k in CORNERS.items() if not cover[k]]
+        lacks = [f"hold it in the {name} corner" for name, k in CORNERS.items() if not cover[k]]
         lacks += [f"tilt it: {side} side nearer" for side in TILTS if side not in self.tilts]
         if not lacks and len(self.kept) < NEEDED:
-            lacks.append(f"{NEEDED - len(self.kept)} more, at other distances")
+            lacks.append(f"{NEEDED - len(self.kept)} more pictures at other distances")
         return tuple(lacks)
 
     def fit(self, model: str = "plumb_bob") -> LensFit:

@@ -52,7 +52,7 @@ def open_producer(file: str) -> Any:
         from harvesters.core import Harvester
     except ImportError:
         raise CameraError(
-            "harvesters is not installed, which GenICam cameras need: pip install '.[genicam]'"
+            "GenICam cameras require harvesters, which is not installed: pip install '.[genicam]'"
         ) from None
     harvester = Harvester()
     try:
@@ -97,8 +97,8 @@ class GenicamSource(Camera):
             self.close()
             serials = ", ".join(str(info.serial_number) for info in harvester.device_info_list)
             if not serials:
-                raise AbsentError(f"{name}: no camera is found: is it plugged in?") from None
-            raise CameraError(f"{name}: {error}; cameras that are there: {serials}") from None
+                raise AbsentError(f"{name}: no camera found: is it plugged in?") from None
+            raise CameraError(f"{name}: {error}; available cameras: {serials}") from None
         try:
             self._set("Width", self.settings.width)
             self._set("Height", self.settings.height)
@@ -106,7 +106,7 @@ class GenicamSource(Camera):
                 pixel_format = PIXEL_FORMATS.get(self.settings.format)
                 if pixel_format is None:
                     raise CameraError(
-                        f"{name}: format is {self.settings.format}, allowed of GenICam: "
+                        f"{name}: format is {self.settings.format}, allowed for GenICam: "
                         f"{', '.join(PIXEL_FORMATS)}"
                     )
                 self._set("PixelFormat", pixel_format)
@@ -207,7 +207,7 @@ class GenicamSource(Camera):
         infos = self._harvester.device_info_list
         if not any(self._serial in ("", str(info.serial_number)) for info in infos):
             raise CameraError(
-                f"{self.settings.device}: the camera is unplugged; images go on when it is back"
+                f"{self.settings.device}: the camera is unplugged; images continue when it is back"
             )
 
     def _exposure_us(self) -> float | None:
@@ -221,9 +221,9 @@ class GenicamSource(Camera):
             found["gain"] = self._nodes.Gain.value
             found["exposure_us"] = f"{self._exposure_us():g}"
         return {
-            "format": self.settings.format or "as the camera has it",
+            "format": self.settings.format or "the camera's setting",
             **found,
-            "stamp": "end of exposure, by the camera's clock",
+            "stamp": "end of exposure on the camera's clock",
         }
 
     def close(self) -> None:

@@ -60,36 +60,36 @@ class CameraParameters(NodeOptions):
 
     device: str = parameter(
         "/dev/video0",
-        "Path of a video device (best of /dev/v4l/by-id), genicam:FILE.cti, a pipe, a "
+        "Path of a video device (preferably in /dev/v4l/by-id), genicam:FILE.cti, a pipe, a "
         "video, a picture or a folder of pictures",
     )
-    width: int = parameter(0, "Width of the images [px]; 0: the rig file's", 0, 16384)
-    height: int = parameter(0, "Height of the images [px]; 0: the rig file's", 0, 16384)
+    width: int = parameter(0, "Width of the images [px]; 0: that of the rig file", 0, 16384)
+    height: int = parameter(0, "Height of the images [px]; 0: that of the rig file", 0, 16384)
     rate: float = parameter(
-        0.0, "Images a second; 0: 30, a film's own, 2 of a folder of pictures", 0.0, 1000.0
+        0.0, "Images per second; 0: 30, the rate of a video, or 2 for a folder", 0.0, 1000.0
     )
     format: str = parameter(
         AUTO,
-        "Format of the pixels; auto: the first with this size and rate",
+        "Pixel format; auto: the first with this size and rate",
         choices=(AUTO, *FORMATS),
     )
     camera_file: str = parameter("", "Lens for camera_info: camera.yaml; empty: not calibrated")
     exposure_us: float = parameter(
-        0.0, "Length of the exposure [us]; 0: as the device has it", 0.0, 1e6, live=True
+        0.0, "Exposure time [us]; 0: the device's setting", 0.0, 1e6, live=True
     )
     readout_us: float = parameter(
         0.0,
-        "Time from the end of the exposure to the stamp, where the stamp is not its start [us]",
+        "Delay of the stamp after the end of the exposure, if it is not the start's stamp [us]",
         0.0, 1e6, live=True,
     )  # fmt: skip
     gain: int = parameter(
-        -1, "Gain, in the device's units; -1: as the device has it", -1, 100000, live=True
+        -1, "Gain in the device's units; -1: the device's setting", -1, 100000, live=True
     )
     white_balance_k: int = parameter(
-        0, "White balance [K]; 0: as the device has it", 0, 20000, live=True
+        0, "White balance [K]; 0: the device's setting", 0, 20000, live=True
     )
     focus: int = parameter(
-        -1, "Focus, in the device's units; -1: as the device has it", -1, 100000, live=True
+        -1, "Focus in the device's units; -1: the device's setting", -1, 100000, live=True
     )
     auto_exposure: bool = parameter(False, "The device chooses the exposure", live=True)
     auto_gain: bool = parameter(False, "The device chooses the gain", live=True)
@@ -236,7 +236,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         stamp = self._stamp(frame.instant)
         height, width = frame.pixels.shape[:2]
         if self._fault:
-            self.get_logger().info(f"{self.options.device}: images go on")
+            self.get_logger().info(f"{self.options.device}: images continue")
         with self._lock:
             self._fault, self._last_at = "", time.monotonic()
             self._watch.add(frame.pixels, frame.instant, frame.arrival)
@@ -300,7 +300,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _end(self) -> None:
         with self._lock:
             self._ended = True
-        self.get_logger().info(f"the last image was played, of {self._watch.total}")
+        self.get_logger().info(f"the last of {self._watch.total} images was played")
 
     def _warn_once(self, text: str) -> None:
         self.get_logger().warning(text)
@@ -326,7 +326,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             if self._waits:
                 return worst(findings, "waiting for a subscriber of image_raw")
             if self._ended:
-                return worst(findings, f"the last image was played, of {self._watch.total}")
+                return worst(findings, f"the last of {self._watch.total} images was played")
         if rivals := self.rivals("image_raw"):
             findings.append(Finding(Level.WARN, rivals))
         return worst(findings, f"images from {self.options.device}")

@@ -95,7 +95,7 @@ class PipeSource:
     """
 
     live = True
-    silence = "does a program write into this pipe frames of the format and size set here?"
+    silence = "does a program write frames of this format and size to the pipe?"
 
     def __init__(
         self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic
@@ -111,7 +111,7 @@ class PipeSource:
         if not self._bytes:
             plain = ", ".join(form for form, size in FORMATS.items() if size)
             raise CameraError(
-                f"{self._settings.device}: format is MJPG, allowed in a pipe: {plain}"
+                f"{self._settings.device}: format is MJPG, allowed for a pipe: {plain}"
             )
         try:
             self._file = os.open(self._settings.device, os.O_RDONLY | os.O_NONBLOCK)
@@ -133,8 +133,8 @@ class PipeSource:
                 continue
             if not count:
                 raise CameraError(
-                    f"{self._settings.device}: the program that writes has ended; images go on "
-                    "when one writes again"
+                    f"{self._settings.device}: the program that writes has ended; images continue "
+                    "when a program writes again"
                 )
             have += count
         arrival = self._clock()

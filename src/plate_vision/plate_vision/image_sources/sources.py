@@ -94,7 +94,7 @@ def _described(device: V4l2Device) -> Iterator[str]:
         yield f"  {form}{'' if form in FORMATS else ' (not read by the camera node)'}: {text}"
         for size in device.sizes(form):
             rates = ", ".join(f"{rate:.4g}" for rate in device.rates(form, size.high))
-            yield f"    {size} px: {rates or 'unknown'} images a second"
+            yield f"    {size} px: {rates or 'unknown'} images per second"
     yield "  controls:"
     for control in device.controls().values():
         choices = f" ({', '.join(control.menu)})" if control.menu else ""

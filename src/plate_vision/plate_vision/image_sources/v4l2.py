@@ -97,8 +97,8 @@ class V4l2Source(Camera):
         """Open the camera, and apply the settings."""
         if self.settings.trigger:
             raise CameraError(
-                f"{self.path}: trigger is true, allowed of GenICam cameras; of this one set it by "
-                f"v4l2-ctl -d {self.path} (--list-ctrls), and leave trigger false"
+                f"{self.path}: trigger is true, allowed for GenICam cameras; for this one set it "
+                f"with v4l2-ctl -d {self.path} (--list-ctrls), and set trigger to false"
             )
         try:
             device = self._device = self._make_device(self.path)
@@ -137,7 +137,7 @@ class V4l2Source(Camera):
             best = ", ".join(f"{max(rates[form]):.4g} with {form}" for form in fit)
             if wanted.rate:
                 raise CameraError(
-                    f"{self.path}: rate is {rate:g} images a second at {size_px[0]} x "
+                    f"{self.path}: rate is {rate:g} images per second at {size_px[0]} x "
                     f"{size_px[1]} px, allowed by {device.name}: {best}"
                 )
             quick = [max(fit, key=lambda form: max(rates[form]))]
@@ -145,8 +145,8 @@ class V4l2Source(Camera):
         if wanted.rate and not slow:
             least = ", ".join(f"{min(rates[form]):.4g} with {form}" for form in quick)
             raise CameraError(
-                f"{self.path}: rate is {rate:g} images a second at {size_px[0]} x {size_px[1]} px, "
-                f"allowed by {device.name}: at least {least}"
+                f"{self.path}: rate is {rate:g} images per second at {size_px[0]} x {size_px[1]} "
+                f"px, allowed by {device.name}: at least {least}"
             )
         form = (slow or quick)[0]
         self._rate = min(rate, max(rates[form])) if rates[form] else rate
@@ -175,12 +175,12 @@ class V4l2Source(Camera):
         if found != (width, height) or form.rstrip() != self._form:
             capture.release()
             raise CameraError(
-                f"{self.path}: the device gives {found[0]} x {found[1]} px of {form.rstrip()}, not "
-                f"{width} x {height} px of {self._form}; camera --list shows what it can"
+                f"{self.path}: the device delivers {found[0]} x {found[1]} px of {form.rstrip()}, "
+                f"requested: {width} x {height} px of {self._form}; see camera --list"
             )
         rate = capture.get(cv2.CAP_PROP_FPS)
         if rate > 0 and abs(rate - self._rate) > RATE_ERROR * self._rate:
-            self._warn(f"{self.path}: {rate:.4g} images a second, not {self._rate:g}")
+            self._warn(f"{self.path}: {rate:.4g} images per second, requested: {self._rate:g}")
             self._rate = rate
         return capture
 
@@ -239,7 +239,7 @@ class V4l2Source(Camera):
     def _missing(self, name: str, value: str) -> CameraError:
         return CameraError(
             f"{self.path}: {name} is {value}, but the device has no such control; "
-            f"v4l2-ctl -d {self.path} --list-ctrls shows what it has"
+            f"v4l2-ctl -d {self.path} --list-ctrls lists its controls"
         )
 
     def read(self, stop: Event) -> Frame | None:
@@ -249,10 +249,10 @@ class V4l2Source(Camera):
                 return None
             if not os.path.exists(self.path):
                 raise CameraError(
-                    f"{self.path}: the camera is unplugged; images go on when it is back"
+                    f"{self.path}: the camera is unplugged; images continue when it is back"
                 )
             raise CameraError(
-                f"{self.path}: the camera gives no images: does it wait for a trigger, or do "
+                f"{self.path}: the camera delivers no images: does it wait for a trigger, or do "
                 "several cameras share one USB controller?"
             )
         arrival = self._clock()
@@ -261,7 +261,7 @@ class V4l2Source(Camera):
         if not self._stamps_known:
             self._learn_stamps(arrival - stamp)
         if not there:
-            raise CameraError(f"{self.path}: the camera gives no images: is it unplugged?")
+            raise CameraError(f"{self.path}: the camera delivers no images: is it unplugged?")
         if self._at_start is not None and not 0 <= arrival - stamp < OLDEST_S:
             raise ImageError(
                 f"{self.path}: an image arrives {arrival - stamp:.3g} s after its stamp, allowed: "
@@ -283,8 +283,8 @@ class V4l2Source(Camera):
             return
         self._at_start = None
         self._warn(
-            f"{self.path}: its stamps are not of the kernel's monotonic clock (OpenCV "
-            f"{cv2.__version__}): images are stamped when they arrive"
+            f"{self.path}: its stamps are not from the kernel's monotonic clock (OpenCV "
+            f"{cv2.__version__}): images are stamped on arrival"
         )
 
     def _exposure_us(self) -> float | None:

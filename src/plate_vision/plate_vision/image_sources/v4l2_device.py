@@ -117,8 +117,8 @@ class V4l2Device:
             of_all, of_this = struct.unpack_from("II", found, 84)
             if not (of_this if of_all & HAS_DEVICE_CAPS else of_all) & CAN_CAPTURE:
                 raise CameraError(
-                    f"{path}: {self.name} does not capture images here, allowed: a camera "
-                    "(camera --list shows them)"
+                    f"{path}: {self.name} does not capture images, allowed: a camera (camera "
+                    "--list shows them)"
                 )
         except OSError as error:
             self.close()
@@ -280,5 +280,5 @@ def explained(path: str, error: OSError) -> str:
         case errno.EBUSY:
             return f"{path}: in use by another program (fuser -v {path} names it): end that program"
         case errno.ENOTTY | errno.EINVAL:
-            return f"{path}: is no video device, allowed: such as /dev/video0"
+            return f"{path}: is no video device, allowed: a device such as /dev/video0"
     return f"{path}: cannot be opened ({error.strerror})"

@@ -86,7 +86,7 @@ class Watch:
             found.append(
                 Finding(
                     Level.ERROR,
-                    "the image is black: take off the lens cap, switch the light on, or raise "
+                    "the image is black: remove the lens cap, switch the light on, or increase "
                     "exposure_us or gain",
                 )
             )
@@ -104,7 +104,7 @@ class Watch:
                 Finding(
                     Level.WARN,
                     f"{self.lost} of {every} images are lost: choose a lower rate or a smaller "
-                    "format, or give the camera a USB controller of its own",
+                    "format, or connect the camera to a separate USB controller",
                 )
             )
         if self.late > MAX_LOST * self.images:

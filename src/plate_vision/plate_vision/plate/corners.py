@@ -64,8 +64,8 @@ def find_plate_corners(
         if found is not None:
             return found
     raise CalibrationError(
-        "the plate's outline is not seen on all four sides, allowed: the whole plate in the "
-        "picture, bare near its edges, brighter or darker than its surround"
+        "the plate's outline is not visible on all four sides, allowed: the whole plate in the "
+        "picture, without parts near its edges, brighter or darker than its surroundings"
     )
 
 

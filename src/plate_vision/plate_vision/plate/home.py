@@ -68,13 +68,13 @@ class PlateLocation:
     def problem(self) -> str | None:
         """Warning for the user, or None."""
         if self.pose is None:
-            return "the plate's markers are not seen, it is taken to be where it was"
+            return "the plate's markers are not detected, its last position is used"
         away = float(np.hypot(*self.pose[:2]))
         if away > AWAY_M:
             return (
                 f"the plate is {1e3 * away:.1f} mm from home when the image is taken, allowed: "
-                f"{1e3 * AWAY_M:g} mm (is the camera triggered at the cycle's start; was it moved? "
-                "then call the service reset)"
+                f"{1e3 * AWAY_M:g} mm (is the camera triggered at the cycle's start? If the camera "
+                "was moved, call the service reset)"
             )
         return None
 
@@ -124,16 +124,16 @@ def find_home(
     missing = [str(number) for number in fiducials.numbers if number not in found]
     if missing:
         raise CalibrationError(
-            f"fiducials: {', '.join(missing)} not seen, allowed: all of "
-            f"{', '.join(map(str, fiducials.numbers))} (cover none, let all be in the image)"
+            f"fiducials: {', '.join(missing)} not detected, required: all of "
+            f"{', '.join(map(str, fiducials.numbers))}, uncovered and in the image"
         )
     corners_px = np.concatenate([found[number] for number in fiducials.numbers])
     straight = corners_px if lens is None else lens.straighten(corners_px)
     corners = fiducials.corners.reshape(-1, 2)
     if not np.all(np.isfinite(straight)):
         raise CalibrationError(
-            "fiducials: markers are seen where the lens shows nothing, allowed: K and D of this "
-            "camera, at this size of image"
+            "fiducials: markers are detected outside the lens's field of view, allowed: K and D of "
+            "this camera, at this image size"
         )
     matrix, _ = cv2.findHomography(corners, straight)
     if matrix is None:
@@ -142,8 +142,8 @@ def find_home(
     error = _rms(calibration.to_home(corners_px) - corners)
     if error > WORST_FIT_M:
         raise CalibrationError(
-            f"fiducials: corners are {1e3 * error:.2g} mm from where the rig file has them, "
-            f"allowed: {1e3 * WORST_FIT_M:g} mm (are centre_m, side_m and the order right?)"
+            f"fiducials: corners are {1e3 * error:.2g} mm from their places in the rig file, "
+            f"allowed: {1e3 * WORST_FIT_M:g} mm (are centre_m, side_m and the order correct?)"
         )
     return calibration, error
 

@@ -82,11 +82,11 @@ def light_problem(image: np.ndarray, min_grey: float) -> str | None:
     if bright < min_grey:
         return (
             f"{DARK_PERCENTILE} % of the image is darker than {bright:.0f} grey levels, allowed: "
-            f"a plate of {min_grey:g} at least (is the light on, the lens open?)"
+            f"a plate of at least {min_grey:g} (is the light on, is the lens open?)"
         )
     if middle >= BURNT_GREY:
         return (
-            f"half of the image is burnt out ({middle:.0f} grey levels), allowed: less than "
-            f"{BURNT_GREY} (expose for a shorter time)"
+            f"half of the image is overexposed ({middle:.0f} grey levels), allowed: below "
+            f"{BURNT_GREY} (reduce the exposure time)"
         )
     return None

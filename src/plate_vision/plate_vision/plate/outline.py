@@ -558,7 +558,7 @@ def judge_outline(
         cause += f"; or the image is {' or '.join(flips)}"
     level = Level.ERROR if flips or found.worst > radius + stroke else Level.WARN
     message = (
-        f"the plate's outline is not where corners_px and the lens have it: {cause}; places of "
+        f"the plate's outline differs from that of corners_px and the lens: {cause}; positions of "
         f"parts are wrong by up to {1e3 * found.worst:.2g} mm"
     )
     return Finding(level, message), cause
@@ -567,8 +567,8 @@ def judge_outline(
 def _flipped(flips: tuple[str, ...]) -> tuple[Finding, str]:
     cause = f"the image is {' or '.join(flips)}"
     message = (
-        f"{cause}: only so the plate's outline is where corners_px have it (change it in the "
-        "camera's driver, or measure corners_px in the image as it comes)"
+        f"{cause}: only then the plate's outline agrees with corners_px (change it in the "
+        "camera's driver, or measure corners_px in the unchanged image)"
     )
     return Finding(Level.ERROR, message), cause
 
@@ -579,10 +579,10 @@ def _lens_text(found: Deviation, bends: bool) -> str:
     bent = f"its edges bend {side} by {abs(found.bow_px):.1f} px in the middle"
     if bends:
         return (
-            f"{bent}: the lens in use does not fit this camera (are the images straightened "
-            "already; is focus or zoom another? calibrate lens, then set camera_file)"
+            f"{bent}: the lens data do not fit this camera (are the images rectified already, was "
+            "focus or zoom changed? calibrate lens, then set camera_file)"
         )
-    return f"{bent}: a {kind} lens is missing (calibrate lens, then set camera_file)"
+    return f"{bent}: the {kind} distortion is unknown (calibrate lens, then set camera_file)"
 
 
 def _moved_text(found: Deviation) -> str:
@@ -599,7 +599,7 @@ def _moved_text(found: Deviation) -> str:
     elif abs(along + across) / 2 >= STRETCH_TEXT:
         is_.append(f"is {_percent((along + across) / 2)}")
     if len(is_) == 1:
-        is_.append(f"has another shape, by {1e3 * found.rest:.1f} mm")
+        is_.append(f"has another shape, with an error of {1e3 * found.rest:.1f} mm")
     moved = " and ".join([" ".join(is_[:2]), *is_[2:]])
     if differ:
         return (

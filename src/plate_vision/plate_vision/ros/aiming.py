@@ -53,8 +53,8 @@ SILENT_S = 1.0
 """Time without an image after which the view reports it [s]."""
 
 OTHER_NODES = (
-    "after a restart the page uses it for its picture from above, and the planner if camera: "
-    "readout_s is above 0; no other node needs it"
+    "the page uses it for its view from above after a restart, as does the planner if camera: "
+    "readout_s is above 0; other nodes need no restart"
 )
 """Text about the nodes that map between image and plate in addition to the detector."""
 
@@ -218,11 +218,11 @@ class AimingView:
             check_size("image: size is", size_px, allowed_px, CalibrationError)
             if rig.fiducials is None:
                 corners_px, error = find_plate_corners(image, rig, lens)
-                by = f"edges are straight within {1e3 * error:.2f} mm"
+                by = f"edges straight within {1e3 * error:.2f} mm"
             else:
                 calibration, error = find_home(image, rig.fiducials, lens or rig_lens(rig))
                 corners_px = calibration.to_image(rig.plate.corners)
-                by = f"corners of the markers fit within {1e3 * error:.2f} mm"
+                by = f"error of the markers' corners {1e3 * error:.2f} mm"
         except PlateError as error:
             self._home, self._corners = f"not found: {error}", ()
             return
@@ -265,10 +265,10 @@ class AimingView:
             )
             for one in known
         ]  # fmt: skip
-        waits = [("lens", Finding(Level.STALE, "pictures of a board are taken for it"))]
+        waits = [("lens", Finding(Level.STALE, "taking pictures of a board"))]
         checks += waits if board else situation.findings
         if self._home_is_old and not board:
-            again = Finding(Level.WARN, "it was found before the lens: find home again")
+            again = Finding(Level.WARN, "found before the lens was changed: find home again")
             checks.insert([name for name, _ in checks].index("lens") + 1, ("home", again))
         msg.checks = [
             AimCheck(name=name, level=LEVELS[found.level], text=found.message)
@@ -348,7 +348,7 @@ class AimingView:
         self._publisher.publish(msg)
 
     def _on_find_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._home, self._corners, self._wants_home = "the next image is searched", (), True
+        self._home, self._corners, self._wants_home = "searching in the next image", (), True
         self._measured_at = -math.inf
         response.success, response.message = True, self._home
         return response
@@ -357,7 +357,7 @@ class AimingView:
         """Write the corners of the last search into the rig file."""
         corners = self._corners
         if not corners:
-            response.message = "home was not found, allowed: after ~/find_home"
+            response.message = "home has not been found: call ~/find_home first"
             return response
         try:
             before = load_rig(self._path)
@@ -393,14 +393,14 @@ class AimingView:
             return response
         self._lens = LensJob(None, board, model)
         response.success = True
-        response.message = "pictures are taken: move the board, and hold it still for a second"
+        response.message = "taking pictures: move the board, then hold it still for a second"
         return response
 
     def _on_fit(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         lens, pool = self._lens, self._pool
         kept = 0 if lens is None or lens.pictures is None else len(lens.pictures.kept)
         if lens is None or pool is None or kept < LEAST_PICTURES:
-            response.message = f"{kept} pictures are taken, allowed: at least {LEAST_PICTURES}"
+            response.message = f"{kept} pictures were taken, allowed: at least {LEAST_PICTURES}"
             return response
         if lens.state == LensPictures.FITTING:
             response.message = "the lens is being fitted"
@@ -415,7 +415,7 @@ class AimingView:
         must be found again: without this lens the plate's edges looked bent."""
         lens = self._lens
         if lens is None or lens.fit is None:
-            response.message = "no lens is fitted, allowed: after ~/fit_lens"
+            response.message = "no lens has been fitted: call ~/fit_lens first"
             return response
         try:
             before, keys = load_rig(self._path), lens_keys(lens.fit.lens)

@@ -319,7 +319,7 @@ def _same(lab: np.ndarray) -> np.ndarray:
 
 
 def _check_size(image: np.ndarray, background: Background) -> None:
-    why = ", as the background has"
+    why = ", the size of the background"
     check_size("image:", image.shape[1::-1], background.lab.shape[1::-1], why=why)
 
 

@@ -201,10 +201,10 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     if share < LEAST_SHOWN:
         low, high = FACTORS
         raise ImageError(
-            f"light: {100 * share:.0f} % of the plate look like the bare plate in any light, "
-            f"allowed: {100 * LEAST_SHOWN:.0f} % or more, in {100 * low:.0f} to {100 * high:.0f} % "
-            "of the light in which the bare plate was learned (is the light on? Was the "
-            "camera moved? Else call ~/learn_plate with nothing on the plate)"
+            f"light: {100 * share:.0f} % of the plate look like the bare plate, allowed: "
+            f"{100 * LEAST_SHOWN:.0f} % or more, at {100 * low:.0f} to {100 * high:.0f} % of the "
+            "light during learning of the bare plate (is the light on? Was the camera moved? "
+            "Otherwise call ~/learn_plate with an empty plate)"
         )
     return Light(likely[0][1], likely[0][2])
 

@@ -109,7 +109,7 @@ def load_bare(
     """
     pictures = []
     for name, picture in read_pictures(path):
-        why = ", as the other pictures"
+        why = ", the size of the other pictures"
         check_size(f"bare plate: {name}:", picture.shape[1::-1], size_px, TeachError, why)
         if location is not None:
             try:
@@ -125,9 +125,7 @@ def lesson_text(lesson: Lesson) -> str:
     part = lesson.part
     corners = "a disc" if part.radius_m else f"{len(part.outline)} corners"
     holes = f", {len(part.holes)} hole{'s' if len(part.holes) > 1 else ''}" if part.holes else ""
-    turns = {0: "", 1: ", no symmetry"}.get(
-        part.symmetry, f", the same {part.symmetry} times a turn"
-    )
+    turns = {0: "", 1: ", no symmetry"}.get(part.symmetry, f", symmetry of order {part.symmetry}")
     mean, scatter = 1e3 * lesson.size_m
     return (
         f"{part.name}: {corners}{holes}{turns}; {mean:.2f} +- {scatter:.2f} mm across, outline +- "

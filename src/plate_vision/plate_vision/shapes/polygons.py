@@ -86,8 +86,8 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
     if off > max(COARSE * reach, FINE_PX / scale):
         many = len(cv2.approxPolyDP(contour, 1.0, True))
         raise TeachError(
-            f"type {name}: its {what} has {many} corners, allowed: {MOST_CORNERS}, with which it "
-            f"is {scale * off:.1f} px off on average"
+            f"type {name}: its {what} has {many} corners, allowed: {MOST_CORNERS}, with a mean "
+            f"error of {scale * off:.1f} px"
         )
     return corner
 

@@ -29,18 +29,17 @@ COMMANDS = ("list", "merge", "rename", "delete")
 """Words that are commands, not names of types, in the order of `_managing_parser`."""
 
 BOX = (
-    "only the part in this box of the picture, from its left upper corner [px]; up to five, each "
-    "after a --box (all parts in the picture)"
+    "use only the part in this box; X and Y are its upper left corner [px]. Up to five boxes, each "
+    "after a --box (default: all parts in the picture)"
 )
 
 HEIGHT = (
-    "height of the part [m]: side faces are not learned (that of the type in the file, or 0); the "
-    "camera's place must be known"
+    "height of the part [m], so that side faces are not learned (default: that of the type in the "
+    "file, or 0); requires a known position of the camera"
 )
 
 SCALE = (
-    "of pictures of any size, taken from above, all with one camera from one height (the rig's "
-    "camera)"
+    "scale of pictures of any size, taken from above by one camera at one height (the rig's camera)"
 )
 
 AROUND = 1.0
@@ -70,13 +69,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("name", metavar="NAME", help="name of the type, such as nut")
-    add("pictures", metavar="PICTURES", type=Path, nargs="+", help="one to five, or a folder")
-    add("--rig", default="", help="rig file, or a name in config/rigs (the default rig)")
+    add("pictures", metavar="PICTURES", type=Path, nargs="+", help="one to five files, or a folder")
+    add("--rig", default="", help="rig file, or a name in config/rigs (default rig)")
     add("--bare", type=Path, help="picture of the bare plate, or a folder of them")
     add("--box", type=_box, action="append", default=[], metavar="X,Y,WIDTH,HEIGHT", help=BOX)
     add("--scale", type=_scale, metavar="PX_PER_MM", help=SCALE)
     add("--height", type=_height, metavar="M", help=HEIGHT)
-    add("--out", type=Path, default=OUT, help="file of types, written or added to (parts.yaml)")
+    add("--out", type=Path, default=OUT, help="file of types to write or extend (parts.yaml)")
     parser.set_defaults(run=_teach)
     return parser
 
@@ -133,7 +132,7 @@ def _height(text: str) -> float:
 def _teach(args: argparse.Namespace) -> None:
     pictures = [named for path in args.pictures for named in read_pictures(path)]
     if args.box and len(pictures) > 1:
-        raise TeachError(f"--box: {len(pictures)} pictures, allowed: one, in which the boxes are")
+        raise TeachError(f"--box: {len(pictures)} pictures, allowed: one, which has the boxes")
     name, picture = pictures[0]
     size = picture.shape[1], picture.shape[0]
     for x, y, width, height in args.box:
@@ -142,7 +141,7 @@ def _teach(args: argparse.Namespace) -> None:
             raise TeachError(f"{where}, allowed: within {size[0]} x {size[1]} px of {name}")
     if args.scale is None or args.bare is not None:
         for other, pixels in pictures:
-            why = ", as the other pictures; with --scale, and without --bare, any"
+            why = ", the size of the other pictures; any size with --scale and without --bare"
             check_size(f"{other}:", pixels.shape[1::-1], size, TeachError, why)
     region = None
     if args.scale is not None:
@@ -150,16 +149,16 @@ def _teach(args: argparse.Namespace) -> None:
     else:
         rig, doubt = rig_of_picture(load_rig(args.rig), size)
         if doubt:
-            print(f"warning: {name}: {doubt}; or give --scale", file=sys.stderr)
+            print(f"warning: {name}: {doubt}; or use --scale", file=sys.stderr)
         try:
             vision = make_vision(rig)
         except PlateError as error:
-            hint = "; if it does not show the whole plate, give --scale" if doubt else ""
+            hint = "; if it does not show the whole plate, use --scale" if doubt else ""
             raise TeachError(f"{name}: {error}{hint}") from None
         calibration, region = vision.calibration, vision.region
     bare = None if args.bare is None else load_bare(args.bare, size)
     if bare is None:
-        text = "it is modelled from each picture; of a part with a hole the hole may be learned"
+        text = "it is estimated from each picture, so a hole may be learned instead of its part"
         print(f"no bare plate (--bare): {text}: check the drawn outline", file=sys.stderr)
     if args.box:
         cuts = args.scale is not None and bare is None  # then the position is not relevant
@@ -170,11 +169,11 @@ def _teach(args: argparse.Namespace) -> None:
         examples = [Example(pixels, name=other) for other, pixels in pictures]
     lesson = add_type(args.out, args.name, examples, calibration, bare, region, args.height)
     for problem in lesson.unused:
-        print(f"warning: not used: {problem}", file=sys.stderr)
+        print(f"warning: bare plate not used: {problem}", file=sys.stderr)
     for doubt in lesson.doubts:
         print(f"warning: {doubt}", file=sys.stderr)
     print(lesson_text(lesson))
-    print(f"{args.out}: types; {args.out.with_name(lesson.part.picture)}: the part taught")
+    print(f"{args.out}: types; {args.out.with_name(lesson.part.picture)}: the taught part")
 
 
 def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
@@ -209,15 +208,15 @@ def _list(args: argparse.Namespace) -> None:
 def _merge(args: argparse.Namespace) -> None:
     types = dict(load_part_types(args.out))
     if args.name == args.other:
-        raise TeachError(f"{args.out}: type {args.other!r} into itself, allowed: another one")
+        raise TeachError(f"{args.out}: type {args.other!r} into itself, allowed: another type")
     part, other = _known(types, args.name, args.out), _known(types, args.other, args.out)
     outlines, _, colours = apart(part, other, 1e3)
     types[args.name] = merged(part, other)
     del types[args.other]
     save_part_types(args.out, types)
     print(
-        f"{args.name}: {args.other} is merged into it; they were {outlines:.2f} mm and "
-        f"{colours:.0f} Lab apart"
+        f"{args.name}: {args.other} was merged into it; their outlines differed by "
+        f"{outlines:.2f} mm, their colours by {colours:.0f} Lab"
     )
 
 
@@ -234,7 +233,7 @@ def _rename(args: argparse.Namespace) -> None:
     save_part_types(args.out, renamed)
     if picture != part.picture:
         args.out.with_name(part.picture).rename(args.out.with_name(picture))
-    print(f"{args.name} is renamed to {args.new}")
+    print(f"{args.name} was renamed to {args.new}")
 
 
 def _delete(args: argparse.Namespace) -> None:
@@ -244,7 +243,7 @@ def _delete(args: argparse.Namespace) -> None:
     save_part_types(args.out, types)
     if part.picture == drawn_name(args.name):  # other pictures were not drawn by this program
         args.out.with_name(part.picture).unlink(missing_ok=True)
-    print(f"{args.name} is deleted")
+    print(f"{args.name} was deleted")
 
 
 if __name__ == "__main__":

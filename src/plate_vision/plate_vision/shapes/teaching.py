@@ -266,7 +266,7 @@ def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Cali
     for other in types.values():
         gap = gap_between(part, other, scale)
         if other.name != part.name and gap.far < ALIKE:
-            raise TeachError(f"{gap.text}: merge them, or use a camera that shows more of them")
+            raise TeachError(f"{gap.text}: merge them, or use a camera that resolves them better")
 
 
 class Gap(NamedTuple):
@@ -290,9 +290,9 @@ def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
         far,
         size,
         swell_px,
-        f"types {a.name} and {b.name} look alike: outlines {rest_px:.1f} px, sizes "
-        f"{abs(swell_px):.1f} px and colours {colour:.0f} Lab apart, {far:.1f} in all, "
-        f"allowed: at least {ALIKE:g}",
+        f"types {a.name} and {b.name} look alike: their outlines differ by {rest_px:.1f} px, their "
+        f"sizes by {abs(swell_px):.1f} px and their colours by {colour:.0f} Lab, {far:.1f} in "
+        f"total, allowed: at least {ALIKE:g}",
     )
 
 
@@ -344,10 +344,10 @@ def _measured(
         patches = sorted(patches, key=lambda patch: -patch.area_px2)[:1]
     kept = [patch for patch in patches if patch.whole]
     if not kept:
-        seen = "no part is there" if not patches else "no part is completely visible"
+        seen = "no part is visible" if not patches else "no part is completely visible"
         raise TeachError(
-            f"type {name}: {example.name}: {seen}, allowed: whole parts, well apart; a picture of "
-            "the bare plate (--bare) shows them better"
+            f"type {name}: {example.name}: {seen}, allowed: complete parts, well apart; a picture "
+            "of the bare plate (--bare) makes detection more reliable"
         )
     if any(patch.group for patch in kept):
         raise TeachError(f"type {name}: {example.name}: parts touch, allowed: parts apart")
@@ -384,8 +384,8 @@ def _doubts(
     for one in shown:
         blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
     doubts = [
-        f"type {name}: {picture}: out of focus, or moved: rims are {blur:.1f} times as blurred as "
-        "they may be; sizes and angles become worse"
+        f"type {name}: {picture}: out of focus, or moved: the contours' blur is {blur:.1f} times "
+        "the allowed one; sizes and angles become less accurate"
         for picture, blur in blurs.items()
         if blur > 1
     ]
@@ -394,7 +394,7 @@ def _doubts(
     if furthest > COLOUR_LAB:
         doubts.append(
             f"type {name}: colours are up to {furthest:.0f} Lab from their mean, allowed: "
-            f"{COLOUR_LAB:g}: many will be unknown; teach each colour as a separate type"
+            f"{COLOUR_LAB:g}: many parts will be unknown; teach each colour as a separate type"
         )
     return tuple(doubts)
 
@@ -420,10 +420,10 @@ def _height_doubt(
     if unlike < BETTER * rest:
         return ()
     return (
-        f"type {name}: its examples agree best as parts of about {1e3 * height:.0f} mm height: "
-        f"outlines then differ by {scale * rest:.2f} px, as flat parts by {scale * unlike:.2f} px; "
-        "if it is not flat, its places are wrong: teach it again with --height, or with height_m "
-        "in the file of types",
+        f"type {name}: its examples agree best with a height of about {1e3 * height:.0f} mm: "
+        f"their outlines then differ by {scale * rest:.2f} px, with height 0 by "
+        f"{scale * unlike:.2f} px; if it is not flat, its positions are wrong: teach it again with "
+        "--height, or with height_m in the file of types",
     )
 
 
@@ -455,7 +455,7 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
         if len(one.outline.rings) != len(middle.rings):
             problems.append(
                 f"{start} {len(one.outline.rings) - 1} holes, but {len(middle.rings) - 1} in "
-                "another, allowed: as many in all"
+                "another, allowed: the same number in all"
             )
             continue
         fit = lay_on(template, one.outline, scale)
@@ -463,7 +463,7 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
             most = max(share * middle.reach, DIFFER_PX / scale)
             if abs(error) > most:
                 problems.append(
-                    f"{start} {what} is {scale * abs(error):.1f} px from that of another, allowed: "
+                    f"{start} the {what} differs by {scale * abs(error):.1f} px, allowed: "
                     f"{scale * most:.1f} px"
                 )
                 break
