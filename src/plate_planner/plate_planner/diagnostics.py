@@ -40,7 +40,7 @@ class PlannerDiagnostics:
         findings = self._monitor.findings(now)
         image_problem = self._tasks.estimator.image_problem
         if image_problem and self._triggered:
-            image_problem += "; set camera_triggered false"
+            image_problem += "; set camera_triggered to false"
         for text in (
             self.refusal,
             self._monitor.second_publishers(),

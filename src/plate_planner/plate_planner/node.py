@@ -82,46 +82,46 @@ class PlannerParameters(NodeOptions):
     """Parameters of the node."""
 
     preempt: bool = parameter(
-        False, "A goal that comes while a task runs: true ends that task, false is refused.",
+        False, "A goal that arrives while a task runs: true cancels that task, false refuses it.",
         live=True,
     )  # fmt: skip
     camera_triggered: bool = parameter(
         True, "Whether images are taken at the starts of cycles; false: at any time, and "
-        "cycle_started says when cycles begin.",
+        "cycle_started reports the starts.",
     )  # fmt: skip
     answer_s: float = parameter(
-        PlannerOptions.answer_s, "Unless the camera is triggered: time from an answer to the next "
+        PlannerOptions.answer_s, "Without a triggered camera: time from a request to the next "
         "cycle [s], for solver, driver and line; a serial line needs 0.14", 0.01, 1.0,
     )  # fmt: skip
     lockstep: bool = parameter(
-        False, "For a simulator in lockstep: an image is planned when plate_cycle has answered the "
-        "one before and cycle_started has told of its cycle, the second one when there is a goal; "
-        "so a seed repeats a run",
+        False, "For a simulator in lockstep: the planner waits for plate_cycle of the last image "
+        "and cycle_started of its cycle, and at the second image for a goal; so a seed repeats a "
+        "run",
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "A running task ends when parts, plate_cycle or driver_status fail for longer [s, wall]",
+        "Maximum time without parts, plate_cycle or driver_status during a task [s, wall]",
         0.1,
         3600.0,
     )
     start_timeout_s: float = parameter(
-        PlannerOptions.start_timeout_s, "Longest wait for all parts after a goal [s]", 0.0, 3600.0
+        PlannerOptions.start_timeout_s, "Maximum wait for all parts after a goal [s]", 0.0, 3600.0
     )
     unseen_timeout_s: float = parameter(
-        PlannerOptions.unseen_timeout_s, "A part unseen for longer is lost [s]", 0.0, 60.0
+        PlannerOptions.unseen_timeout_s, "Time after which an unseen part is lost [s]", 0.0, 60.0
     )
     stuck_timeout_s: float = parameter(
         PlannerOptions.stuck_timeout_s,
-        "A task no nearer to its goal for longer is stuck [s]",
+        "Time without progress after which a task is stuck [s]",
         1.0,
         3600.0,
     )
     image_age_s: float = parameter(
-        -1.0, "How old an image is at its stamp [s]; negative: found out", -1.0, 0.5
+        -1.0, "Age of an image at its stamp [s]; negative: estimated", -1.0, 0.5
     )
     kp: float = parameter(
         FollowOptions.kp,
-        "Following: fraction of the error corrected a cycle [-]",
+        "Fraction of the tracking error on paths that is corrected per cycle [-]",
         *FollowOptions.RANGES["kp"],
         live=True,
     )
@@ -455,7 +455,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if not self.active:
             return Failure(Reason.NOT_READY, "the planner is not active")
         if self._monitor.goal_may_be_old(time.monotonic()):
-            return Failure(Reason.NOT_READY, "the planner itself stood still: send the goal again")
+            return Failure(Reason.NOT_READY, "the planner was stalled: send the goal again")
         try:
             scenario = goal_to_scenario(goal.request)
             planner = Planner(self._rig, scenario, self.options.planner())
@@ -466,7 +466,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             text = f"{running.name} is running: cancel it first, or set the parameter preempt"
             return Failure(Reason.BUSY, text)
         if problem := self._monitor.start_problem(now):
-            return Failure(Reason.NOT_READY, f"{scenario.name} is not started: {problem}")
+            return Failure(Reason.NOT_READY, f"{scenario.name} was not started: {problem}")
         self._end(PREEMPTED)
         for warning in planner.doubts():
             self.get_logger().warning(warning)
@@ -488,7 +488,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._wake()
         before = "" if self._tasks.run is None else self._tasks.run.task.text
-        response.message = f"stopped, was {before}"
+        response.message = f"stopped; state before: {before}"
         if self._tasks.running is not None:
             self._end(STOP)
         else:  # the user acknowledges the end of the last task
@@ -503,7 +503,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._friction.call_async(MeasureFriction.Request(start=False))
         driver = self._monitor.inputs.driver_status
         if driver is not None and driver.state is DriverState.CALIBRATING:
-            response.message += "; a measurement of friction ends, calibrate continues"
+            response.message += "; a friction measurement is canceled, a calibration continues"
         self._plan_next()
         response.success = True
         return response

@@ -182,7 +182,7 @@ class TaskRunner:
         """
         run = self.run
         if run is None:
-            raise PlateError("targets: no task of move runs, allowed: while one does")
+            raise PlateError("targets: no task of kind move runs")
         run.planner, run.state, refused = run.planner.retarget(run.state, targets)
         return refused
 
@@ -196,7 +196,7 @@ class TaskRunner:
         """
         run = self.run
         if run is None:
-            raise PlateError("feed_orders: no task of feed runs, allowed: while one does")
+            raise PlateError("feed_orders: no task of kind feed runs")
         run.planner = run.planner.order(run.state, order)
 
     @property

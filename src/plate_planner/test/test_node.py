@@ -159,7 +159,7 @@ def test_stop_says_what_was_stopped(graph):
     handle = graph.begin()
     assert graph.image(0.3, APART).parts.ids == IDS
     answer = graph.stop()
-    assert (answer.success, answer.message) == (True, "stopped, was running")
+    assert (answer.success, answer.message) == (True, "stopped; state before: running")
     assert graph.result(handle)[1].reason == TaskStatus.STOPPED
     assert graph.image(0.4, APART).parts.ids == ()
     aborted = "aborted after 0.2 s: stopped"
@@ -182,7 +182,7 @@ def test_a_stop_ends_a_measurement_of_friction(graph):
     graph.driver = DriverStatus(state=DriverStatus.CALIBRATING, text="calibrating")
     graph.until(graph.planner._friction.service_is_ready)
     graph.until(lambda: graph.driver_text() == "calibrating")
-    said = "no task runs; a measurement of friction ends, calibrate continues"
+    said = "no task runs; a friction measurement is canceled, a calibration continues"
     assert graph.stop().message == said
     graph.until(lambda: calls)
     assert calls == [False]
@@ -202,7 +202,7 @@ def test_why_no_parts_come_is_what_the_detector_says(graph):
     said = DiagnosticStatus(name="/a/detector", message="no image yet: does the camera run?")
     graph.others.publish(DiagnosticArray(status=[said]))
     graph.until(lambda: "detector" in graph.planner._monitor.inputs.reports)
-    text = "idle; no parts yet: the detector runs and says: no image yet: does the camera run?"
+    text = "idle; no parts yet: the detector runs and reports: no image yet: does the camera run?"
     assert graph.report() == (DiagnosticStatus.STALE, text)
 
 
@@ -210,14 +210,14 @@ def test_a_goal_is_refused_with_the_reason(graph):
     graph = graph(driver=None)
     refused = graph.refused()
     not_ready = TaskStatus.NOT_READY
-    text = "sort is not started: no driver_status yet: does the driver run?"
+    text = "sort was not started: no driver_status yet: does the driver run?"
     assert refused == (not_ready, text)
     for status in (*NOT_READY, ERROR, READY):
         graph.driver = status
         graph.until(lambda text=status.text: graph.driver_text() == text)
         if status is not READY:
-            assert graph.refused() == (not_ready, f"sort is not started: driver: {status.text}")
-    text = "sort is not started: no parts yet: does the detector run, does the camera?"
+            assert graph.refused() == (not_ready, f"sort was not started: driver: {status.text}")
+    text = "sort was not started: no parts yet: do the detector and the camera run?"
     assert graph.refused() == (not_ready, text)
     name, goal = scenario_to_goal(SORT_4)
     goal.hold_s = float("nan")
@@ -277,7 +277,7 @@ def test_a_second_driver_is_told_of_and_no_task_begins(graph):
     try:
         text = "2 nodes publish driver_status (other_driver, probe), allowed: one"
         graph.until(lambda: graph.planner._monitor.second_publishers())
-        assert graph.refused() == (TaskStatus.NOT_READY, f"sort is not started: {text}")
+        assert graph.refused() == (TaskStatus.NOT_READY, f"sort was not started: {text}")
         assert text in graph.report()[1]
     finally:
         other.destroy_node()
@@ -359,7 +359,7 @@ def silenced(clock):
 def test_without_parts_the_task_ends_without_any_image(silenced):
     silenced.until(lambda: silenced.states[-1] != "running")
     assert silenced.states[-1].startswith("aborted after 0.1 s: no parts for ")
-    assert silenced.states[-1].endswith("does the detector run, does the camera?")
+    assert silenced.states[-1].endswith("do the detector and the camera run?")
     silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.ERROR)
     # A stop acknowledges it; then diagnostics only tell what is missing.
     silenced.stop()
@@ -440,7 +440,7 @@ def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(g
 
 def test_a_planner_that_stood_still_does_not_go_on(silenced):
     silenced.clock.step(1.0)
-    why = "aborted after 0.1 s: the planner itself stood still for"
+    why = "aborted after 0.1 s: the planner was stalled for"
     silenced.until(lambda: silenced.states[-1].startswith(why))
 
 
@@ -450,7 +450,7 @@ def test_a_goal_that_was_sent_while_the_planner_stood_still_is_not_begun(graph):
     graph.planner._monitor._standstill._looked -= 2.0
     reason, text = graph.refused()
     assert (reason, text) == (
-        TaskStatus.NOT_READY, "the planner itself stood still: send the goal again"
+        TaskStatus.NOT_READY, "the planner was stalled: send the goal again"
     )  # fmt: skip
     graph.until(lambda: not graph.planner._monitor._standstill.is_late(graph.clock.monotonic()))
     graph.begin(0.1)
@@ -496,7 +496,7 @@ def test_a_failure_tells_its_reason(graph):
     for t in (1.1, 1.2, 1.3):
         graph.image(t, APART[:3], IDS[:3])
     assert graph.result(handle)[1].reason == TaskStatus.PART_UNSEEN
-    graph.until(lambda: graph.states[-1].startswith("lost part after 0.4 s: grey_2 was seen last"))
+    graph.until(lambda: graph.states[-1].startswith("lost part after 0.4 s: grey_2 was last"))
 
 
 def test_forces_are_drawn_for_those_who_look(graph):
@@ -786,7 +786,7 @@ def test_a_task_reports_what_else_the_image_shows(graph):
     graph.report()
     level, message = graph.report()
     assert level == DiagnosticStatus.WARN
-    assert "sort moves 4 parts: the image shows 1 thing more that may be a part (misfit" in message
+    assert "sort moves 4 parts: the image shows 1 undetected object (misfit" in message
     for k in range(9, 15):
         show(0.1 * k, ())
     graph.report()

@@ -111,7 +111,7 @@ class InputMonitor:
         waited = now - goal_time > self._start_timeout_s + MARGIN_S
         if failure is None and task.began is None and waited:
             # The planner's own wait uses stamps, so it never ends if the stamps do not advance.
-            text = f"not all parts seen within {self._start_timeout_s:g} s of the goal"
+            text = f"not all parts were detected within {self._start_timeout_s:g} s after the goal"
             failure = Failure(Reason.PARTS_MISSING, text)
         if several := self.second_publishers():
             text = "; ".join(filter(None, (failure and failure.text, several)))
