@@ -43,7 +43,7 @@ def main() -> int:
         needed |= dict.fromkeys(report.names())
         lacking = [name for name in needed if not is_done(folder, name, args.quick)]
         if own and lacking and commit().endswith("-dirty"):
-            dirty = f"error: the tree is {commit()}, allowed: all changes committed (or --quick)"
+            dirty = f"error: the commit is {commit()}, allowed: a clean tree (or --quick)"
             print(dirty, file=sys.stderr)
             return 1
         failed = run_all(lacking, args.quick, folder, quiet=own)
@@ -55,7 +55,7 @@ def main() -> int:
     facts, columns = report.read_facts(results, data)
     charts = report.made(data, results, columns)
     if not charts:
-        print(f"error: nothing in {folder} or {results}: leave out --draw", file=sys.stderr)
+        print(f"error: no data in {folder} or {results}: omit --draw", file=sys.stderr)
         return told(failed) or 1
     report.write_results(text, facts, charts)
     report.write_report(args.out / "report/index.html", facts, charts)
@@ -68,13 +68,13 @@ def main() -> int:
 def arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="measure little where it is missing")
-    parser.add_argument("--draw", action="store_true", help="only draw what is there")
+    parser.add_argument("--quick", action="store_true", help="measure few cases of missing data")
+    parser.add_argument("--draw", action="store_true", help="only draw existing data")
     parser.add_argument(
         "--out",
         type=Path,
         default=ROOT / "out",
-        help="holds bench/ (measurements), report/ and, if it is not out, docs/results (out)",
+        help="folder of bench/ (measurements), report/ and, unless it is out, docs/results (out)",
     )
     return parser.parse_args()
 

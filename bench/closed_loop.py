@@ -34,8 +34,8 @@ def main() -> int:
         planner = Planner(rig, scenario)
         if planner.rules.endless:
             raise PlateError(
-                f"scenario is {args.scenario}, which never ends, allowed: others (a feeder: "
-                "ros2 run plate_bringup qualify)"
+                f"scenario is {args.scenario}, which never ends, allowed: scenarios that end (for "
+                "a feeder use ros2 run plate_bringup qualify)"
             )
         settings = dict(_pair(text) for text in args.set)
         if args.planner:
@@ -90,7 +90,7 @@ def _note(text: str) -> None:
 def _line(row: dict) -> str:
     rms = "" if row["rms_error_m"] is None else f"  RMS {1e3 * row['rms_error_m']:.3f} mm"
     if row["turn_error_deg"] is not None:
-        rms += f"  centre {1e3 * row['max_error_m']:.3f} mm at most"
+        rms += f"  centre max {1e3 * row['max_error_m']:.3f} mm"
         rms += f"  angle {row['turn_error_deg']:.2f} deg"
     told = "" if row["pace"] is None or row["pace"] > 0.995 else f"  pace {row['pace']:.2f}"
     told += "".join(f"  {row[k]} {k[:4]} cycles" for k in ("held_cycles", "late_cycles") if row[k])
@@ -108,13 +108,15 @@ def _conclusion(rows: list[dict]) -> str:
     if all_runs["good"]:
         low, high = of_median([row["time_s"] for row in rows if row["success"]])
         text += f"; time median {all_runs['time_s']:.1f} s ({low:.1f} to {high:.1f})"
-        text += f", most {all_runs['longest_s']:.1f} s"
+        text += f", maximum {all_runs['longest_s']:.1f} s"
     if all_runs["rms_mm"] is not None:
-        text += f"; RMS median {all_runs['rms_mm']:.3f} mm, most {all_runs['worst_rms_mm']:.3f} mm"
+        text += (
+            f"; RMS median {all_runs['rms_mm']:.3f} mm, maximum {all_runs['worst_rms_mm']:.3f} mm"
+        )
     turns = [row["turn_error_deg"] for row in rows if row["turn_error_deg"] is not None]
     if turns:
-        text += f"; angle median {np.median(turns):.2f} deg, most {max(turns):.2f} deg; "
-        text += f"centre at most {all_runs['max_mm']:.3f} mm off"
+        text += f"; angle error median {np.median(turns):.2f} deg, maximum {max(turns):.2f} deg; "
+        text += f"centre error maximum {all_runs['max_mm']:.3f} mm"
     return text
 
 
@@ -141,18 +143,18 @@ def _seeds(text: str) -> range:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--scenario", default="sort_10", help="name or path (sort_10)")
-    parser.add_argument("--seeds", type=_seeds, default=range(3), help="A:B, without B (0:3)")
+    parser.add_argument("--seeds", type=_seeds, default=range(3), help="A:B, B excluded (0:3)")
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="method, latency, kp, ...",
+        help="a setting: method, latency, kp, ...",
     )
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--rig", default="", help="name or file of a rig (the scenario's)")
-    parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner (ours)")
-    parser.add_argument("--workers", type=int, default=1, help="processes (1)")
+    parser.add_argument("--rig", default="", help="name or file of a rig (that of the scenario)")
+    parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes (1)")
     args = parser.parse_args()
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")

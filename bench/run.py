@@ -42,8 +42,8 @@ def arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
-    parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in all")
-    parser.add_argument("--out", type=Path, default=ROOT / "out/bench", help="(out/bench)")
+    parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in total")
+    parser.add_argument("--out", type=Path, default=ROOT / "out/bench", help="folder (out/bench)")
     return parser.parse_args()
 
 

@@ -160,7 +160,7 @@ def test_one_that_fails_is_named_and_does_not_hold_up_the_others(monkeypatch, tm
     assert [file.name for file in tmp_path.iterdir()] == ["good.json"]
     told = capsys.readouterr().err
     assert "ZeroDivisionError" in told
-    assert told.endswith("error: measurements that failed: bad\n")
+    assert told.endswith("error: failed measurements: bad\n")
 
 
 @pytest.mark.needs("numba")

@@ -93,7 +93,7 @@ def names_of(processes):
             ["--transport", "sim", "--port", "/dev/null"],
             "port is '/dev/null' with transport sim, allowed with it: no",
         ),
-        (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),
+        (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: "),
         (
             ["--transport", "cia402", "--port", "/dev/null"],
             "port is '/dev/null' with transport cia",
@@ -102,7 +102,7 @@ def names_of(processes):
             ["--transport", "odrive", "--rig", "linear_motors"],
             "rig linear_motors.yaml: its motors have",
         ),
-        (["--transport", "cia402", "--lockstep"], "lockstep with transport serial, allowed: sim"),
+        (["--transport", "cia402", "--lockstep"], "lockstep with transport serial, allowed: "),
         (["--image-rate", "0.5"], "image_rate is 0.5, allowed: 0, or 1 to 200"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
     ],
@@ -160,7 +160,7 @@ def test_a_domain_with_a_graph_is_left_alone(tmp_path, monkeypatch, capsys, doma
     finally:
         driver.destroy_node()
         rclpy.shutdown(context=context)
-    problem = f"domain is {domain}, in which a driver runs already, allowed: one without a graph"
+    problem = f"domain is {domain}, but a driver runs there already, allowed: a domain without"
     assert problem in capsys.readouterr().err
 
 
@@ -182,7 +182,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     output = "".join(line for _, line in said)
     assert process.returncode == 0, output + errors
     assert errors == ""
-    assert "To look on: http://127.0.0.1:" in output
+    assert "To watch: http://127.0.0.1:" in output
     assert marked(mark) == []
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["scenario"], result["method"], result["transport"]) == (
@@ -293,7 +293,7 @@ def test_a_folder_that_cannot_be_made_is_said_before_anything_starts(monkeypatch
     output, errors = capsys.readouterr()
     assert output == ""
     assert errors.startswith("demo: out is /proc/x: No such file")
-    assert errors.endswith(", allowed: a folder that can be made\n")
+    assert errors.endswith(", allowed: a folder that can be created\n")
 
 
 @pytest.mark.parametrize(
@@ -332,7 +332,7 @@ def test_a_camera_that_is_missing_is_said_at_once(tmp_path, monkeypatch, capsys)
         monkeypatch.setattr(sys, "stdin", person)
         assert run(arguments()) == 1
     domain = os.environ["ROS_DOMAIN_ID"]
-    problem = f"no camera: nobody publishes /image_raw in ROS domain {domain}"
+    problem = f"no camera: no node publishes /image_raw in ROS domain {domain}"
     assert problem in capsys.readouterr().err
 
 

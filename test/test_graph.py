@@ -279,7 +279,7 @@ def test_a_task_does_not_begin_after_a_stop_by_somebody_else(tmp_path):
         observer, record = graph.observer, graph.observer.record
         observer.trigger("stop")
         assert observer.until(lambda: record.status.reason == TaskStatus.STOPPED, 10)
-        with pytest.raises(GraphError, match="before the task began: somebody called"):
+        with pytest.raises(GraphError, match="before the task began by the service stop"):
             graph.begin()
         assert not record.ready
         record.status = None

@@ -137,7 +137,7 @@ def test_the_graph_outlives_its_page_which_comes_again():
             asyncio.run(look(url))
             kill_node(mark, "page")
             assert next(run.stderr) == "play: page was ended by SIGKILL\n"
-            assert any(line.startswith("It is started again") for line in run.stderr)
+            assert any(line.startswith("It is restarted") for line in run.stderr)
             asyncio.run(look(url))
             kill_node(mark, "planner")
             _, said = run.communicate(timeout=TIMEOUT_S)

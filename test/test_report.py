@@ -240,7 +240,7 @@ def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
         assert (tmp_path / "docs" / name).read_text() == (drawn / "docs" / name).read_text()
     told = capfd.readouterr().err
     assert "left out chart sim: of older code, its rows lack 'case'" in told
-    assert "left out chart vision: neither measured nor in" in told
+    assert "omitted chart vision: not measured" in told
     assert f"drawn from {tmp_path / 'docs/results'}: {QUICK}\n" in told
 
 
@@ -251,7 +251,7 @@ def test_what_is_not_committed_is_not_published(monkeypatch, capsys):
     monkeypatch.setattr(charts, "commit", lambda: "abc-dirty")
     monkeypatch.setattr(charts, "is_done", lambda *_: False)
     assert charts.main() == 1
-    assert "the tree is abc-dirty, allowed: all changes committed" in capsys.readouterr().err
+    assert "the commit is abc-dirty, allowed: a clean tree" in capsys.readouterr().err
 
 
 def test_rows_come_back_from_a_csv_file_as_they_were(tmp_path):

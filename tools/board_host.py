@@ -166,7 +166,7 @@ class Host:
         while not reached():
             if self._ticks >= end:
                 raise TimeoutError(
-                    f"not in {WAIT_TICKS} ticks: the board tells {self.telemetry[-1:]}"
+                    f"not within {WAIT_TICKS} ticks: the board reports {self.telemetry[-1:]}"
                 )
             self.tick()
 

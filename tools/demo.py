@@ -37,45 +37,43 @@ def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(
         prog="make demo",
-        description="Run a task on the vibrating plate: ROS 2 nodes as processes of their "
-        "own, in a ROS domain of their own, driven only by what the camera sees.",
+        description="Run a task on the vibrating plate. The ROS 2 nodes are separate processes in "
+        "a separate ROS domain, and only the camera's images control them.",
         epilog="With make: make demo SCENARIO=sort_10 RIG=my_rig.yaml METHOD=rotations "
-        "CAMERA=/dev/video0 PORT=/dev/ttyACM0 ARGS='--seed 3'. Ctrl-C ends it and keeps the "
-        "results so far.",
+        "CAMERA=/dev/video0 PORT=/dev/ttyACM0 ARGS='--seed 3'. Ctrl-C ends the run and keeps its "
+        "results.",
     )
     add = parser.add_argument
     add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
-    add("--rig", default="", help="name in config/rigs or .yaml file (the scenario's)")
+    add("--rig", default="", help="name in config/rigs or .yaml file (that of the scenario)")
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
     add(
         "--transport",
         default="",
-        help="motors: sim, serial, cia402 or odrive (serial with a port or camera)",
+        help="sim, serial, cia402 or odrive (sim; with a port or camera: serial)",
     )
-    add("--port", default="", help="of a motor controller; serial without one: a simulated one")
+    add("--port", default="", help="port of a motor controller (with serial: a simulated one)")
     add(
         "--camera",
         default="",
-        help="device of your camera, as `camera --list` shows it, or a film; with a port and no "
-        "camera, another node publishes the images",
+        help="device of your camera as in `camera --list`, or a video (with a port: another node "
+        "publishes the images)",
     )
-    add("--seed", type=int, default=0, help="where parts are scattered, image noise (0)")
-    add("--lockstep", action="store_true", help="as fast as it goes: simulated time waits for all")
+    add("--seed", type=int, default=0, help="random seed of the parts' places and of noise (0)")
+    add("--lockstep", action="store_true", help="as fast as possible: simulated time waits for all")
     add(
         "--image-rate",
         type=float,
         default=0.0,
-        help="images a second of a simulated camera that runs free (0: one at each cycle's start)",
+        help="images per second of a free-running simulated camera (0: one at each cycle's start)",
     )
-    add("--one-process", action="store_true", help="all nodes in one process")
-    add("--domain", type=int, help="ROS domain, 0 to 101 (a free one; with a port ROS_DOMAIN_ID)")
+    add("--one-process", action="store_true", help="run all nodes in one process")
+    add("--domain", type=int, help="ROS domain, 0 to 101 (a free one; with a port: ROS_DOMAIN_ID)")
     add("--out", type=Path, help="folder of results (out/demo-TIME_SCENARIO; out/demo links to it)")
-    add(
-        "--record", action="store_true", help="keep all messages, for Foxglove or ros2 bag: OUT/bag"
-    )
-    add("--picks", type=int, default=20, help="parts that a robot takes, with a feeder (20)")
-    add("--robot-cycle", type=float, default=2.0, help="seconds that it needs for one (2)")
-    add("--no-view", action="store_true", help="without the live page in a browser")
+    add("--record", action="store_true", help="record all messages in OUT/bag (Foxglove, ros2 bag)")
+    add("--picks", type=int, default=20, help="with a feeder: number of parts for the robot (20)")
+    add("--robot-cycle", type=float, default=2.0, help="with a feeder: the robot's cycle [s] (2)")
+    add("--no-view", action="store_true", help="do not start the live page")
     add("--no-pictures", action="store_true", help="write result.json only")
     args = parser.parse_args()
     args.transport = args.transport or ("serial" if args.port or args.camera else "sim")

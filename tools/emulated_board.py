@@ -213,7 +213,7 @@ class Debugger:
         self._send(order)
         answer = self._answer()
         if answer[:3] not in (b"T05", b"S05"):
-            raise RuntimeError(f"debugger: the machine has stopped: {answer!r}")
+            raise RuntimeError(f"debugger: the processor has stopped: {answer!r}")
 
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""
@@ -250,7 +250,7 @@ class Debugger:
             except TimeoutError:
                 raise RuntimeError(f"debugger: no answer from QEMU in {ANSWER_S:g} s") from None
             if not data:
-                raise RuntimeError("debugger: QEMU has closed the line")
+                raise RuntimeError("debugger: QEMU has closed the connection")
             self._held += data
         answer, _, rest = self._held.partition(b"#")
         self._held = rest[2:]

@@ -36,7 +36,8 @@ def main() -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        sys.exit(f"error: out is {folder}: {problem.strerror}, allowed: a folder that can be made")
+        allowed = "allowed: a folder that can be created"
+        sys.exit(f"error: out is {folder}: {problem.strerror}, {allowed}")
     printed, figures = run(code_cells(NOTEBOOK))
     print(printed, end="")
     for name, figure in figures.items():

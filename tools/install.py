@@ -61,11 +61,11 @@ def main(arguments: list[str]) -> int:
             done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 return 0
-        print(f"{done.stderr}uv could not install; now with pip", file=sys.stderr)
+        print(f"{done.stderr}uv failed; installing with pip", file=sys.stderr)
     return subprocess.run([*PIP, "install", "-q", *arguments], check=False).returncode
 
 
 if __name__ == "__main__":
-    usage = "%(prog)s [what `pip install` takes]"
+    usage = "%(prog)s [arguments of `pip install`]"
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0], usage=usage)
     sys.exit(main(parser.parse_known_args()[1]))

@@ -85,7 +85,7 @@ def machine() -> Iterator[int]:
     with subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True) as process:
         assert process.stdout
         if not process.stdout.readline():
-            raise PlateError("no machine could be made of a network namespace; it needs root")
+            raise PlateError("no network namespace could be created; this requires root")
         yield process.pid
 
 
@@ -131,7 +131,7 @@ def do(*words: str) -> str:
         return subprocess.run(words, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
         told = getattr(error, "stderr", "") or str(error)
-        raise PlateError(f"{' '.join(words)}: {told.strip()}; it needs root") from None
+        raise PlateError(f"{' '.join(words)}: {told.strip()}; this requires root") from None
 
 
 def enter(pid: int) -> list[str]:

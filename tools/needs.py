@@ -133,7 +133,7 @@ def main() -> int:
         return install()
     install_wheels(WHEELS)
     if left := missing():
-        say(f"tests are left out that need {', '.join(left)}: `make test-tools` installs them")
+        say(f"tests that need {', '.join(left)} are skipped: `make test-tools` installs these")
     return 0
 
 

@@ -59,16 +59,14 @@ def arguments() -> argparse.Namespace:
         epilog="With make: make play SCENARIO=align_6 RIG=desk ARGS='--seed 3'. Ctrl-C ends it.",
     )
     add = parser.add_argument
-    add("--scenario", default="play", help="whose parts lie there: name or .yaml file (play)")
-    add("--rig", default="", help="name in config/rigs or .yaml file (the scenario's)")
+    add("--scenario", default="play", help="scenario of the parts: name or .yaml file (play)")
+    add("--rig", default="", help="name in config/rigs or .yaml file (that of the scenario)")
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
-    add("--seed", type=int, default=0, help="where parts are scattered (0)")
+    add("--seed", type=int, default=0, help="random seed of the parts' places (0)")
     add("--simulated-time", action="store_true", help="the page can change the simulator's rate")
-    add("--port", default="", help="of a motor controller; with a camera and no port: simulated")
-    add(
-        "--camera", default="", help="device of your camera, as `camera --list` shows it, or a film"
-    )
-    add("--bag", default="", help="show a recorded run: folder of a bag; no graph is started")
+    add("--port", default="", help="port of a motor controller (with a camera: a simulated one)")
+    add("--camera", default="", help="device of your camera as in `camera --list`, or a video")
+    add("--bag", default="", help="folder of a recorded run to show, without starting a graph")
     add("--domain", type=int, help="ROS domain, 0 to 101 (a free one)")
     return parser.parse_args()
 
@@ -100,7 +98,7 @@ def checked(args: argparse.Namespace):
     start_positions(scenario, known, np.random.default_rng(args.seed))
     real = bool(args.port or args.camera)
     if real and args.simulated_time:
-        raise PlateError("simulated time with a port or a camera, allowed: without")
+        raise PlateError("simulated time with a port or a camera, allowed: real time")
     check_camera(args.camera, args.port)
     if real:
         print_unmeasured("play", known, args.port)
@@ -126,11 +124,11 @@ def play(options, folder: Path, domain: int | None) -> None:
     with running(options, folder, domain, StatusLine(WAITING_S), pictures=False) as graph:
         page = graph.page()
         if not page:
-            raise GraphError(f"the page does not come\n{graph.processes.tail('page')}")
+            raise GraphError(f"the page does not start\n{graph.processes.tail('page')}")
         enable = "enable the motors there, then " if options.transport == "serial" else ""
         print(
             f"Open {page} in a browser: {enable}drag a part. Ctrl-C ends it.\n"
-            f"To look on by ROS: source env.sh; export ROS_DOMAIN_ID={graph.observer.domain}",
+            f"To watch with ROS: source env.sh; export ROS_DOMAIN_ID={graph.observer.domain}",
             flush=True,
         )
         keep_page(graph.processes, graph.observer, page)
@@ -156,10 +154,10 @@ def keep_page(processes, observer, page: str) -> None:
         if end:
             given_up = ends.too_many(time.monotonic())
             then = (
-                f"It has ended {MOST_ENDS} times within {WITHIN_S:.0f} s and is not started again."
-                " The graph goes on; Ctrl-C ends it."
+                f"It has ended {MOST_ENDS} times within {WITHIN_S:.0f} s and is not restarted."
+                " The graph continues; Ctrl-C ends it."
                 if given_up
-                else "It is started again; the graph goes on, and the browser comes back by itself."
+                else "It is restarted; the graph continues, and the browser reconnects by itself."
             )
             print(f"play: {end}\n{then}", file=sys.stderr, flush=True)
             if not given_up:

@@ -32,15 +32,15 @@ from plate_core import PlateError, piped
 CASES = ("faults", "freezes", "fuzz", "goals", "page_flood", "soak")
 
 OPTIONS: dict[str, dict[str, Any]] = {
-    "nodes": {"nargs": "+", "help": "names; default: all"},
+    "nodes": {"nargs": "+", "help": "names of nodes; default: all"},
     "count": {"type": int, "help": "number of faults, goals, or messages to each node"},
-    "minutes": {"type": float, "help": "duration, of freezes the maximum"},
-    "seed": {"type": int, "help": "default: 0"},
+    "minutes": {"type": float, "help": "duration; for freezes the maximum"},
+    "seed": {"type": int, "help": "random seed; default: 0"},
     "transport": {"choices": ("sim", "serial"), "help": "default: sim"},
-    "kills": {"type": float, "help": "fraction of faults that kill; default: 0"},
-    "image_rate": {"type": float, "help": "of a free-running camera [1/s]; default: 0, none"},
-    "scenario": {"help": "default: the demo's"},
-    "uneven": {"type": float, "help": "friction varies by this fraction; default: 0"},
+    "kills": {"type": float, "help": "fraction of faults that kill a node; default: 0"},
+    "image_rate": {"type": float, "help": "rate of a free-running camera [1/s]; default: 0, none"},
+    "scenario": {"help": "default: that of the demo"},
+    "uneven": {"type": float, "help": "variation of friction [fraction]; default: 0"},
 }
 """All options of the cases. A case accepts those that are arguments of its `run`."""
 

@@ -84,7 +84,7 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
 def told(failed: list[str]) -> int:
     """Name at the end the measurements that have failed; returns the exit code of the program."""
     if failed:
-        print(f"error: measurements that failed: {', '.join(failed)}", file=sys.stderr)
+        print(f"error: failed measurements: {', '.join(failed)}", file=sys.stderr)
     return bool(failed)
 
 
@@ -94,7 +94,7 @@ def await_quiet() -> None:
     while (cores := busy_cores()) > MOST_CORES:
         if not told:
             print(
-                f"waits for other programs, which take {cores:.1f} cores ... ", end="", flush=True
+                f"waiting for other programs, which use {cores:.1f} cores ... ", end="", flush=True
             )
         told = True
 

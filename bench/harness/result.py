@@ -78,7 +78,8 @@ def optional(name: str) -> Any:
 def missing(*peers: str) -> list[str]:
     """Say of peers that are not there how to get them."""
     lacking = [name for name in peers if optional(name) is None]
-    return [f"{n}: peer not installed: pip install -r requirements-bench.txt" for n in lacking]
+    install = "pip install -r requirements-bench.txt"
+    return [f"baseline {n} is not installed: {install}" for n in lacking]
 
 
 def rounded(value: Any, digits: int = 4) -> Any:
@@ -123,7 +124,7 @@ def folder_made(path: Path) -> bool:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        why = f"{problem.strerror}, allowed: a folder that can be made"
+        why = f"{problem.strerror}, allowed: a folder that can be created"
         print(f"error: out is {path}: {why}", file=sys.stderr)
         return False
     return True

@@ -53,7 +53,7 @@ class Port:
 
     def _check(self) -> None:
         if not self._emulator.connected:
-            raise OSError("the device is gone")
+            raise OSError("the device is disconnected")
 
     def read(self, size: int) -> bytes:
         """Take what has come."""
@@ -73,7 +73,7 @@ class Port:
 def opened(emulator: Emulator) -> Port:
     """Open the port, if it is there."""
     if not emulator.connected:
-        raise PlateError("port is 'device', allowed: a serial port that opens (it is gone)")
+        raise PlateError("port is 'device', which is disconnected, allowed: an open serial port")
     return Port(emulator)
 
 
@@ -158,7 +158,7 @@ class SerialLine:
         Its images come at the ends of the device's segments: it knows of no others.
         """
         if np.isfinite(until):
-            raise PlateError("image_rate over a serial line, allowed: a triggered camera")
+            raise PlateError("image_rate is given with a serial line, allowed: a triggered camera")
         motions = []
         while True:
             while not self._segments:

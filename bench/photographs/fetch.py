@@ -35,7 +35,7 @@ def main() -> int:
         if problem:
             print(f"missing: {photograph.name}: {problem}", file=sys.stderr)
         there += not problem
-    print(f"{there} of {len(photographs)} photographs are there")
+    print(f"{there} of {len(photographs)} photographs exist")
     return 0
 
 

@@ -110,9 +110,9 @@ def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> lis
                 sheet = Sheet.read(folder / f"{one.key}.csv", columns.get(one.key, {}))
             panels, finding, default = one.draw(sheet.rows)
         except PlateError as error:
-            print(f"left out chart {one.key}: {error}", file=sys.stderr)
+            print(f"omitted chart {one.key}: {error}", file=sys.stderr)
         except KeyError as key:
-            print(f"left out chart {one.key}: of older code, its rows lack {key}", file=sys.stderr)
+            print(f"omitted chart {one.key}: its older rows lack {key}", file=sys.stderr)
         else:
             words = {"letter": "", "default": default} | WORDS[one.key]
             charts.append(

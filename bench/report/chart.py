@@ -114,7 +114,7 @@ class Sheet:
             If it is not there, or empty.
         """
         if not path.exists():
-            raise PlateError(f"neither measured nor in {path}")
+            raise PlateError(f"not measured, and {path} does not exist")
         with path.open(encoding="utf-8", newline="") as file:
             rows = [{key: value_of(cell) for key, cell in row.items()} for row in DictReader(file)]
         if not rows:
@@ -152,7 +152,7 @@ def table(data: Data, name: str, key: str) -> Sheet:
     """
     found = [t for t in data[name]["tables"] if t["key"] == key] if name in data else []
     if not found:
-        raise PlateError(f"measurement {name} has no table {key!r}: it has to be made again")
+        raise PlateError(f"measurement {name} has no table {key!r}: repeat it")
     return Sheet.of(found[0]["rows"], found[0]["columns"])
 
 

@@ -182,7 +182,7 @@ class Faults:
             observer.until(lambda: observer.record.ended, WORK_S)
             if not observer.record.ended:
                 return
-            print(f"before the fault: {observer.record.states}", flush=True)
+            print(f"states before the fault: {observer.record.states}", flush=True)
         raise GraphError(f"no task runs: {observer.record.states}")
 
     @contextmanager
@@ -313,7 +313,7 @@ def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterat
         result["tables"] += check.tables
         result["faults"] += check.faults
     lines = [" | ".join(row.values()) for row in cells(result)]
-    lines.append(f"{result['tables']} motor tables, broken limits: {result['faults']}")
+    lines.append(f"{result['tables']} motor tables, limit violations: {result['faults']}")
     well = all(row["well"] for row in rows) and not result["faults"]
     yield Outcome(result, well=well, text="\n".join(lines))
 

@@ -85,7 +85,7 @@ class Judge(Listener):
         for wrong, why in (
             (age > limit, f"{age:.3f} s old"),
             (blind > 2 * limit, f"{blind:.3f} s after the newest image"),
-            (stamp < self.stopped_ns < sent, "asked before an emergency stop"),
+            (stamp < self.stopped_ns < sent, "requested before an emergency stop"),
             (bool(ended), f"{1e-9 * (sent - max(ended, default=0)):.2f} s after its task's end"),
         ):
             if wrong:
@@ -158,7 +158,7 @@ def run(
             if number % 10 == 0:
                 yield Outcome(
                     None, f"{number} faults, {tasks} tasks, {judge.moving} moving tables, oldest "
-                    f"{judge.oldest_s:.3f} s, wrong {len(judge.wrong)}, load "
+                    f"{judge.oldest_s:.3f} s, {len(judge.wrong)} wrong, load "
                     f"{os.getloadavg()[0]:.1f}",
                 )  # fmt: skip
         observer.until(lambda: False, FREEZE_S[1])

@@ -34,10 +34,10 @@ def browsed(options: RunOptions) -> Iterator[tuple[Session, Any]]:
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
-        raise PlateError("playwright is missing, allowed: make test-tools") from None
+        raise PlateError("playwright is not installed: make test-tools") from None
     chromium = program("chromium")
     if chromium is None:
-        raise PlateError("chromium is missing, allowed: apt install chromium")
+        raise PlateError("chromium is not installed: apt install chromium")
     with (
         TemporaryDirectory() as logs,
         session(options, Path(logs), pictures=False) as graph,

@@ -154,14 +154,14 @@ def checked(args: argparse.Namespace) -> Plan:
             f"port is {args.port!r} with transport {args.transport}, allowed with it: {allowed}"
         )
     if args.lockstep and transport == "serial":
-        raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
+        raise PlateError("lockstep with transport serial, allowed: transport sim")
     if args.camera and transport == "sim":
         raise PlateError(
             f"camera is {args.camera!r} with transport sim, allowed with it: no camera (the "
-            "simulated plate has its own)"
+            "simulator publishes the images)"
         )
     if args.image_rate and args.camera:
-        raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with a camera (its rate)")
+        raise PlateError(f"image rate is {args.image_rate:g}, allowed with --camera: 0")
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with --lockstep")
     Disturbances(image_rate=args.image_rate)  # raises if the rate is out of range
@@ -170,11 +170,11 @@ def checked(args: argparse.Namespace) -> Plan:
     if isinstance(scenario.task, FeedTask):
         if args.lockstep:
             raise PlateError(
-                "lockstep with a task of feed, allowed: without (a robot has its own time)"
+                "lockstep with a task of kind feed, allowed: real time, which the robot uses"
             )
         if args.port or args.camera:
             raise PlateError(
-                "port or camera with a task of feed, allowed: none (the robot is simulated)"
+                "port or camera with a task of kind feed, allowed: neither (the robot is simulated)"
             )
         check_robot(scenario.task, args.robot_cycle)
     for doubt in Planner(rig, scenario).doubts():  # raises if the task does not fit on the plate
@@ -188,8 +188,8 @@ def checked(args: argparse.Namespace) -> Plan:
         print_unmeasured("demo", rig, args.port)
     if is_played(args.camera):
         print(
-            f"demo: {args.camera} is played once and does not react to the plate: parts are found, "
-            "cycles are computed and sent to the motors, but the task cannot be done",
+            f"demo: {args.camera} is played once and does not react to the plate: parts are "
+            "detected, and cycles are computed and sent to the motors, but the task cannot be done",
             flush=True,
         )
     out = args.out or own_folder(scenario.name)
@@ -234,8 +234,8 @@ def print_unmeasured(program: str, rig: Rig, port: str) -> None:
         print("\n".join(f"  - {text}" for text in facts))
     if port:
         print(
-            "  - home: the board finds it when the motors are enabled for the first time; the "
-            "plate moves then"
+            "  - home: the board searches for it when the motors are enabled for the first time; "
+            "the plate then moves"
         )
     sys.stdout.flush()
 
@@ -244,8 +244,8 @@ def check_terminal() -> None:
     """Raise PlateError if the standard input is not a terminal, because nobody could answer."""
     if not sys.stdin.isatty():
         raise PlateError(
-            "nobody can enable the motors: stdin is no terminal. Start it in a terminal, or use "
-            "make play and enable them on the page"
+            "nobody can enable the motors, because stdin is no terminal. Start the demo in a "
+            "terminal, or use make play and enable them on the page"
         )
 
 
@@ -264,7 +264,8 @@ def await_consent(observer: Observer) -> None:
     line = b"unasked"
     while line.strip():
         print(
-            "Look at the rig. Press Enter to enable the motors; Ctrl-C: nothing moves.", flush=True
+            "Check the rig. Press Enter to enable the motors, or Ctrl-C to stop: nothing moves.",
+            flush=True,
         )
         while not select.select([terminal], [], [], 0)[0]:
             observer.until(lambda: False, StatusLine.PERIOD_S)
@@ -346,7 +347,7 @@ def run(plan: Plan) -> int:
             page = graph.page()
             print(
                 f"All {len(graph.nodes)} nodes answer after {time.monotonic() - began:.0f} s. "
-                f"To look on: {page + ' or ' if page else ''}source env.sh; export "
+                f"To watch: {page + ' or ' if page else ''}source env.sh; export "
                 f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}",
                 flush=True,
             )
@@ -439,8 +440,8 @@ def running(
             with Observer(domain, pictures=False) as observer:
                 if observer.until(lambda: bool(observer.seen(names)), LOOK_S):
                     raise GraphError(
-                        f"domain is {domain}, in which a {observer.seen(names)[0]} runs already, "
-                        "allowed: one without a graph (left out: a free one)"
+                        f"domain is {domain}, but a {observer.seen(names)[0]} runs there already, "
+                        "allowed: a domain without a graph (default: a free one)"
                     )
         with session(options, logs, domain, pictures, line.show) as graph:
             line.end()
@@ -485,7 +486,7 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
         if len(record.reports("planner")) > count:
             count, news = len(record.reports("planner")), now
         if now - news > SILENCE_S:
-            raise GraphError(f"the planner has said nothing for {SILENCE_S:g} s")
+            raise GraphError(f"no message from the planner for {SILENCE_S:g} s")
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
     over = record.states[-1]
@@ -511,14 +512,14 @@ def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
     """
     line, record = StatusLine(PROGRESS_S), observer.record
     if not observer.until(lambda: bool(record.last("feeder", "port")), FEEDER_S):
-        raise GraphError(f"the feeder has said nothing for {FEEDER_S:g} s")
+        raise GraphError(f"no message from the feeder for {FEEDER_S:g} s")
     port, picks = int(record.last("feeder", "port")), plan.args.picks
     print(f"A robot takes {picks} parts, over TCP at 127.0.0.1:{port}.", flush=True)
     with Robot(observer, port, plan.args.robot_cycle, grips) as robot:
         for grip in robot.work(picks):
             text = (
                 f"{sum(each.taken for each in grips)} of {picks} parts taken, the last "
-                f"{1e3 * grip.error_m:.2f} mm from where it was said"
+                f"{1e3 * grip.error_m:.2f} mm from the reported place"
             )
             line.show(text)
     observer.trigger("stop")
@@ -549,7 +550,7 @@ def clear(out: Path) -> None:
 def unmade(folder: Path, problem: OSError) -> PlateError:
     """Return the error that a folder of results cannot be used."""
     why = problem.strerror or problem
-    return PlateError(f"out is {folder}: {why}, allowed: a folder that can be made")
+    return PlateError(f"out is {folder}: {why}, allowed: a folder that can be created")
 
 
 def point(link: Path, folder: Path) -> None:

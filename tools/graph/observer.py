@@ -328,7 +328,7 @@ class Observer:
 
         if not self.until(lambda: not missing(), timeout_s):
             raise GraphError(
-                f"not seen within {timeout_s:g} s: {', '.join(missing())} (of {', '.join(names)})"
+                f"missing after {timeout_s:g} s: {', '.join(missing())} (of {', '.join(names)})"
             )
         return self.seen(names)
 
@@ -343,8 +343,8 @@ class Observer:
         topics = ("image_raw", "image_raw/compressed")
         if not self.until(lambda: any(map(self.node.count_publishers, topics)), timeout_s):
             raise GraphError(
-                f"no camera: nobody publishes /image_raw in ROS domain {self.domain}. Start it "
-                f"there (export ROS_DOMAIN_ID={self.domain}), or say in which domain it is: "
+                f"no camera: no node publishes /image_raw in ROS domain {self.domain}. Start it "
+                f"there (export ROS_DOMAIN_ID={self.domain}), or name its domain: "
                 "--domain N"
             )
 
@@ -372,7 +372,7 @@ class Observer:
                 allowed_s = min(allowed_s, waited_s + ANSWERED_S)
             if waited_s > allowed_s:
                 raise GraphError(
-                    f"images are not answered within {allowed_s:.0f} s: {self.blame()} "
+                    f"no result for an image within {allowed_s:.0f} s: {self.blame()} "
                     f"({self.node.count_publishers('plate_cycle')} publishers of plate_cycle seen, "
                     f"{len(self.record.tables)} motor tables)"
                 )
@@ -385,7 +385,7 @@ class Observer:
             if name in newest and newest[name].level in (Level.ERROR, Level.STALE):
                 return f"{name}: {newest[name].text}"
         told = [f"{name}: {said.text}" for name, said in newest.items()]
-        return "; ".join(told) or "no node says how it is"
+        return "; ".join(told) or "no node publishes diagnostics"
 
     def activate_driver(self) -> None:
         """Configure and activate the driver, so that it forwards the solver's cycles.
@@ -418,7 +418,7 @@ class Observer:
         said, now = self.record.said, time.monotonic()
         self.until(lambda: any(each.at > now for each in said.get(node, ())), FRESH_S)
         told = said[node][-1].text if node in said else "nothing"
-        raise GraphError(f"{transition} refused, {node} says: {told}")
+        raise GraphError(f"{transition} refused, {node} reports: {told}")
 
     def check_not_stopped(self) -> None:
         """Check that nobody has stopped the motors or the task. Only a person may clear such a
@@ -433,7 +433,7 @@ class Observer:
         if driver is not None and driver.reason in PERSONS:
             raise GraphError(f"stopped before the task began, driver: {driver.text}")
         if task is not None and (task.state, task.reason) == (TaskStatus.IDLE, TaskStatus.STOPPED):
-            raise GraphError("stopped before the task began: somebody called the service stop")
+            raise GraphError("stopped before the task began by the service stop")
 
     def enable(self) -> None:
         """Enable the motors, as an operator does after a look at the rig, and wait until the driver
@@ -472,8 +472,8 @@ class Observer:
         while not self.until(lambda: self.record.ready, LOOK_S):
             said = "nothing" if self.record.driver is None else self.record.driver.text
             if time.monotonic() > end:
-                raise GraphError(f"the driver is not ready within {READY_S:g} s, it says: {said}")
-            self._waiting(f"waiting for the driver, it says: {said}")
+                raise GraphError(f"the driver is not ready within {READY_S:g} s: {said}")
+            self._waiting(f"waiting for the driver, it reports: {said}")
 
     def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
         """Send the goal of a scenario, and wait until its task runs or has ended. A refused goal is

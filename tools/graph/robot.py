@@ -85,7 +85,7 @@ class Robot:
         self._text = b""
         self._client = self.observer.node.create_client(MoveRobot, "simulator/move_robot")
         if not self.observer.until(self._client.service_is_ready, CONNECT_S):
-            raise GraphError("service simulator/move_robot is not there")
+            raise GraphError("service simulator/move_robot does not exist")
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -121,7 +121,7 @@ class Robot:
         except BlockingIOError:
             return b"\n" in self._text
         if not data:
-            raise GraphError("the feeder has ended the connection")
+            raise GraphError("the feeder has closed the connection")
         self._text += data
         return b"\n" in self._text
 

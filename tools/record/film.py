@@ -94,7 +94,7 @@ def develop(record: Record, rig: Rig) -> Film:
     # A report has the stamp of its image. After the end of the task its `time_s` is constant.
     reports = [r for r in record.reports("planner") if float(r.values.get("time_s", "0")) > 0]
     if not reports or not record.truth:
-        raise PlateError("the task never began: there is nothing to judge or draw")
+        raise PlateError("the task never began: there is nothing to evaluate or draw")
     began = reports[0].stamp - round(1e9 * float(reports[0].values["time_s"]))
     truth = [deserialize_message(data, Parts) for data in record.truth]
     ids = tuple(dict.fromkeys(part.id for msg in truth for part in msg.parts))

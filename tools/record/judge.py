@@ -85,7 +85,7 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
         if hottest > 1 + ROUNDING:
             faults.append(f"motor table {number}: heat {hottest:.4f} of the limit")
         if before is not None and not (cycle.starts_at_rest or cycle.follows(before)):
-            faults.append(f"motor table {number}: begins neither at rest nor as the last one ends")
+            faults.append(f"motor table {number}: begins neither at rest nor in the last one's end")
         if not is_rest(cycle.parts[-1].state(-1)):
             faults.append(f"motor table {number}: does not end at rest at home")
         before = cycle
@@ -178,9 +178,9 @@ def _moved(result: dict[str, Any]) -> tuple[str, str]:
         whose = "part followed its path" if result["parts"] == 1 else "parts followed their paths"
         done = f"{result['parts']} {whose}, error {1e3 * result['rms_error_m']:.2f} mm rms"
         if result["pace"] < SLOWED:
-            done += f", at {100 * result['pace']:.0f} % of the speed asked for"
+            done += f", at {100 * result['pace']:.0f} % of the requested speed"
     if result["turn_error_deg"] is not None:
-        done += f", {result['turn_error_deg']:.1f} degrees off at most"
+        done += f", maximum angle error {result['turn_error_deg']:.1f} degrees"
     done += f" in {result['time_s']:.1f} s and {result['cycles']} cycles"
     used = max(result[f"{name}_share_max"] for name in SHARES)
     waits = [f"{result[key]} {words}" for key, words in WAITS.items() if result[key]]
@@ -193,10 +193,10 @@ def _fed(result: dict[str, Any]) -> tuple[str, str]:
     if result["picks"]:
         (away, most), (turned, most_turned) = result["pick_error_mm"], result["pick_error_deg"]
         done += (
-            f" ({result['parts_per_minute']:.0f} a minute), the robot waited "
-            f"{100 * result['robot_waits_share']:.1f} % of the time. Parts lay {away:.2f} mm and "
-            f"{turned:.1f} degrees from where they were said, {most:.2f} mm and {most_turned:.1f} "
-            "degrees at most"
+            f" ({result['parts_per_minute']:.0f} per minute), the robot waited "
+            f"{100 * result['robot_waits_share']:.1f} % of the time. The parts' errors were "
+            f"{away:.2f} mm and {turned:.1f} degrees, at most {most:.2f} mm and {most_turned:.1f} "
+            "degrees"
         )
     return (
         f"{done}; {result['picks_failed']} picks failed, {result['discharged']} parts went to the "

@@ -403,16 +403,16 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
         Sample(
             arrows.length,
             lambda c: arrows.draw(c, np.zeros((1, 2)), force, 1.2, 0.0),
-            f"mean force; longest arrows: {arrows.force:g} mu mg (a part's friction) or more",
+            f"mean force; longest arrows: {arrows.force:g} mu mg or more (a part's friction)",
         )
     )
     if scene.scenario.marked:
-        told = "angle of a part" + "; dashed: wanted" * bool(scene.poses)
+        told = "angle of a part" + "; dashed: target" * bool(scene.poses)
         found.append(Sample(ray, lambda c: c.line([(0, 0), (ray, 0)], INK, 2), told))
     if scene.chute is not None:
         found.append(Sample(2 * radius, lambda c: c.line([(0, 0), 2 * end], FORCE, 6), "chute"))
     if scene.feeds:
-        told = "taken, or over the edge, a moment ago"
+        told = "just taken, or fallen over the edge"
         found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), told))
     elif scene.film.dropped:
         found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), "fell off here"))
