@@ -206,9 +206,9 @@ def test_home_is_found_wherever_the_camera_was_mounted(view):
 
 
 def test_home_is_not_found_without_the_whole_plate():
-    with pytest.raises(CalibrationError, match="not seen on all four sides"):
+    with pytest.raises(CalibrationError, match="not visible on all four sides"):
         find_plate_corners(picture(View(at=(0.3, 0.0))), rig_of(VIEW))
-    with pytest.raises(CalibrationError, match="not seen on all four sides"):
+    with pytest.raises(CalibrationError, match="not visible on all four sides"):
         find_plate_corners(np.full((480, 640), 90, np.uint8), rig_of(VIEW))
 
 
