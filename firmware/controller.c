@@ -9,12 +9,12 @@
 #define WATCHDOG_US 250000u
 #define TELEMETRY_US 10000u
 #define LONGEST_UNTOLD_US 100000u
-#define HOLD_MS 10000u      /* longest time that a table is played again */
+#define HOLD_MS 10000u      /* maximum time for which a table is repeated */
 #define TICKS_PER_MS 100000u
-#define WINDOW 8            /* knot messages that may be on their way: what the board's buffer holds */
-#define BRAKE_ROOM 0.1f     /* acceleration beyond the limit while braking [share] */
-#define ASTRAY_TICKS 3      /* with a following error, on end, that are a fault */
-#define MOST_HEAT_US 1000000u /* between two ticks: so that it is a float [us] */
+#define WINDOW 8            /* maximum knot messages in flight, which fit into the board's buffer */
+#define BRAKE_ROOM 0.1f     /* allowed relative excess of the acceleration while braking */
+#define ASTRAY_TICKS 3      /* consecutive ticks with a following error that count as a fault */
+#define MOST_HEAT_US 1000000u /* maximum time between two ticks, exact as a float [us] */
 
 static void send(Controller *c, uint8_t type, const uint8_t *fields, size_t size)
 {
@@ -57,13 +57,13 @@ static void tell_pulse(Controller *c, const uint8_t host_ns[8])
     send(c, PULSE, fields, sizeof fields);
 }
 
-/* Mean square of a motor's force that it bears continuously [N2]. */
+/* Square of a motor's continuous force [N2]. */
 static float continuous_square(const Controller *c)
 {
     return c->limits.continuous_force * c->limits.continuous_force;
 }
 
-/* A value for telemetry: one that is not finite would make the host refuse the whole packet. */
+/* Value for telemetry. The host would refuse the packet if it had a value that is not finite. */
 static float told(float value) { return isfinite(value) ? value : 0; }
 
 static void tell_state(Controller *c)
@@ -90,7 +90,7 @@ static void tell_state(Controller *c)
     send(c, TELEMETRY, fields, (size_t)(at - fields));
 }
 
-/* What a drive says of itself, beside telemetry, while there is something. */
+/* Report of a drive's fault, in addition to telemetry, while there is one. */
 static void tell_trouble(Controller *c)
 {
     Trouble trouble;
@@ -105,7 +105,7 @@ static void tell_trouble(Controller *c)
 
 /* Stops */
 
-/* A stop: brake, or current off at once; counted also where no current flows. */
+/* A stop: brake, or switch the current off at once. It is also counted if the current is off. */
 static void stop(Controller *c, bool now, uint8_t faults)
 {
     uint16_t before = c->stops;
@@ -117,7 +117,7 @@ static void stop(Controller *c, bool now, uint8_t faults)
         c->stops++;
 }
 
-/* The board's faults: each that appears anew is a stop, also while the motors are off. */
+/* Faults of the board. Each new fault is a stop, also while the motors are off. */
 static void watch_board(Controller *c)
 {
     uint8_t faults = hal_faults(), appeared = faults & (uint8_t)~c->board;
@@ -126,7 +126,7 @@ static void watch_board(Controller *c)
         stop(c, true, appeared);
 }
 
-/* Where the motors are, and whether that is where they were told to be in the tick before. */
+/* Measure the motors, and compare them with the setpoint of the last tick. */
 static void measure(Controller *c)
 {
     bool astray = false;
@@ -134,7 +134,7 @@ static void measure(Controller *c)
     for (int m = 0; m < MOTORS && c->follows; m++) {
         float error = fabsf(c->measured[m] - c->commanded.position[m]);
         c->following_m = fmaxf(c->following_m, error);
-        astray = astray || !(error <= c->limits.following_m); /* what is not finite, too */
+        astray = astray || !(error <= c->limits.following_m); /* also true for values that are not finite */
     }
     astray = astray && c->limits.following_m > 0;
     c->astray = astray ? (uint8_t)(c->astray + 1) : 0;
@@ -177,12 +177,12 @@ static uint8_t begin(Controller *c, const uint8_t *fields)
     if (count > MAX_KNOTS)
         return STATUS_TOO_LONG;
     if (count == 0 && splice)
-        return STATUS_WRONG_TIMES; /* a stream goes on without one */
+        return STATUS_WRONG_TIMES; /* a stream has no tail */
     table_open(table, id, count, get_u32(fields + 4), splice);
     return STATUS_DONE;
 }
 
-/* The stream with a number, while knots may be added to it. */
+/* The stream with this number, if knots may be added to it. */
 static Table *stream_of(Controller *c, uint16_t id)
 {
     const bool open[3] = {c->state == STATE_PLAYING, c->waiting, true};
@@ -193,8 +193,8 @@ static Table *stream_of(Controller *c, uint16_t id)
     return NULL;
 }
 
-/* Go on adding the knots of the message that is held, while there is work left; no more bytes are
-   read before it is answered. */
+/* Continue to add the knots of the held message while there is work left. No more bytes are read before
+   the message is answered. */
 static void add_knots(Controller *c, int *work)
 {
     const uint8_t *fields = c->reader.held + HEADER_BYTES;
@@ -210,7 +210,7 @@ static void add_knots(Controller *c, int *work)
         uint16_t known = (uint16_t)(table->next - first);
         if (plays && table_rests(table) &&
             c->time + BRAKE_TICKS / 2 - table_knot(table, 0)->ticks > table_period(table))
-            status = STATUS_WRONG_STATE; /* at its end: too late, since a brake must fit */
+            status = STATUS_WRONG_STATE; /* too late: a brake would no longer fit before its end */
         else if (known >= 0x8000)
             status = STATUS_INCOMPLETE;
         else if (known >= (c->adding - 4) / KNOT_BYTES)
@@ -225,7 +225,7 @@ static void add_knots(Controller *c, int *work)
     acknowledge(c, get_u16(c->reader.held + 1), status);
 }
 
-/* Knots for the table that is open, or for a stream. */
+/* Knots for the open table, or for a stream. */
 static void fill(Controller *c, uint16_t sequence, const uint8_t *fields, size_t size, int *work)
 {
     Table *table = &c->tables[c->filling];
@@ -244,7 +244,7 @@ static void fill(Controller *c, uint16_t sequence, const uint8_t *fields, size_t
     acknowledge(c, sequence, STATUS_DONE);
 }
 
-/* The table that was filled waits, in place of one that did. */
+/* The filled table now waits to be played, and replaces a waiting one. */
 static void wait_to_play(Controller *c)
 {
     int before = c->next;
@@ -254,7 +254,7 @@ static void wait_to_play(Controller *c)
     c->waiting = true;
 }
 
-/* Whether what was filled may be taken over; that of a table remains to be looked at. */
+/* Whether the filled table or stream may be played. The check of a table is still to be completed. */
 static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
 {
     Table *table = &c->tables[c->filling];
@@ -264,15 +264,15 @@ static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
     if (table->id == 0 || table->id != get_u16(fields))
         return STATUS_WRONG_TABLE;
     if (c->state == STATE_PLAYING && (table->streams || c->tables[c->playing].streams))
-        return STATUS_WRONG_STATE; /* a stream has no end to begin at */
+        return STATUS_WRONG_STATE; /* a stream has no end at which a table could begin */
     if (repeats == 0 || (table->streams && repeats != 1))
         return STATUS_REPEATS;
     for (int m = 0; m < MOTORS && c->state == STATE_READY; m++)
         if (!(fabsf(c->commanded.position[m]) <= REST_M))
-            return STATUS_JUMP; /* a stream has ended elsewhere: only stop and enable lead home */
+            return STATUS_JUMP; /* a stream has ended away from home: stop and enable move the plate home */
     if (table->streams) {
         if (table->count < 2 || table_period(table) < BRAKE_TICKS)
-            return STATUS_INCOMPLETE; /* it must always be able to brake */
+            return STATUS_INCOMPLETE; /* it must always be possible to brake */
         if (!knot_is_home(table_knot(table, 0)))
             return STATUS_JUMP;
         wait_to_play(c);
@@ -298,7 +298,7 @@ static void answer_commit(Controller *c, uint8_t status)
     acknowledge(c, c->commit_sequence, status);
 }
 
-/* Look at the table that is being filled; answer Commit when all of it has been looked at. */
+/* Check the table that is being filled. Answer Commit when the check is complete. */
 static void look(Controller *c, int work)
 {
     Table *table = &c->tables[c->filling];
@@ -341,7 +341,7 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
     tell_capabilities(c, session);
 }
 
-/* Whenever it comes: it moves nothing. */
+/* Allowed at any time, because it moves nothing. */
 static void set_trigger(Controller *c, uint16_t sequence, const uint8_t *fields)
 {
     c->trigger.phase = get_u16(fields);
@@ -349,13 +349,13 @@ static void set_trigger(Controller *c, uint16_t sequence, const uint8_t *fields)
     acknowledge(c, sequence, STATUS_DONE);
 }
 
-/* Done in order, and once. */
+/* Executed in order, and once. */
 static void ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_t *fields)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
     bool later = false;
     if (c->committing && sequence == c->commit_sequence)
-        return; /* it will be answered */
+        return; /* it will be answered later */
     if (ahead != 0 && ahead < 0x8000) {
         if (c->committing)
             answer_commit(c, STATUS_OLD);
@@ -368,7 +368,7 @@ static void ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_
         acknowledge(c, sequence, ahead < 0x8000 ? c->answer : (uint8_t)STATUS_OLD);
 }
 
-/* Always done; a repetition of the last one is a stop only where it still ends anything. */
+/* Always executed. A repetition of the last Stop counts as a stop only if something still moves. */
 static void obey_stop(Controller *c, uint16_t sequence, bool now)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
@@ -386,7 +386,7 @@ static void obey_stop(Controller *c, uint16_t sequence, bool now)
     acknowledge(c, sequence, STATUS_DONE);
 }
 
-/* Whether a packet has its type's length, and no value that is not allowed. */
+/* Whether a packet has the length of its type, and only allowed values. */
 static bool sound(uint8_t type, const uint8_t *fields, size_t size)
 {
     switch (type) {
@@ -433,7 +433,7 @@ static void obey(Controller *c, size_t size, int *work)
         ordered(c, type, sequence, fields);
 }
 
-/* Read and obey what has come, as far as a tick goes. */
+/* Read and execute received packets, up to the limits of a tick. */
 static void listen(Controller *c, int *work)
 {
     size_t bytes = TICK_BYTES;
@@ -468,9 +468,9 @@ void controller_start(Controller *c, Limits limits)
     hal_drive(false);
 }
 
-/* What may be commanded, also after what was commanded `dt` [s] ago. A brake adds at most
-   1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration; where one table follows another
-   both may be as far from rest at home as a table may. */
+/* Whether a setpoint may be commanded, `dt` [s] after the last one. A brake adds at most
+   1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration. Between two tables, both may deviate
+   from rest at home by the allowed tolerance. */
 static bool sane(const Controller *c, const Setpoint *at, float dt)
 {
     const Limits *limits = &c->limits;
@@ -478,7 +478,7 @@ static bool sane(const Controller *c, const Setpoint *at, float dt)
     float stroke = limits->stroke_m * (1 + LIMIT_SLACK);
     float step = speed * dt + REST_M, change = accel * dt + 2 * REST_SPEED;
     bool inside = true;
-    for (int m = 0; m < MOTORS; m++) /* false for what is not finite, too */
+    for (int m = 0; m < MOTORS; m++) /* also false for values that are not finite */
         inside = inside && fabsf(at->position[m]) <= stroke && fabsf(at->velocity[m]) <= speed &&
                  fabsf(at->acceleration[m]) <= accel &&
                  fabsf(at->position[m] - c->commanded.position[m]) <= step &&
@@ -486,8 +486,8 @@ static bool sane(const Controller *c, const Setpoint *at, float dt)
     return inside;
 }
 
-/* Heat of the motors follows the square of their force; returns whether they bear it. What is added
-   in a tick is little beside the sum, so the rounding error is carried on (Kahan 1965). */
+/* Update the motors' heat, a filtered square of their force. Return whether it is within the limit. The
+   increment per tick is small compared with the sum, so the sum is compensated (Kahan 1965). */
 static bool heat_step(Controller *c, uint32_t dt_us, const Setpoint *at)
 {
     float share = fminf((float)dt_us * 1e-6f / c->limits.heat_s, 1);
@@ -535,10 +535,10 @@ void controller_tick(Controller *c)
     uint32_t heat_us = passed < MOST_HEAT_US ? (uint32_t)passed : MOST_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
-    uint64_t silent_us = c->now_us - c->told_us; /* a slow line carries less of it, but never none */
+    uint64_t silent_us = c->now_us - c->told_us; /* a slow line sends it less often */
     if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= LONGEST_UNTOLD_US)) {
         c->told_us = c->now_us;
-        tell_trouble(c); /* before the fault that it explains */
+        tell_trouble(c); /* sent before the fault that it explains */
         tell_state(c);
     }
     hal_watchdog();

@@ -6,55 +6,55 @@
 #include "table.h"
 #include "trigger.h"
 
-/* What a tick does at most, whatever the host sends; the rest waits. */
-#define TICK_BYTES 128 /* that are read */
-#define TICK_PACKETS 4 /* that are obeyed */
-#define TICK_WORK 24   /* of looking at tables: three pieces, or halvings */
+/* Maximum work per tick, whatever the host sends. The rest waits. */
+#define TICK_BYTES 128 /* bytes read */
+#define TICK_PACKETS 4 /* packets executed */
+#define TICK_WORK 24   /* units for checking tables: three pieces, or 24 bisections */
 
-#define MOST_TICK_US 2000u /* a tick that comes later moves the plate on by this much */
+#define MOST_TICK_US 2000u /* maximum step of the plate's time per tick; a later tick advances only by this */
 
 typedef struct {
     Limits limits;
     Reader reader;
-    uint8_t input[TICK_BYTES]; /* bytes that were read and not yet taken */
+    uint8_t input[TICK_BYTES]; /* bytes that were read but not decoded yet */
     uint8_t input_count, input_at;
     uint16_t sent; /* sequence number of the next packet */
     bool session_open;
     uint32_t session;
-    uint16_t answered; /* newest ordered command */
+    uint16_t answered; /* sequence number of the newest ordered command */
     uint8_t answer;
-    bool committing;   /* a Commit waits for its answer until its table has been looked at */
+    bool committing;   /* a Commit is answered after its table has been checked */
     uint16_t commit_sequence, commit_repeats;
-    uint8_t adding;    /* bytes of the message in reader.held that is being added to a stream, or 0 */
+    uint8_t adding;    /* size of the message in reader.held that is being added to a stream, or 0 */
     uint8_t state, faults;
-    uint8_t board;     /* faults of the board, as of this tick */
-    uint16_t stops;    /* number of the present stop, or of the last one */
-    bool stop_known;   /* there was a Stop in this session: this one */
+    uint8_t board;     /* faults of the board in this tick */
+    uint16_t stops;    /* number of the current or last stop */
+    bool stop_known;   /* whether this session had a Stop; the next fields describe it */
     uint16_t stop_sequence;
     bool stop_now;
     uint64_t now_us, heard_us, told_us, enabled_us;
     Trigger trigger;
     Table tables[3];
-    int playing, next, filling; /* which is which: 0, 1 and 2 in some order */
-    bool waiting;      /* the next one is to be taken over */
-    uint32_t time;     /* in the table [TICK_S], on the clock of its knots */
-    uint32_t played;   /* times the table has been played */
-    uint32_t brake, brake_length; /* time since the brake began, and its length [TICK_S] */
+    int playing, next, filling; /* indices in tables: a permutation of 0, 1 and 2 */
+    bool waiting;      /* whether the next table waits to be played */
+    uint32_t time;     /* time in the playing table [TICK_S] */
+    uint32_t played;   /* number of times that the table has been played */
+    uint32_t brake, brake_length; /* time since the start of the brake, and its duration [TICK_S] */
     bool going_home;
-    uint32_t home_us;  /* time since the way home began */
-    float from[MOTORS];           /* where the way home begins [m] */
-    Setpoint commanded;           /* last; of rest, where the motors were when they were enabled */
-    bool follows;                 /* the motors were told to be there in the tick before */
+    uint32_t home_us;  /* time since the motion home began [us] */
+    float from[MOTORS];           /* start of the motion home [m] */
+    Setpoint commanded;           /* last setpoint; at rest, the position at the enable */
+    bool follows;                 /* whether `commanded` was sent to the motors in the last tick */
     float measured[MOTORS], accelerations[MOTORS];
-    uint8_t astray;               /* ticks on end with a following error that is a fault */
-    float following_m;            /* largest following error since the last telemetry */
-    float heat[MOTORS];           /* mean square of each motor's force, of late [N2], */
-    float heat_rest[MOTORS];      /* and what rounding has left out of it */
+    uint8_t astray;               /* consecutive ticks with an excessive following error */
+    float following_m;            /* maximum following error since the last telemetry [m] */
+    float heat[MOTORS];           /* filtered mean square of each motor's force [N2] */
+    float heat_rest[MOTORS];      /* rounding error of `heat` (compensated summation) */
 } Controller;
 
 void controller_start(Controller *c, Limits limits);
 
-/* Once per control tick, as regularly as the board can: 1 kHz or more. */
+/* Call this once per control tick, at regular intervals: 1 kHz or more. */
 void controller_tick(Controller *c);
 
 #endif

@@ -4,9 +4,9 @@
 
 #include "message.h"
 
-#define HOMEWARD_US 500000u /* for a stroke: 0.04 m/s, 0.25 m/s2 */
+#define HOMEWARD_US 500000u /* duration of a motion home over one stroke: up to 0.04 m/s, 0.25 m/s2 [us] */
 #define HOMEWARD_S 0.5f
-#define SEARCH_US 5000000u  /* longest search for home */
+#define SEARCH_US 5000000u  /* maximum duration of the search for home */
 #define TICKS_PER_US 100u   /* of TICK_S */
 
 void motion_off(Controller *c, uint8_t faults)
@@ -19,7 +19,7 @@ void motion_off(Controller *c, uint8_t faults)
     c->waiting = c->going_home = c->follows = false;
 }
 
-/* From rest at c->commanded; STATE_HOMING ends in READY, STATE_BRAKING in OFF. */
+/* Start a motion home, from rest at c->commanded. STATE_HOMING ends in READY, STATE_BRAKING in OFF. */
 static void go_home(Controller *c)
 {
     memcpy(c->from, c->commanded.position, sizeof c->from);
@@ -55,8 +55,8 @@ void motion_enable(Controller *c)
     hal_drive(true);
 }
 
-/* Wait for the motors and find home; the way there begins in the tick after, from what is then
-   measured. */
+/* Wait for the motors and search for home. The motion home begins in the next tick, at the position
+   measured then. */
 static void search(Controller *c)
 {
     if (hal_ready() && hal_home())
@@ -65,7 +65,7 @@ static void search(Controller *c)
         motion_off(c, FAULT_HARDWARE);
 }
 
-/* The table that waits begins to play; the buffer of the one before is empty. */
+/* The waiting table begins to play, and the buffer of the last one becomes free. */
 static void take_over(Controller *c)
 {
     int before = c->playing;
@@ -82,7 +82,7 @@ uint32_t motion_into(const Controller *c)
     return c->time - table_knot(&c->tables[c->playing], 0)->ticks;
 }
 
-/* Whether a stream's last knots are needed for a brake. */
+/* Whether a brake needs a stream's last knots. */
 static bool runs_dry(const Controller *c, uint32_t dt)
 {
     const Table *table = &c->tables[c->playing];
@@ -97,8 +97,8 @@ bool motion_joins(const Controller *c, const Table *next)
            table_follows(next, table);
 }
 
-/* Let the table's time pass: take over at its splice or its end, begin again, or rest at its end.
-   Its cycle and its tail are longer than any tick, so that this happens once at most. */
+/* Advance the table's time. At its splice or end, start the next table, repeat it, or come to rest. Its
+   cycle and its tail are longer than any tick, so that this happens at most once. */
 static void pass(Controller *c, uint32_t step)
 {
     const Table *table = &c->tables[c->playing];
@@ -127,7 +127,7 @@ static float brake_rate(float u)
     return 1 - u * u * (3 - 2 * u);
 }
 
-/* Along the table, slower and slower when braking. */
+/* Advance along the table, with decreasing speed while braking. */
 static void play(Controller *c, uint32_t dt, Setpoint *at)
 {
     float rate = 1, slowing = 0;
@@ -153,7 +153,7 @@ static void play(Controller *c, uint32_t dt, Setpoint *at)
     }
 }
 
-/* From where the plate stands to home, from rest to rest. */
+/* Move home from the current position, from rest to rest. */
 static bool homeward(Controller *c, uint32_t dt_us, Setpoint *at)
 {
     c->home_us = c->home_us + dt_us < HOMEWARD_US ? c->home_us + dt_us : HOMEWARD_US;
@@ -183,7 +183,7 @@ bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at)
     if (c->state == STATE_READY && c->waiting) {
         take_over(c);
         c->state = STATE_PLAYING;
-        dt = 0; /* it begins now */
+        dt = 0; /* the motion begins now */
     }
     if (c->state == STATE_HOMING && !c->going_home && (c->faults & FAULT_NO_HOME || !hal_ready())) {
         search(c);
@@ -202,7 +202,7 @@ bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at)
         play(c, dt, at);
         return true;
     }
-    memset(at, 0, sizeof *at); /* ready: at rest where it was told to be last */
+    memset(at, 0, sizeof *at); /* ready: at rest at the last setpoint */
     memcpy(at->position, c->commanded.position, sizeof at->position);
     return c->state == STATE_READY;
 }

@@ -1,30 +1,30 @@
-/* What the plate does: along tables, braking, on its way home. */
+/* Motion of the plate: along tables, while braking, and home. */
 #ifndef PLATE_MOTION_H
 #define PLATE_MOTION_H
 
 #include "controller.h"
 
-/* Longest brake [TICK_S]: 0.2 s, short, but gentle against the plate's 10 g. It takes half as long
-   of the path. */
+/* Maximum duration of a brake [TICK_S]: 0.2 s, which is short, but gentle compared with the plate's
+   10 g. The brake uses half as much time of the table. */
 #define BRAKE_TICKS 20000000u
 
-/* Current off, for the reasons given: a stop, if current flowed and there are any. */
+/* Switch the current off. This counts as a stop if the current was on and `faults` is not 0. */
 void motion_off(Controller *c, uint8_t faults);
 
-/* Slow down along the table and its tail and go home; off at once where nothing plays. A stop, unless the plate
-   brakes for these reasons already. */
+/* Slow down along the table and its tail, then move home. Without a playing table, switch off at once.
+   This counts as a stop, unless the plate already brakes for these reasons. */
 void motion_brake(Controller *c, uint8_t faults);
 
-/* Current on: find home if it is not known, then go there. */
+/* Switch the current on, search for home if it is unknown, and move there. */
 void motion_enable(Controller *c);
 
-/* Whether a table goes on where the one that plays is spliced, and that is still ahead. */
+/* Whether a table continues the playing table at its splice, which has not been reached yet. */
 bool motion_joins(const Controller *c, const Table *next);
 
-/* How far into the table that plays it is [TICK_S]. */
+/* Time within the playing table [TICK_S]. */
 uint32_t motion_into(const Controller *c);
 
-/* Let `dt_us`, at most MOST_TICK_US, pass; returns whether there is a setpoint to command. */
+/* Advance by `dt_us`, at most MOST_TICK_US. Return whether there is a setpoint to command. */
 bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at);
 
 #endif

@@ -17,7 +17,7 @@ void piece_at(const Knot *a, const Knot *b, uint32_t into, Setpoint *out)
     float ticks = (float)(b->ticks - a->ticks), h = ticks * TICK_S;
     float s = (float)into / ticks;
     for (int m = 0; m < MOTORS; m++) {
-        /* The quintic in s = t/h; c3 to c5 from what a's Taylor polynomial misses at b. */
+        /* Quintic in s = t/h. c3 to c5 follow from the error of a's Taylor polynomial at b. */
         float c1 = h * a->velocity[m], c2 = 0.5f * h * h * a->acceleration[m];
         float dp = b->position[m] - a->position[m] - c1 - c2;
         float dv = h * b->velocity[m] - c1 - 2 * c2;
@@ -28,7 +28,7 @@ void piece_at(const Knot *a, const Knot *b, uint32_t into, Setpoint *out)
         out->position[m] = a->position[m] + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))));
         out->velocity[m] = (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * (5 * c5))))) / h;
         out->acceleration[m] = (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * (20 * c5)))) / (h * h);
-        /* No negative zero: which zero it is depends on how the sum is made. */
+        /* Avoid negative zero, because the sign of a zero depends on the order of the sum. */
         out->position[m] += 0.0f;
         out->velocity[m] += 0.0f;
         out->acceleration[m] += 0.0f;
@@ -40,7 +40,7 @@ typedef struct {
     float position[6], speed[5], accel[4];
 } Hull;
 
-/* From differences of positions, without the cancellation of near-equal points. */
+/* Computed from differences of positions, to avoid cancellation of nearly equal points. */
 static void hull(const Knot *a, const Knot *b, int motor, Hull *out)
 {
     float h = (float)(b->ticks - a->ticks) * TICK_S;
@@ -65,12 +65,12 @@ static float mean_square(const float p[4])
            140;
 }
 
-/* Keep a curve for a closer look, if its hull passes the limit. */
+/* Keep a curve for bisection if its hull exceeds the limit. */
 static void open_curve(Look *look, const float *points, int count, float limit, int halvings)
 {
     bool inside = true;
     for (int i = 0; i < count; i++)
-        inside = inside && fabsf(points[i]) <= limit; /* false for what is not finite, too */
+        inside = inside && fabsf(points[i]) <= limit; /* also false for values that are not finite */
     if (inside)
         return;
     Curve *curve = &look->open[look->opens++];
@@ -106,8 +106,8 @@ static void look_begin(Look *look, const Knot *a, const Knot *b, const Limits *l
     }
 }
 
-/* Halve the curve that was opened last; returns false if it passes its limit for certain, or if
-   it cannot be told. */
+/* Bisect the last kept curve. Return false if it certainly exceeds its limit, or if the bisections do not
+   suffice to decide. */
 static bool halve(Look *look)
 {
     Curve whole = look->open[--look->opens];
@@ -115,7 +115,7 @@ static bool halve(Look *look)
     if (++look->halved > MOST_HALVINGS || whole.halvings == 0 ||
         !(fabsf(whole.points[0]) <= whole.limit) || !(fabsf(whole.points[n - 1]) <= whole.limit))
         return false;
-    float left[6], *rest = whole.points; /* which becomes the right half */
+    float left[6], *rest = whole.points; /* `whole` becomes the right half */
     for (int k = 0; k < n; k++) { /* de Casteljau */
         left[k] = rest[0];
         for (int i = 0; i + 1 < n - k; i++)

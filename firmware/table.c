@@ -6,10 +6,10 @@
 #include "frame.h"
 #include "message.h"
 
-/* Shortest table, or part of one before or after its splice [TICK_S]: 10 ms, several ticks. */
+/* Minimum duration of a table, and of its parts before and after its splice [TICK_S]: 10 ms. */
 #define SHORTEST_TABLE 1000000u
 
-/* Longest piece of a stream [TICK_S]: 50 ms, so that times never wrap. */
+/* Maximum duration of a stream's piece [TICK_S]: 50 ms, so that times do not wrap. */
 #define LONGEST_PIECE 5000000u
 
 static void floats_read(float *out, const uint8_t *bytes)
@@ -81,7 +81,7 @@ uint32_t table_part(const Table *table, uint32_t *into)
     return table_period(table) - table->splice;
 }
 
-/* Number of the piece that is played. */
+/* Number of the playing piece. */
 static int piece_number(const Table *table, uint32_t into)
 {
     uint32_t begin = table_knot(table, 0)->ticks;
@@ -100,7 +100,7 @@ void table_at(const Table *table, uint32_t into, Setpoint *out)
 {
     if (into == table_period(table)) {
         *out = (Setpoint){0};
-        for (int m = 0; m < MOTORS; m++) /* no negative zero */
+        for (int m = 0; m < MOTORS; m++) /* avoid negative zero */
             out->position[m] = table_knot(table, table->count - 1)->position[m] + 0.0f;
         return;
     }
@@ -137,7 +137,7 @@ void table_put(Table *table, int number, const uint8_t bytes[KNOT_BYTES])
     table->have++;
 }
 
-/* Whether a knot follows upon the one before; the last one, after a splice that there is, to rest. */
+/* Whether a knot may follow the one before. If there is a splice, the last knot must be at rest. */
 static uint8_t check_order(const Table *table, int number)
 {
     const Knot *knot = &table->knots[number];
@@ -152,7 +152,7 @@ static uint8_t check_order(const Table *table, int number)
     return knot_is_home(knot) ? STATUS_DONE : STATUS_JUMP;
 }
 
-/* Whether the motors bear the heat of what has been looked at, so long [TICK_S]. */
+/* Whether the checked part, of this duration [TICK_S], keeps the motors' heat limit. */
 static bool bear(const Check *check, const Limits *limits, uint32_t ticks)
 {
     float square = limits->continuous_force * limits->continuous_force;
@@ -163,7 +163,7 @@ static bool bear(const Check *check, const Limits *limits, uint32_t ticks)
     return bears;
 }
 
-/* What only the whole table tells. */
+/* Checks that need the whole table. */
 static uint8_t check_whole(const Table *table, const Limits *limits)
 {
     if (table->check.crc != table->crc)
@@ -213,7 +213,7 @@ bool stream_add(Table *stream, const uint8_t bytes[KNOT_BYTES], uint32_t time,
     if (stream->count > 0) {
         const Knot *last = table_knot(stream, stream->count - 1);
         uint32_t step = added.ticks - last->ticks;
-        float heat[MOTORS] = {0}; /* is followed as it plays */
+        float heat[MOTORS] = {0}; /* the heat of a stream is checked while it plays */
         bool keeps;
         if (stream->count == MAX_KNOTS)
             gone = piece_number(stream, time - table_knot(stream, 0)->ticks);

@@ -1,6 +1,6 @@
 #include "trigger.h"
 
-#define REST_US 100000u /* between pulses while no table plays */
+#define REST_US 100000u /* period of the pulses while no table plays [us] */
 #define US_PER_MS 1000u
 
 bool trigger_step(Trigger *t, uint64_t now_us, uint32_t into, uint32_t period)
@@ -12,7 +12,7 @@ bool trigger_step(Trigger *t, uint64_t now_us, uint32_t into, uint32_t period)
         rises = now_us - t->rose_us >= REST_US;
         t->done = false;
     } else {
-        if (into < t->into) { /* the next one: it was due between the last tick and the end */
+        if (into < t->into) { /* the next cycle or tail: a pulse was due between the last tick and its end */
             rises = !t->done;
             t->done = false;
         }

@@ -5,17 +5,18 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define LONGEST_PULSE_MS 8 /* less than the shortest table: the line falls before it rises again */
+#define LONGEST_PULSE_MS 8 /* shorter than the shortest table, so that the line falls before the next pulse */
 
 typedef struct {
-    uint16_t phase;   /* of a cycle or a tail at which a pulse begins [1/65536 of its length] */
-    uint8_t pulse_ms; /* 0: none */
-    bool done;        /* this cycle or tail has had its pulse */
-    uint32_t into;    /* it, in the tick before [TICK_S] */
-    uint64_t rose_us; /* when the last pulse began */
+    uint16_t phase;   /* fraction of a cycle or tail at which a pulse begins [1/65536] */
+    uint8_t pulse_ms; /* 0: no trigger */
+    bool done;        /* whether this cycle or tail has had its pulse */
+    uint32_t into;    /* time within the cycle or tail in the last tick [TICK_S] */
+    uint64_t rose_us; /* start of the last pulse */
 } Trigger;
 
-/* Whether the line is high in this tick, `into` a cycle or tail of `period` [TICK_S]; both 0: none plays. */
+/* Whether the line is high in this tick, at the time `into` of a cycle or tail of `period` [TICK_S]. Both are
+   0 if none plays. */
 bool trigger_step(Trigger *trigger, uint64_t now_us, uint32_t into, uint32_t period);
 
 #endif

@@ -1,10 +1,10 @@
-/* What the backends on a CAN bus share. */
+/* Common part of the backends on a CAN bus. */
 #include "axes.h"
 
 #include <math.h>
 #include <string.h>
 
-#define READ_FRAMES 24 /* in a tick; a bus of 1 Mbit/s carries 21 of the shortest */
+#define READ_FRAMES 24 /* per tick; a bus with 1 Mbit/s carries 21 frames of minimum length */
 
 Drive drives[MOTORS];
 Axis axes[MOTORS];
@@ -12,12 +12,12 @@ float led[3][MOTORS];
 bool wanted, was_ready, follows, hurry;
 static bool home_known, home_lost;
 const Limits *limits;
-static uint8_t crooked; /* cycles */
+static uint8_t crooked; /* consecutive cycles with crooked positions */
 static uint8_t phase; /* ticks since the last cycle */
 static uint16_t bus_alarm;
 static Trouble trouble;
 
-/* For long enough that a second drive of its number would have been noticed. */
+/* Whether it has been up long enough for the detection of a second drive with its number. */
 static bool is_up(const Axis *axis) { return axis->stage == UP && axis->since >= START_TICKS; }
 
 bool all_up(void)
@@ -28,7 +28,7 @@ bool all_up(void)
     return all;
 }
 
-/* Whether a trouble lasts: what comes then is taken for its consequence. */
+/* Whether a fault lasts. Later faults then count as its consequences. */
 static bool faulty(void)
 {
     bool any = bus_alarm > 0;
@@ -37,7 +37,7 @@ static bool faulty(void)
     return any;
 }
 
-/* Keep the first trouble, but for an emergency, which tells more than the fault that it explains. */
+/* Keep the first fault. An emergency replaces the fault that it explains, as it has more detail. */
 static void note(uint8_t motor, uint8_t kind, uint16_t object, uint32_t code, bool anew)
 {
     bool explains = kind == TROUBLE_EMERGENCY && motor == trouble.motor &&
@@ -93,8 +93,8 @@ static float apart_m(int m, int32_t a, int32_t b)
     return fabsf((float)(int32_t)((uint32_t)a - (uint32_t)b)) / drives[m].counts_per_m;
 }
 
-/* With current it is to be where it was told, also before it is led. A leap that no motor can make
-   tells that it counts from elsewhere. */
+/* With current, it must be at its target, also before it follows setpoints. After a leap that no motor
+   can make, it counts from another origin. */
 static void watch(int m, bool leaps)
 {
     Axis *axis = &axes[m];
@@ -147,7 +147,7 @@ void lose_home(int m)
     home_known = false;
 }
 
-/* How regularly the positions came since they were asked for last. */
+/* Check the number of positions since the last request. */
 static void count_answers(int m)
 {
     Axis *axis = &axes[m];
@@ -160,8 +160,8 @@ static void count_answers(int m)
         lose(m, TROUBLE_TWICE, 0, 0);
 }
 
-/* How far a motor is from where it is led, or else from home; where it only holds, it is where it was
-   told to be. [m] */
+/* Distance of a motor from its setpoint or, without setpoints, from home [m]. While it only holds, it is
+   assumed at its target. */
 static float off_m(int m)
 {
     const Axis *axis = &axes[m];
@@ -170,8 +170,7 @@ static float off_m(int m)
     return (float)(follows ? axis->error : place) * drives[m].sign / drives[m].counts_per_m;
 }
 
-/* Whether the motors tell positions that a rigid plate cannot have: one has lost counts, or two are
-   swapped. */
+/* Whether the reported positions do not fit a rigid plate: one drive has lost counts, or two are swapped. */
 static bool is_crooked(void)
 {
     float sum = 0;
@@ -191,7 +190,7 @@ static void compare(void)
         lose_home(m);
 }
 
-/* What becomes of an axis with time */
+/* Stages of an axis */
 static void age(int m)
 {
     Axis *axis = &axes[m];
@@ -201,7 +200,7 @@ static void age(int m)
         axis->faults = 0;
     axis->lost = axis->lost && !is_up(axis);
     if (axis->stage == SILENT && axis->since >= BOOT_TICKS) {
-        if (axis->step) /* it has not answered: it may have no power */
+        if (axis->step) /* no reply: it may have no power */
             lose_home(m);
         alarm(m, TROUBLE_SILENT, 0, 0, FAULT_HARDWARE);
         enter(axis, SILENT);
@@ -250,7 +249,7 @@ void drives_end(void)
             count_answers(m);
     compare();
     cycle();
-    if (hurry) /* the next tick may be as hurried */
+    if (hurry) /* the next tick may also be one */
         between();
     hurry = false;
 }
@@ -266,7 +265,7 @@ void drives_start(const Drive of[MOTORS], const Limits *its_limits)
     bus_alarm = 0;
 }
 
-/* What the controller asks for */
+/* Orders of the controller */
 
 void hal_drive(bool on)
 {
@@ -275,7 +274,7 @@ void hal_drive(bool on)
             note((uint8_t)(m + 1), TROUBLE_NOT_ENABLED, 0, axes[m].status, false);
     if (on)
         memset(&trouble, 0, sizeof trouble);
-    hurry = !on; /* at the end of this tick */
+    hurry = !on; /* sent at the end of this tick */
     wanted = on;
     was_ready = follows = false;
 }
@@ -294,7 +293,7 @@ bool hal_home(void)
     for (int m = 0; m < MOTORS; m++) {
         int32_t home = drives[m].absolute ? 0 : axes[m].target;
         float most = fabsf((float)home) + 1.01f * limits->stroke_m * drives[m].counts_per_m;
-        if (most > 0x1p31f - 512) { /* of rounding */
+        if (most > 0x1p31f - 512) { /* margin for rounding */
             alarm(m, TROUBLE_RANGE, 0, (uint32_t)home, FAULT_HARDWARE);
             return false;
         }
@@ -321,8 +320,8 @@ void hal_command(const float position[MOTORS], const float velocity[MOTORS],
     follows = true;
 }
 
-/* A position is as old as the bus: while it is led, the answer is where it would be now, with the
-   following error that it had then. The drives tell no acceleration. */
+/* Positions arrive with the bus's delay. While a motor follows setpoints, return its current setpoint
+   plus the following error of its last position. The drives report no acceleration. */
 void hal_measure(float position[MOTORS], float acceleration[MOTORS])
 {
     for (int m = 0; m < MOTORS; m++) {

@@ -1,27 +1,27 @@
-/* What a backend on a CAN bus needs of a board. */
+/* Interface of a backend on a CAN bus to the board. */
 #ifndef PLATE_CAN_H
 #define PLATE_CAN_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-#define CAN_REMOTE 0x800 /* with an id: not data, but a request for so much */
+#define CAN_REMOTE 0x800 /* flag of an id: a remote request for this number of bytes, without data */
 
 typedef struct {
     uint16_t id;  /* 11 bits, and CAN_REMOTE */
-    uint8_t size; /* of its data, 8 at most */
+    uint8_t size; /* size of its data, at most 8 */
     uint8_t data[8];
 } CanFrame;
 
-/* Take a data frame that came; false: there is none. The board must hold at least 32. */
+/* Take a received data frame. False: none. The board must buffer at least 32. */
 bool can_read(CanFrame *frame);
 
-/* Send a frame, after those before; one that does not fit into the board's buffer, of at least 32,
-   is dropped. */
+/* Send a frame after the previous ones. A frame that does not fit into the board's buffer of at least 32
+   frames is dropped. */
 void can_write(const CanFrame *frame);
 
-/* Whether the controller has left the bus since the last call. It must come back by itself, after
-   128 times 11 recessive bits, with nothing left to send. */
+/* Whether the controller went bus off since the last call. It must recover by itself, after 128 times 11
+   recessive bits, with an empty send buffer. */
 bool can_off(void);
 
 #endif

@@ -1,47 +1,47 @@
-/* Drives of CiA 402 on CANopen, in cyclic synchronous position mode: this board is their only master.
+/* CiA 402 drives on CANopen in cyclic synchronous position mode. This board is their only master.
 
-   Each bus cycle of two ticks: four RPDOs (controlword, target position) and SYNC, which the drives
-   answer by TPDOs (statusword, actual position). A target is to be reached at the next SYNC: drives
-   interpolate. The ticks between carry heartbeats, NMT and SDO. */
+   Each bus cycle takes two ticks: four RPDOs (controlword, target position) and SYNC, to which the drives
+   reply with TPDOs (statusword, actual position). The drives interpolate and reach a target at the next
+   SYNC. The ticks between carry heartbeats, NMT and SDO. */
 #include <string.h>
 
 #include "axes.h"
 
 #define CYCLE_MS 2
-#define MASTER 127          /* our own node id */
+#define MASTER 127          /* node id of this board */
 #define HEARTBEAT_TICKS 50
 #define HEARTBEAT_MS 50
 #define SILENT_MS 150u
-#define RESET_CYCLES 10     /* for which a fault's reset is asked for */
+#define RESET_CYCLES 10     /* duration of the request to reset a fault */
 
 enum { NMT = 0x000, SYNC = 0x080, EMERGENCY = 0x080, TPDO = 0x180, RPDO = 0x200,
        SDO_ANSWER = 0x580, SDO = 0x600, HEARTBEATS = 0x700 };
 enum { NMT_START = 0x01, NMT_RESET = 0x81, NMT_RESET_COMMUNICATION = 0x82 };
 enum { BOOT_UP = 0, OPERATIONAL = 5 };
-#define REMOTE 0x0200       /* of its statusword: it obeys controlwords */
+#define REMOTE 0x0200       /* bit of the statusword: it obeys controlwords */
 enum { DISABLE = 0x00, SHUTDOWN = 0x06, SWITCH_ON = 0x07, OPERATE = 0x0F, FAULT_RESET = 0x80 };
 
-/* What is set up before a node is started. Until it is done its PDOs are not used. */
+/* Set-up of a node before its start. Its PDOs are not used until the set-up is complete. */
 enum { PLUS_NODE = 1, OPTIONAL = 2, READ = 4, SERIAL = 8, OR_NEXT = 16, INSTEAD = 32 };
 typedef struct {
     uint16_t object;
     uint8_t sub, bytes, how;
-    uint32_t value, mask; /* the mask is for what is read */
+    uint32_t value, mask; /* the mask is for values that are read */
 } Step;
 
 #define PDO_OFF 0x80000000u
-#define NO_RTR 0x40000000u /* of a TPDO: a drive that cannot be asked for it refuses less */
+#define NO_RTR 0x40000000u /* bit of a TPDO: a drive without remote requests refuses the entry without it */
 static const Step STEPS[] = {
-    {0x1000, 0, 4, READ, 402, 0xFFFF},            /* a drive, */
-    {0x6040, 0, 2, 0, DISABLE, 0},                /* without current whatever it did before, */
-    {0x6502, 0, 4, READ, 1u << 7, 1u << 7},       /* with cyclic synchronous position, */
-    {0x1018, 4, 4, READ | SERIAL, 0, 0xFFFFFFFF}, /* the one that is meant */
+    {0x1000, 0, 4, READ, 402, 0xFFFF},            /* is it a CiA 402 drive? */
+    {0x6040, 0, 2, 0, DISABLE, 0},                /* current off, whatever its state */
+    {0x6502, 0, 4, READ, 1u << 7, 1u << 7},       /* does it support cyclic synchronous position? */
+    {0x1018, 4, 4, READ | SERIAL, 0, 0xFFFFFFFF}, /* is it the drive of the rig file? */
     {0x1017, 0, 2, 0, HEARTBEAT_MS, 0},
     {0x1016, 1, 4, 0, (uint32_t)MASTER << 16 | SILENT_MS, 0},
-    {0x6007, 0, 2, 0, 3, 0},          /* quick stop where the bus or we are gone, */
-    {0x605A, 0, 2, OR_NEXT, 2, 0},    /* by its ramp, then without current, */
-    {0x6007, 0, 2, INSTEAD, 2, 0},    /* or else without current at once */
-    {0x60C2, 1, 1, 0, CYCLE_MS, 0},   /* interpolation: this many */
+    {0x6007, 0, 2, 0, 3, 0},          /* quick stop if the bus or this board fails, */
+    {0x605A, 0, 2, OR_NEXT, 2, 0},    /* with its ramp, then current off */
+    {0x6007, 0, 2, INSTEAD, 2, 0},    /* otherwise current off at once */
+    {0x60C2, 1, 1, 0, CYCLE_MS, 0},   /* interpolation period: this value */
     {0x60C2, 2, 1, 0, 0xFD, 0},       /* times 10^-3 s */
     {0x6060, 0, 1, 0, 8, 0},          /* cyclic synchronous position */
     {0x1400, 1, 4, PLUS_NODE, PDO_OFF | RPDO, 0},
@@ -49,30 +49,30 @@ static const Step STEPS[] = {
     {0x1600, 1, 4, 0, 0x60400010, 0}, /* controlword */
     {0x1600, 2, 4, 0, 0x607A0020, 0}, /* target position */
     {0x1600, 0, 1, 0, 2, 0},
-    {0x1400, 2, 1, 0, 1, 0},          /* at each SYNC */
+    {0x1400, 2, 1, 0, 1, 0},          /* transmitted at each SYNC */
     {0x1800, 1, 4, PLUS_NODE, PDO_OFF | NO_RTR | TPDO, 0},
     {0x1A00, 0, 1, 0, 0, 0},
     {0x1A00, 1, 4, 0, 0x60410010, 0}, /* statusword */
     {0x1A00, 2, 4, 0, 0x60640020, 0}, /* actual position */
     {0x1A00, 0, 1, 0, 2, 0},
     {0x1800, 2, 1, 0, 1, 0},
-    {0x1401, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x300, 0}, /* no others */
+    {0x1401, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x300, 0}, /* disable the other PDOs */
     {0x1402, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x400, 0},
     {0x1403, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x500, 0},
     {0x1801, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x280, 0},
     {0x1802, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x380, 0},
     {0x1803, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x480, 0},
-    {0x6061, 0, 1, READ, 8, 0xFF},    /* it has taken the mode on */
+    {0x6061, 0, 1, READ, 8, 0xFF},    /* has it adopted the mode? */
     {0x1400, 1, 4, PLUS_NODE, RPDO, 0},
     {0x1800, 1, 4, PLUS_NODE, NO_RTR | TPDO, 0},
 };
 #define STEP_COUNT (sizeof STEPS / sizeof *STEPS)
 
-/* Aborts that an optional object may answer with. */
+/* Allowed aborts of optional objects. */
 #define NO_OBJECT 0x06020000u
 #define NO_SUBINDEX 0x06090011u
 
-/* The power state machine, by statusword */
+/* Power state machine, according to the statusword */
 bool in_fault(const Axis *axis) { return (axis->status & 0x48) == 0x08; }
 bool enabled(const Axis *axis) { return (axis->status & 0x6F) == 0x27; }
 
@@ -82,7 +82,7 @@ static void command(int m, uint8_t order)
     send(NMT, data, 2);
 }
 
-/* A node that is not operational obeys no PDO, one that is stopped no SDO either. */
+/* A node that is not operational ignores PDOs. A stopped one also ignores SDOs. */
 void cut(int m)
 {
     const uint8_t disable[8] = {0x2B, 0x40, 0x60, 0, DISABLE};
@@ -93,7 +93,7 @@ void cut(int m)
 
 void break_off(int m) { command(m, NMT_RESET); }
 
-/* Set-up, by SDO */
+/* Set-up with SDOs */
 
 static bool skipped(int m, const Step *step)
 {
@@ -157,7 +157,7 @@ static void answered(int m, const uint8_t data[8])
     }
 }
 
-/* What comes */
+/* Received frames */
 
 static void heartbeat(int m, uint8_t state)
 {
@@ -165,7 +165,7 @@ static void heartbeat(int m, uint8_t state)
     axis->unheard = 0;
     if (state == BOOT_UP) {
         bool ours = axis->stage == SILENT && axis->step && axis->since <= ANSWER_TICKS;
-        if (!ours) /* it does not answer our own reset */
+        if (!ours) /* this is no reply to a reset by this board */
             lose_home(m);
         if (axis->stage == UP || axis->stage == STARTING)
             alarm(m, TROUBLE_RESET, 0, 0, FAULT_HARDWARE);
@@ -178,7 +178,7 @@ static void heartbeat(int m, uint8_t state)
     }
 }
 
-/* A voltage, a position that does not follow, or anything else. */
+/* Fault bits of an emergency: supply voltage, following error, or hardware. */
 static uint8_t fault_of(uint16_t code)
 {
     return code >> 12 == 3 ? FAULT_SUPPLY : code == 0x8611 ? FAULT_FOLLOWING : FAULT_HARDWARE;
@@ -194,7 +194,7 @@ static void emergency(int m, const CanFrame *frame)
 static void positioned(int m, const uint8_t data[6])
 {
     Axis *axis = &axes[m];
-    if (axis->stage == SILENT && axis->step == 0 && axis->told) /* home stays if it goes on from here */
+    if (axis->stage == SILENT && axis->step == 0 && axis->told) /* keep home if the position is the same */
         axis->actual = (int32_t)get_u32(data + 2);
     if (axis->stage != STARTING && axis->stage != UP)
         return;
@@ -226,13 +226,13 @@ void take(const CanFrame *frame)
     }
 }
 
-/* What is sent */
+/* Sent frames */
 
 static uint16_t controlword(Axis *axis)
 {
     if (axis->stage != UP)
         return DISABLE;
-    if (in_fault(axis)) { /* without current; a person's enable is needed all the same */
+    if (in_fault(axis)) { /* the current stays off; a new Enable is required anyway */
         axis->resets = axis->resets ? (uint16_t)(axis->resets - 1) : BOOT_TICKS / CYCLE_TICKS;
         return wanted || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
     }
@@ -250,12 +250,12 @@ void cycle(void)
 {
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
-        if (!enabled(axis) && stands(axis)) /* no jump once it has current */
+        if (!enabled(axis) && stands(axis)) /* no jump when it gets current */
             axis->target = axis->actual;
         axis->reached = axis->sent;
         axis->sent = axis->target;
         if (!axis->told)
-            continue; /* it may have current, from before our reset */
+            continue; /* it may have had current since before the board's reset */
         uint8_t data[6];
         put_u32(put_u16(data, controlword(axis)), (uint32_t)axis->target);
         send((uint16_t)(RPDO + drives[m].node), data, 6);

@@ -1,24 +1,24 @@
-/* Drives on a bus in place of own bridges: they implement hal_drive, hal_ready, hal_command,
-   hal_measure, hal_home, hal_faults and hal_trouble; the board gives the bus. */
+/* Drives on a bus instead of the board's bridges. They implement hal_drive, hal_ready, hal_command,
+   hal_measure, hal_home, hal_faults and hal_trouble. The board provides the bus. */
 #ifndef PLATE_DRIVES_H
 #define PLATE_DRIVES_H
 
 #include "../hal.h"
 #include "../piece.h"
 
-/* Of one motor; from the rig file, compiled in like its limits. */
+/* Data of one motor's drive from the rig file, compiled in like the limits. */
 typedef struct {
     uint8_t node;
-    float counts_per_m; /* of the drive's position */
-    float sign;         /* 1, or -1 where the drive counts against the motor's direction */
-    bool absolute;      /* its position is 0 at home; else home is where the plate hangs */
+    float counts_per_m; /* position counts per metre */
+    float sign;         /* 1, or -1 if the drive counts against the motor's direction */
+    bool absolute;      /* home is position 0 of the drive; else the position at the first enable */
     uint32_t serial;    /* object 1018h:04; 0: any */
-    float fit;          /* times its travel, summed over the motors of a rigid plate, is 0 */
+    float fit;          /* weight of the motor: the weighted sum of all travels is 0 for a rigid plate */
 } Drive;
 
-/* `limits` must stay. */
+/* `limits` must remain valid. */
 void drives_start(const Drive drives[MOTORS], const Limits *limits);
-void drives_begin(void); /* before each controller_tick: take what came */
-void drives_end(void);   /* after it: send what is due */
+void drives_begin(void); /* before each controller_tick: process received frames */
+void drives_end(void);   /* after it: send due frames */
 
 #endif

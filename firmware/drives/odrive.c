@@ -1,19 +1,19 @@
-/* ODrives on CAN (CANSimple), in position control: this board is their only master.
+/* ODrives on CAN (CANSimple) in position control. This board is their only master.
 
-   Each bus cycle of two ticks: four Set_Input_Pos, and four requests for Get_Encoder_Estimates, which
-   the drives answer. A setpoint is reached by its feed-forward: drives do not interpolate. */
+   Each bus cycle takes two ticks: four Set_Input_Pos and four requests for Get_Encoder_Estimates, to
+   which the drives reply. The drives do not interpolate; the feed-forward moves them between setpoints. */
 #include "axes.h"
 
 #include <math.h>
 #include <string.h>
 
-#define COUNTS 1048576.0f  /* of ours in a turn of the drive */
-#define TURNS 2000.0f      /* beyond, positions are not believed */
-#define PROTOCOL 2         /* that Get_Version tells: of firmware 0.6 */
-#define AGAIN_CYCLES 50    /* between two tries to get it into operation */
-#define CLEAR_CYCLES 500   /* between two tries to clear its errors */
-#define DOG_TICKS 250      /* for its watchdog to bite, and for that to be told */
-#define FRESH_CYCLES 3     /* for a position, once that is asked for again */
+#define COUNTS 1048576.0f  /* counts of this firmware per turn of the drive */
+#define TURNS 2000.0f      /* maximum magnitude of an accepted position */
+#define PROTOCOL 2         /* version in Get_Version of firmware 0.6 */
+#define AGAIN_CYCLES 50    /* cycles between two tries to start operation */
+#define CLEAR_CYCLES 500   /* cycles between two tries to clear its errors */
+#define DOG_TICKS 250      /* maximum wait for its watchdog's error and its report */
+#define FRESH_CYCLES 3     /* cycles until a new position after a renewed request */
 
 enum { GET_VERSION = 0x00, HEARTBEAT_OF = 0x01, ESTOP = 0x02, GET_ERROR = 0x03, SET_STATE = 0x07,
        GET_ESTIMATES = 0x09, SET_MODE = 0x0B, SET_POSITION = 0x0C, CLEAR_ERRORS = 0x18 };
@@ -27,8 +27,8 @@ enum { POSITION_CONTROL = 3, PASSTHROUGH = 1 };
 bool in_fault(const Axis *axis) { return axis->errors != 0; }
 bool enabled(const Axis *axis) { return axis->status == CLOSED_LOOP; }
 
-/* Its watchdog cannot be read by CANSimple: after each start it is tried, once, before a setpoint
-   counts, by silence while it holds the plate where it is. */
+/* CANSimple cannot read the watchdog's setting. After each start, the watchdog is tested once before the
+   first setpoint: the board sends nothing while the drive holds the plate. */
 static bool tried(const Axis *axis) { return wanted && !axis->proven && enabled(axis); }
 
 static uint8_t fault_of(uint32_t errors)
@@ -52,7 +52,7 @@ static void ask(int m, uint8_t message)
 void cut(int m) { tell(m, SET_STATE, IDLE, 0); }
 void break_off(int m) { send((uint16_t)(drives[m].node << 5 | ESTOP), NULL, 0); }
 
-/* What comes */
+/* Received frames */
 
 static void heartbeat(int m, uint32_t errors, uint8_t state)
 {
@@ -62,7 +62,7 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     axis->errors = errors;
     axis->status = state;
     if (axis->stage == SILENT && !axis->lost && axis->since > START_TICKS)
-        axis->asked = false; /* it has power now */
+        axis->asked = false; /* it has power again */
     if (axis->stage == UP && tried(axis) && !was_tried)
         axis->since = START_TICKS;
     if (axis->stage == STARTING && axis->answers && !(errors & INITIALIZING)) {
@@ -114,7 +114,7 @@ void take(const CanFrame *frame)
             answered(m, frame);
 }
 
-/* What is sent */
+/* Sent frames */
 
 static int16_t thousandths(float value)
 {
@@ -133,7 +133,7 @@ static void set_position(int m)
     send((uint16_t)(drives[m].node << 5 | SET_POSITION), data, 8);
 }
 
-/* Current, to all four or to none. */
+/* Switch the current on for all four drives or for none. */
 static void order(int m)
 {
     Axis *axis = &axes[m];
@@ -159,7 +159,7 @@ void cycle(void)
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
         bool polled = axis->stage >= STARTING && !hurry && !tried(axis);
-        if (!enabled(axis) && stands(axis) && !(axis->asked && axis->step)) /* no jump */
+        if (!enabled(axis) && stands(axis) && !(axis->asked && axis->step)) /* no jump when it gets current */
             axis->target = axis->actual;
         uint32_t step = (uint32_t)axis->target - (uint32_t)axis->sent;
         axis->reached = (int32_t)((uint32_t)axis->sent + (uint32_t)((int32_t)step / 2));
@@ -170,7 +170,7 @@ void cycle(void)
         if (polled)
             ask(m, GET_ESTIMATES);
         else
-            axis->answers = 1; /* none is missed */
+            axis->answers = 1; /* so that none counts as missed */
     }
 }
 

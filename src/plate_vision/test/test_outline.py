@@ -99,7 +99,7 @@ def test_a_published_barrel_lens_left_out_is_named(focal, tilt, rng):
     view = View(focal=focal, distance=1.1e-3 * focal, lens=(-0.3, 0, 0), tilt_x=tilt)
     rig = rig_of(view, lens=False)
     found = seen(rig, view, [*BARE, *parts_over_edges(rng)]).finding
-    assert "a barrel lens is missing (calibrate lens" in found.message
+    assert "the barrel distortion is unknown (calibrate lens" in found.message
     # The size of the error: where a part in the middle of an edge seems to be.
     edge = np.column_stack([np.linspace(-0.3, 0.3, 41), np.full(41, 0.15)])
     truth = float(np.abs(make_vision(rig).calibration.to_home(view.see(edge)) - edge).max())
