@@ -70,7 +70,7 @@ def test_a_long_film_is_done_by_forty_frames(make_scene, rng, tmp_path, capsys, 
     files = ["--out", str(out), "--errors", str(tmp_path / "errors.png")]
     main(["lens", str(path), "--board", "8x6", "--square", "0.03", "--marker", "0.022", *files])
     told = capsys.readouterr().out
-    frames = r"^100 of 100 frames read, 6[2-5] searched, board found in [56]\d$"
+    frames = r"^100 of 100 frames read, 6[2-5] searched, board detected in [56]\d$"
     assert re.search(frames, told, re.M)
     assert "first square is white" in told
     assert "fitted to the 40 pictures that differ most" in told
@@ -87,7 +87,7 @@ def test_a_large_folder_is_searched_in_part(rng, tmp_path, capsys, monkeypatch):
     told = capsys.readouterr().out.splitlines()
     names = [line.split(".")[0] for line in told[:-1]]
     assert names == ["00", "01", "02", "03", "05", "07", "09", "11"]
-    assert told[-1] == "12 of 12 pictures read, 8 searched, board found in 0"
+    assert told[-1] == "12 of 12 pictures read, 8 searched, board detected in 0"
 
 
 def test_progress_on_a_terminal(monkeypatch, capsys):
@@ -99,7 +99,7 @@ def test_progress_on_a_terminal(monkeypatch, capsys):
     progress.end()
     told = capsys.readouterr()
     assert told.out == ""
-    line = "7 of 50 frames read, {} searched, board found in 1"
+    line = "7 of 50 frames read, {} searched, board detected in 1"
     assert told.err == f"\r{line.format(1)}\r{line.format(2)}\n"
 
 
@@ -177,7 +177,7 @@ def test_the_size_of_a_board_is_asked_for(capsys):
         ("a_fifo.png: is a FIFO, allowed", ["lens", "odd", *BOARD]),
         ("fifo: is a FIFO, allowed: a regular file up to 4000 MB", ["lens", "odd/fifo", *BOARD]),
         ("/dev/zero: is a device, allowed", ["lens", "/dev/zero", *BOARD]),
-        ("large.png: is of 1000 MB, allowed", ["lens", "odd/large.png", *BOARD]),
+        ("large.png: has 1000 MB, allowed", ["lens", "odd/large.png", *BOARD]),
         ("large: cannot be read, allowed: a video", ["lens", "odd/large", *BOARD]),
         ("empty.png: cannot be read, allowed: a complete pict", ["lens", "odd/empty.png", *BOARD]),
         ("2 x 7 squares, allowed", ["board", "--board", "2x7", "--square", "0.03"]),

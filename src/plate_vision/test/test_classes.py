@@ -103,7 +103,7 @@ def test_what_the_camera_cannot_tell_is_said():
     coins["three"] = replace(coins["three"], radius_m=0.0098)
     alike, _, alone = camera_limits(coins, calibration)
     assert "one and two look alike" in alike
-    assert "two and three differ in size alone, by 1.5 px" in alone
+    assert "two and three differ only in size, by 1.5 px" in alone
     del coins["two"]
     assert camera_limits(coins, calibrate_by_scale(2 * SCALE)) == []
 

@@ -228,7 +228,7 @@ def test_without_markers_the_rig_file_would_be_wrong(leaning, rng):
 def test_until_home_is_found_there_is_no_answer(leaning, rng):
     vision, where = make_vision(leaning.rig), PlateLocation(leaning.rig)
     dark = np.zeros((480, 640), np.uint8)
-    with pytest.raises(CalibrationError, match="0, 1, 2, 3 not seen"):
+    with pytest.raises(CalibrationError, match="0, 1, 2, 3 not detected"):
         follow_plate(where, vision, dark)
     where, vision, _ = follow_plate(where, vision, leaning.take(HOME, rng))
     home = where.home
