@@ -31,7 +31,7 @@ estimated from round trips."""
 REST_CYCLE_S = 0.1
 """Period of the reported cycle while the motors rest [s]."""
 
-NO_START = "starts of cycles are not told where the device's ticks cannot be"
+NO_START = "starts of cycles are not published while the device reports impossible ticks"
 """Warning about a device that reports an impossible playing time of a table."""
 
 

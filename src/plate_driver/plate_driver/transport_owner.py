@@ -130,7 +130,7 @@ class TransportOwner:
     def _stop_without_current(self, cut: bool) -> tuple[TransportThread, Order]:
         """Stop by a temporary transport, or by the current one if it was opened meanwhile."""
         if not self._changing.acquire(timeout=BUSY_S):
-            raise PlateError("the driver opens or closes its transport")
+            raise PlateError("the driver is opening or closing its transport")
         try:
             if self.current is not None:
                 return self.current, self.current.stop(cut)

@@ -91,7 +91,7 @@ def test_a_cycle_is_refused_with_the_reason(desk):
     assert desk.intake.refusal == ""
     desk.status = READY
     desk.now += 0.1
-    desk.refuse("plate_cycle answers an image that is 1.00 s old", FIRST, age_s=1.0)
+    desk.refuse("plate_cycle is for an image 1.00 s old", FIRST, age_s=1.0)
     desk.second = "2 nodes publish plate_cycle (a, b), allowed: one"
     desk.refuse("2 nodes publish plate_cycle", FIRST)
     desk.second = ""
@@ -102,7 +102,7 @@ def test_a_cycle_is_refused_with_the_reason(desk):
 
 def test_a_task_that_ends_while_its_cycle_arrives_moves_nothing(desk):
     desk.on_poll = lambda: desk.intake.record_task(False, desk.stamp)
-    desk.refuse("plate_cycle was asked for by a task that has ended", FIRST)
+    desk.refuse("plate_cycle is for a task that has ended", FIRST)
     polls = desk.polls
     desk.send(PlateCycle.rest(0.1))
     assert desk.polls == polls  # a cycle at rest needs no task
@@ -118,7 +118,7 @@ def test_a_task_that_ends_while_its_cycle_arrives_moves_nothing(desk):
 
 def test_a_cycle_that_arrived_before_a_stop_is_not_sent_after_it(desk):
     desk.on_poll = lambda: desk.latch.close(2)
-    desk.refuse("the plate was stopped meanwhile", FIRST)
+    desk.refuse("the plate was stopped in the meantime", FIRST)
     assert desk.playback.guard.table is None
 
 

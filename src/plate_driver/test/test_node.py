@@ -379,7 +379,7 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
         take=lambda: waiting.pop() if waiting else None, destroy=inputs.tasks.subscription.destroy
     )
     inputs.tasks = inputs.tasks._replace(subscription=subscription)
-    assert refused(driven, asked) == "plate_cycle was asked for by a task that has ended"
+    assert refused(driven, asked) == "plate_cycle is for a task that has ended"
     # A plate at rest may be asked for at any time.
     assert driven.send(PlateCycle.rest(PERIOD), asked) == asked
     assert at_rest(driven.setpoints[-1])

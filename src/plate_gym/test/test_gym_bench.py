@@ -63,8 +63,8 @@ def test_ours_sorts_and_is_the_same_again(bench, result):
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("time_s", 1.0, "seed 1: time_s is 1.0, again: "),
-        ("places", "00", "seed 1: places is '00', again: "),
+        ("time_s", 1.0, "seed 1: time_s is 1.0, repeated: "),
+        ("places", "00", "seed 1: places is '00', repeated: "),
     ],
 )
 def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypatch):
@@ -476,7 +476,7 @@ def ended(main):
         (
             ["--check", "false.json"],
             1,
-            "Sort4-v1, seed 0: dropped is 1, again: 0",
+            "Sort4-v1, seed 0: dropped is 1, repeated: 0",
         ),
         (["--seeds", "5:1"], 2, "is '5:1', allowed: FIRST:END"),
         (["--seeds", f"0:{10**20}"], 2, "allowed: FIRST:END, at most 100000 of them"),

@@ -100,9 +100,9 @@ def test_targets_and_orders_need_their_kind_of_task(loop):
     for name in (None, "sort_4"):
         if name is not None:
             loop.begin(name)
-        with pytest.raises(PlateError, match="no task of move runs"):
+        with pytest.raises(PlateError, match="no task of kind move runs"):
             loop.tasks.retarget((target,))
-        with pytest.raises(PlateError, match="no task of feed runs"):
+        with pytest.raises(PlateError, match="no task of kind feed runs"):
             loop.tasks.order(FeedOrder())
     assert loop.tasks.targets == ()
     run = loop.begin("play")
@@ -150,7 +150,9 @@ def test_a_task_without_all_parts_ends_even_if_stamps_stand_still(loop):
         loop.hear(0.1 * k)
     assert loop.problem(10.1) is None
     failure = loop.problem(10.11)
-    assert failure == Failure(Reason.PARTS_MISSING, "not all parts seen within 10 s of the goal")
+    assert failure == Failure(
+        Reason.PARTS_MISSING, "not all parts were detected within 10 s after the goal"
+    )
     assert loop.problem(10.11, replace(waiting, began=1.0)) is None
 
 
@@ -168,7 +170,7 @@ def test_a_stall_of_the_process_is_a_failure_once_and_old_goals_are_refused(loop
     loop.hear(0.1)
     assert not loop.monitor.goal_may_be_old(0.1)
     failure = loop.monitor.wake(9.0, T)
-    assert failure == Failure(Reason.STOOD_STILL, "the planner itself stood still for 8.9 s")
+    assert failure == Failure(Reason.STOOD_STILL, "the planner was stalled for 8.9 s")
     assert loop.monitor.goal_may_be_old(9.0)
     assert loop.monitor.wake(9.1, T) is None
     assert loop.monitor.start_problem(9.1) == ""

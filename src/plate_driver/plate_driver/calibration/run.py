@@ -72,7 +72,7 @@ class CalibrationRun:
         if transport is None or not transport.calibrates:
             raise PlateError("transport is sim or streams, allowed: serial with cycles")
         if any(motor.drive for motor in self._playback.rig.motors):
-            raise PlateError("the rig has drives, which tell no acceleration, allowed: bridges")
+            raise PlateError("the rig has drives, which report no acceleration, allowed: bridges")
         if status.state is not DriverState.READY:
             raise PlateError(f"the driver is {status.text}, allowed: ready")
         try:
@@ -103,7 +103,7 @@ class CalibrationRun:
                 self._begin_experiment(transport, calibration, now)
                 return
             save_response(self._path, calibration.response)
-            self._end(f"done: {self._path}, used from the next configure on", now, failed=False)
+            self._end(f"done: {self._path}, used after the next configure", now, failed=False)
         except PlateError as error:
             self.fail(str(error), now)
 
