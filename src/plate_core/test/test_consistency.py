@@ -193,7 +193,7 @@ def test_parallax_is_told_while_heights_are_unknown():
     )
     said = report(RIG, "a.yaml", [])
     assert f"{high:.3g} m above the plate, over [{x:.3f}, {y:.3f}]" in said
-    assert says(said, "height_m is 0", "of parts", "5 mm high")
+    assert says(said, "height_m is 0", "for parts", "5 mm high")
     assert told in said
     said = report(replace(RIG, parts=replace(RIG.parts, height_m=0.004)), "a.yaml", [])
     assert "5 mm high" not in said

@@ -314,7 +314,10 @@ def test_home_is_a_command():
     [
         (
             capabilities(version=2),
-            gone(WRONG_DEVICE, "version 2 and 4 motors, allowed: version 5 and 4"),
+            gone(
+                WRONG_DEVICE,
+                "device has protocol version 2 and 4 motors, allowed: version 5 and 4 motors",
+            ),
         ),
         (capabilities(boot=2), gone(DEVICE_RESET, "device was reset")),
         (

@@ -110,7 +110,7 @@ def test_targets_and_orders_need_their_kind_of_task(loop):
         loop.tasks.plan(run, PARTS, k * T)
     unknown = replace(target, id="black_9")
     [refused] = loop.tasks.retarget((target, unknown))
-    assert "black_9 is not there" in refused
+    assert "black_9 is unknown" in refused
     assert loop.tasks.targets == (target,)
     loop.tasks.end(STOP)
     assert loop.tasks.targets == ()
@@ -126,7 +126,7 @@ def test_other_objects_are_reported_once_per_task(loop):
             loop.tasks.plan(run, PARTS, k * T)
             texts.append(loop.tasks.record_image((thing,), PARTS))
         [text] = filter(None, texts)
-        assert text.startswith("sort_4 moves 4 parts: the image shows 1 thing more")
+        assert text.startswith("sort_4 moves 4 parts: the image shows 1 undetected object")
         assert text in loop.diagnostics.finding(0.0).message
 
 

@@ -107,7 +107,7 @@ class FrictionServer:
         elif status.state is not DriverState.READY:
             response.message = f"the driver is {status.text}, allowed: ready"
         elif driver.intake.task_runs:
-            response.message = "a task runs, allowed: none; end it with stop"
+            response.message = "a task runs, allowed: no task; end it with stop"
         else:
             self._end()
             self._result, self._stops = None, driver.latch.number
