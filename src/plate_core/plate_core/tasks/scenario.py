@@ -499,7 +499,7 @@ def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None
         one, other = (Polygon(region_outline(task, label, half)) for label in pair)
         shared = one.intersection(other).area
         if shared > SHARED_M2:
-            words = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in pair)
+            text = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in pair)
             raise ScenarioError(
                 f"{scenario.where}: task: regions: {text}: they overlap by {1e4 * shared:.3g} cm2, "
                 "allowed: regions that do not overlap"
