@@ -108,7 +108,7 @@ class Plate:
 
 
 def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
-    """Return the error of a cycle's harmonics in a steady rhythm [%]."""
+    """Return the error of a cycle's harmonics in periodic motion [%]."""
     motion = Plate(rig, 0).play(command, 12)
     t = np.arange(512) * cycle.period / 512
     got = 2 / 512 * np.fft.rfft(motion.accel(t), axis=0)[1 : HARMONICS + 1]

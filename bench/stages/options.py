@@ -1,8 +1,9 @@
-"""Both methods with their options, and scipy, on the stick-slip cycle.
+"""Both methods with their options, and scipy, on the stick-slip cycle map.
 
-Parts lie at rest; each is asked to drift its own way over one cycle, from a cold start and with no
-slack. `plate_sim` judges all answers. The peers are scipy's least squares on Method B's unknowns
-and the same prediction, once with its own differences and once with our derivatives.
+Parts start at rest. A different drift of each part over one cycle is requested, without tolerance
+and without a warm start. `plate_sim` checks all results. The baselines are scipy's least squares
+with Method B's unknowns and the same prediction, with scipy's finite differences and with the
+project's derivatives.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ from plate_solver.sinusoids import Motions, Problem, descend, limited_sinusoids
 from stages.scenes import scatter
 
 SEED = 50_000
-"""First seed of the requests; the number of parts is added."""
+"""First seed of the requests. The number of parts is added."""
 
 DRIFT = 0.005
-"""Greatest wanted drift of a part along each axis [m/s]."""
+"""Maximum requested drift of a part along each axis [m/s]."""
 
 CASES = {2: 20, 4: 12, 6: 10, 10: 8}
-"""Requests by number of parts."""
+"""Number of requests, by number of parts."""
 
 HARMONICS = {2: 8, 4: 8, 6: 8, 10: 12}
-"""Harmonics by number of parts, as `SinusoidSolver` chooses for exact drifts."""
+"""Number of harmonics, by number of parts, as `SinusoidSolver` chooses for exact drifts."""
 
 B_RESTARTS, A_RESTARTS, PEER_RESTARTS = (0, 1, 3, 10), (0, 1, 4), (0, 3)
 METHODS = {"A": "rotations", "B": "sinusoids"}
@@ -47,7 +48,7 @@ Contestant = Callable[[Goal], PlateCycle]
 
 
 def measure(quick: bool) -> Result:
-    """Let all methods meet the same requests, in turns."""
+    """Solve the same requests with all methods in turn."""
     rig = load_rig()
     cases = {2: 2, 10: 1} if quick else CASES
     rows = [row for parts, count in cases.items() for row in rows_of(rig, parts, count)]
@@ -55,7 +56,7 @@ def measure(quick: bool) -> Result:
 
 
 def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
-    """Run all contestants with one number of parts; the first request is not counted."""
+    """Run all methods with one number of parts. The first request is not counted."""
     rng = np.random.default_rng(SEED + parts)
     runners = contestants(rig, parts)
     goals = [request(rig, parts, rng) for _ in range(count + 1)]
@@ -79,7 +80,7 @@ def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
 
 
 def is_default(method: str, option: str) -> bool:
-    """Whether `Controller` solves so."""
+    """Whether `Controller` uses this method with this option."""
     return method in METHODS and option == f"{EFFORT[METHODS[method]]['restarts']} restarts"
 
 
@@ -89,7 +90,7 @@ def period_of(parts: int) -> float:
 
 
 def request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
-    """Return drifts to be reached from rest."""
+    """Return a request for drifts of parts at rest."""
     position = scatter(rig, parts, rng)
     still, period = np.zeros_like(position), period_of(parts)
     wanted = period * rng.uniform(-DRIFT, DRIFT, position.shape)
@@ -97,7 +98,7 @@ def request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
 
 
 def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
-    """Return the mean square of what the simulator's drift misses [(m/s)^2]."""
+    """Return the mean square error of the simulated drift [(m/s)^2]."""
     run = simulate(cycle, goal.position, goal.velocity, rig.friction.mu, rig.friction.gravity)
     drift = (run.position[-1] - goal.position) / cycle.period
     wanted = goal.displacement / period_of(len(goal.position))
@@ -105,13 +106,13 @@ def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
 
 
 def good_enough(goal: Goal) -> tuple[float, float]:
-    """Return tolerance and what counts as met [m], as in `Controller`."""
+    """Return the tolerance, and the error that counts as met [m], as in `Controller`."""
     least = DRIFT_TOLERANCE * period_of(len(goal.position))
     return least, max(EXACT_MISS * goal.size, least)
 
 
 def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
-    """Return who meets requests with so many parts: (method, option) -> how."""
+    """Return functions that solve requests for a number of parts, by method and option."""
     found: dict[tuple[str, str], Contestant] = {}
     for restarts in B_RESTARTS:
         b = SinusoidSolver(rig, **EFFORT["sinusoids"] | {"restarts": restarts})
@@ -131,7 +132,7 @@ def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
 
 
 def steered(solver: SinusoidSolver | RotationSolver) -> Contestant:
-    """Return our solver on the stick-slip map."""
+    """Return the project's solver on the stick-slip map."""
 
     def run(goal: Goal) -> PlateCycle:
         solver.reset()
@@ -141,7 +142,8 @@ def steered(solver: SinusoidSolver | RotationSolver) -> Contestant:
 
 
 def averaged(solver: SinusoidSolver | RotationSolver, period: float) -> Contestant:
-    """Return our solver on the paper's averages: from rest, a force f moves by f mu g T^2 / 2."""
+    """Return the project's solver on the paper's averages. From rest, a force f moves a part by
+    f mu g T^2 / 2."""
 
     def run(goal: Goal) -> PlateCycle:
         solver.reset()
@@ -152,14 +154,14 @@ def averaged(solver: SinusoidSolver | RotationSolver, period: float) -> Contesta
 
 
 class Peer:
-    """scipy's trust-region least squares on Method B's unknowns.
+    """scipy's trust-region least squares with Method B's unknowns.
 
     Parameters
     ----------
     rig : Rig
     parts : int
     own : bool
-        Whether scipy takes differences; else it gets our derivatives.
+        Whether scipy uses its finite differences. Otherwise it gets the project's derivatives.
     restarts : int
     """
 
@@ -189,7 +191,7 @@ class Peer:
         return self._family.cycle(self._family.admissible(best.x))
 
     def _errors(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
-        """Return missed displacements, and in one row by how much limits are exceeded [m]."""
+        """Return the errors of displacements, followed by the limit violations [m]."""
         error, _ = goal.error(goal.end(*self._family.samples(theta)))
         return np.append(error, np.linalg.norm(self._excess(goal, theta)[0]))
 
@@ -201,6 +203,6 @@ class Peer:
         return np.vstack([rows, -unit @ slopes_of_excess])
 
     def _excess(self, goal: Goal, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return by how much limits are exceeded (K,) [m], and minus the derivatives (K, P)."""
+        """Return the limit violations (K,) [m], and their negative derivatives (K, P)."""
         found = descend(Problem.of(goal, self._motions, np.inf), theta, 0.0, 0)
         return found.error[goal.rows :], found.jacobian[goal.rows :]

@@ -1,9 +1,10 @@
-"""The live page beside the graph: latency, processor time.
+"""Effect of the live page on the graph: latency and CPU time.
 
-Latency from image to setpoints and the page's share of a core with none, one, ten browsers, and one
-that hangs. Browsers are connections that ask for images and fields and read all they get, in a
-process of their own; they draw nothing, as a browser on another machine would not draw here. The
-conditions come in turn, in one running graph, the page's process gone for the first.
+The latency from image to setpoints and the page's fraction of a CPU core are measured with no, one
+and ten browsers, and with one that hangs. A browser is a connection, in a separate process, that
+requests images and fields and reads all messages. It draws nothing, like a browser on another
+computer. One running graph goes through the conditions in turn. In the first one the page's process
+does not run.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ from plate_bringup import RunOptions
 ROUNDS, QUICK_ROUNDS = 2, 1
 SCENARIO = "sort_10"
 TASK_S, QUICK_S = 30.0, 4.0
-"""A task is broken off after that long [s]."""
+"""Maximum duration of a task [s]."""
 
 HANGS = -1
-"""In place of a number: one browser that reads nothing."""
+"""Value instead of a number of browsers: one browser that reads nothing."""
 
 CONDITIONS = {
     "no page": None,
@@ -57,7 +58,7 @@ def measure(quick: bool) -> Result:
 
 
 def row(name: str, tasks: list[Any], share: list[float]) -> dict[str, Any]:
-    """Return what was seen under one condition."""
+    """Return the row of one condition."""
     ms = 1e3 * np.concatenate([task.latency for task in tasks])
     counts = np.array([task.counts for task in tasks])
     return {
@@ -68,7 +69,7 @@ def row(name: str, tasks: list[Any], share: list[float]) -> dict[str, Any]:
 
 
 def measured(quick: bool, logs: Path) -> tuple[dict[str, list[Any]], dict[str, list[float]]]:
-    """Return tasks and the page's shares of a core by condition."""
+    """Return the tasks and the page's fractions of a CPU core, by condition."""
     options = RunOptions(scenario=SCENARIO, autostart=False, view=True)
     found: dict[str, list[Any]] = {name: [] for name in CONDITIONS}
     shares: dict[str, list[float]] = {name: [] for name in CONDITIONS}
@@ -97,7 +98,7 @@ def measured(quick: bool, logs: Path) -> tuple[dict[str, list[Any]], dict[str, l
 
 @contextmanager
 def browsers(url: str, count: int) -> Iterator[None]:
-    """Look on with so many browsers."""
+    """Context in which a number of browsers are connected."""
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=look_on, args=(url, count), daemon=True)
     process.start()
@@ -110,7 +111,8 @@ def browsers(url: str, count: int) -> Iterator[None]:
 
 
 def look_on(url: str, count: int) -> None:
-    """Read all that the page sends to so many browsers; or nothing of what it sends to one."""
+    """Connect browsers and read all messages of the page. With `HANGS`, connect one and read
+    nothing."""
 
     async def read() -> None:
         connection = await connect(url)

@@ -1,4 +1,4 @@
-"""The simulator's peer: the same scene in pymunk."""
+"""Baseline of the simulator: the same scene in pymunk."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ import numpy as np
 from plate_core import PlateCycle
 
 MASS = 0.02
-"""Of a part [kg]; it drops out of the motion."""
+"""Mass of a part [kg]. It has no effect on the motion."""
 
 
 class PymunkScene:
-    """Parts on a kinematic plate; friction is a PivotJoint of limited force (top-down idiom).
+    """Parts on a kinematic plate. Friction is a PivotJoint with limited force, as usual for
+    top-down scenes.
 
     Parameters
     ----------
     cycle : PlateCycle
-        Motion of the plate, repeated. Steps need not fit the period: the scene runs freely.
+        Motion of the plate, repeated. The period need not be a multiple of the time step.
     dt, span : float
         Step and time that one `run` simulates [s].
     friction_accel : float
@@ -24,7 +25,7 @@ class PymunkScene:
     radius : float
         Of the parts [m]; 0 means that they never touch.
     offset : float
-        Where in a step the plate's velocity is taken: 0 to 1.
+        Time within a step, 0 to 1, at which the plate's velocity is evaluated.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class PymunkScene:
         self.twist = [(float(u), float(v)) for u, v in cycle.twist(t % cycle.period)[:, :2]]
 
     def run(self) -> np.ndarray:
-        """Advance; returns positions (M, 2) [m]."""
+        """Simulate `span`. Return positions (M, 2) [m]."""
         for velocity in self.twist:
             self.plate.velocity = velocity
             self.space.step(self.dt)

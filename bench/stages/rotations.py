@@ -1,7 +1,7 @@
-"""Method A: guaranteed forces, least time, closure.
+"""Method A: guaranteed forces, minimum time, closure.
 
-Parts lie at random, at least 10 % of the plate's width apart. A request asks for a force of size r
-in a random direction of each part; guaranteed is the greatest r that takes one cycle of time.
+Parts have random positions, at least 10 % of the plate's width apart. A request has a force of size
+r in a random direction for each part. The guaranteed force is the maximum r that takes one cycle.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from plate_solver.rotations import plan_rotations, with_return_strokes
 
 PARTS = 10
 APART = 0.1
-"""Least distance of parts, in widths of the plate."""
+"""Minimum distance between parts [widths of the plate]."""
 
 GAIN = 30.0
 """Bound on inverse singular values, as in section 3.1.5."""
 
 REALISED = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3)
-"""Shares of the guaranteed force that are tried as motions."""
+"""Fractions of the guaranteed force for which motions are computed."""
 
 
 def measure(quick: bool) -> Result:
@@ -40,12 +40,12 @@ def measure(quick: bool) -> Result:
 
 
 def row(case: str, label: str, value: float, ours: bool) -> dict[str, Any]:
-    """Return a row of a force [mu mg] or a time [ms]."""
+    """Return the row of a force [mu mg] or a time [ms]."""
     return {"value": value, "case": case, "label": label, "ours": ours}
 
 
 def time_rows(rig: Rig, seconds: float) -> list[dict[str, Any]]:
-    """Race the linear programme, warm and cold, beside HiGHS, least squares and the SVD."""
+    """Time the linear programme with warm and cold start, HiGHS, least squares and the SVD."""
     library = Library.around(rig.plate.half)
     position, direction = request(rig, PARTS, 0)
     moved = position + 1e-3 * np.random.default_rng(0).normal(size=position.shape)
@@ -74,7 +74,7 @@ def time_rows(rig: Rig, seconds: float) -> list[dict[str, Any]]:
 
 
 def realised_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
-    """Put guaranteed forces into closed motions, by both ways of closing them."""
+    """Convert guaranteed forces to closed motions, by both methods of closing them."""
     rows = []
     for closure in ("sequence", "strokes"):
         solver = RotationSolver(rig, closure=closure, restarts=1)
@@ -97,7 +97,7 @@ def realised_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
 
 
 def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return random places (M, 2) [m] with the distance asked for."""
+    """Return random positions (M, 2) [m] with the minimum distance `APART`."""
     chosen = np.empty((0, 2))
     while len(chosen) < parts:
         new = rng.uniform(-0.9, 0.9, 2) * rig.plate.half
@@ -107,7 +107,7 @@ def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def request(rig: Rig, parts: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and unit vectors (M, 2) of a trial."""
+    """Return positions [m] and unit vectors (M, 2) of a trial."""
     rng = np.random.default_rng([seed, parts])
     position = scatter(rig, parts, rng)
     angle = rng.uniform(0, 2 * np.pi, parts)
@@ -115,7 +115,8 @@ def request(rig: Rig, parts: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def force_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
-    """Guaranteed forces by the library, and by few centres, in several ways."""
+    """Return rows of guaranteed forces with the library and with few centres, by several
+    methods."""
     half = rig.plate.half
     sets = {
         "library": Library.around(half),
@@ -138,13 +139,13 @@ def force_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
 
 
 def by_time(library: Library, position: np.ndarray, direction: np.ndarray) -> float:
-    """Guaranteed force of the least-time plan, closure included."""
+    """Return the guaranteed force of the minimum-time plan, with its closure."""
     return 1 / plan_rotations(library, position, direction).times.cost
 
 
 def by_svd(libraries: list[Library], position: np.ndarray, direction: np.ndarray) -> float:
-    """Guaranteed force of the smallest weights: least component along the request, per time; of the
-    best set of centres."""
+    """Return the guaranteed force of the minimum-norm weights, for the best set of centres: the
+    minimum component along the request, per time."""
     forces = []
     for library in libraries:
         matrix = library.forces(position)

@@ -1,8 +1,8 @@
-"""Scenes for the simulator and its peers: parts that never meet on a shaken plate.
+"""Scenes for the simulator and its baselines: parts without collisions on a shaken plate.
 
-The exact scene is one plate velocity, V (sin w t + 0.5 cos 2 w t) along x at 30 Hz. The travel
-after 1 s is known from an event-driven integration that agrees with `solve_ivp` at rtol 1e-12 to
-1e-10 mm.
+In the exact scene the plate has the velocity V (sin w t + 0.5 cos 2 w t) along x at 30 Hz. The
+travel after 1 s is known from an event-driven integration. It agrees with `solve_ivp` at rtol 1e-12
+within 1e-10 mm.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from plate_sim import simulate, simulate_bodies
 from plate_sim.friction import TOLERANCE, disc
 
 FREQUENCY = 30.0
-"""Of the plate [Hz]."""
+"""Frequency of the plate [Hz]."""
 
 CYCLES = 30
-"""Cycles in a scene: 1 s."""
+"""Number of cycles in a scene, 1 s."""
 
 EXACT_M = {4: 4.9974160443e-3, 20: 65.346182922e-3}
-"""Travel [m] of a part that starts at rest after 1 s, by peak acceleration over mu g."""
+"""Travel after 1 s of a part that starts at rest [m], by peak acceleration divided by mu g."""
 
 MU, GRAVITY = 0.25, 9.81
 MU_G = MU * GRAVITY
 
 RADIUS = 0.008
-"""Of the parts [m], which touch nothing."""
+"""Radius of the parts [m], which touch nothing."""
 
 SPEED = 0.1
-"""Standard deviation of the start velocities [m/s] where parts differ."""
+"""Standard deviation of the initial velocities, in scenes in which they differ [m/s]."""
 
 SPIN = 5.0
-"""Rotation of the turning plate: peak theta' [rad/s] per peak speed [m/s] of its translation."""
+"""Ratio of the peak angular velocity of a rotating plate [rad/s] to its peak speed [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,13 @@ class Scene:
     velocity: np.ndarray
 
     def travel(self, tolerance: float = TOLERANCE) -> np.ndarray:
-        """Simulate it event by event; returns how far each part went, (M, 2) [m]."""
+        """Simulate the scene event by event. Return the displacement of each part (M, 2) [m]."""
         run = simulate(self.cycle, self.position, self.velocity, MU, GRAVITY, CYCLES, 1, tolerance)
         return np.asarray(run.position[-1] - self.position)
 
     def travel_in_steps(self, step: float) -> np.ndarray:
-        """Simulate it with the world's model of parts, in steps [s]; returns the same."""
+        """Simulate the scene with the world's model of parts, in steps [s]. Return the displacement
+        of each part (M, 2) [m]."""
         run = simulate_bodies(
             self.cycle, disc(RADIUS), self.position, 0, self.velocity, 0, MU, GRAVITY, CYCLES, 0,
             step,
@@ -69,16 +70,16 @@ class Scene:
 def wave_cycle(
     frequency: float, speed: np.ndarray, overtone: float = 0.5, late: np.ndarray | float = 0.0
 ) -> PlateCycle:
-    """Return a motion whose velocity is a sine with an overtone of twice its frequency.
+    """Return a motion whose velocity is u = speed (sin w t + overtone cos 2 w t).
 
     Parameters
     ----------
     frequency : float
-        [Hz].
+        [Hz]
     speed : (3,)
-        Of the plate along x, y and about its centre: u = speed (sin w t + overtone cos 2 w t).
+        Speed along x and y, and about the centre.
     late : (3,) or float
-        Phases by which they come later [rad].
+        Phase delays of the three components [rad].
     """
     w, wt = 2 * np.pi * frequency, 2 * np.pi * np.arange(256)[:, None] / 256 - late
     pose = speed / w * (-np.cos(wt) + 0.5 * overtone * np.sin(2 * wt))
@@ -88,9 +89,9 @@ def wave_cycle(
 
 
 def exact_cycle(gamma: float, spin: float = 0.0) -> PlateCycle:
-    """Return the exact scene's motion with peak acceleration gamma mu g.
+    """Return the motion of the exact scene with the peak acceleration gamma mu g.
 
-    With `spin`, theta' follows the same wave a quarter of a cycle later.
+    With `spin`, theta' has the same wave, a quarter of a cycle later.
     """
     phase = np.linspace(0, 2 * np.pi, 20001)
     most = np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
@@ -99,28 +100,29 @@ def exact_cycle(gamma: float, spin: float = 0.0) -> PlateCycle:
 
 
 def alike(gamma: float, count: int) -> Scene:
-    """Return the exact scene: all parts start at rest."""
+    """Return the exact scene, in which all parts start at rest."""
     position = np.random.default_rng(0).uniform(-0.1, 0.1, (count, 2))
     return Scene(exact_cycle(gamma), position, np.zeros((count, 2)))
 
 
 def all_ways(gamma: float, count: int) -> Scene:
-    """Return the exact scene, but parts start at different speeds in all directions."""
+    """Return the exact scene with random initial velocities of the parts."""
     scene = alike(gamma, count)
     velocity = np.random.default_rng(1).normal(0, SPEED, (count, 2))
     return Scene(scene.cycle, scene.position, velocity)
 
 
 LARGEST = 0.2
-"""Target forces are this long at most [mu m g]."""
+"""Maximum length of target forces [mu m g]."""
 
 
 TRIES = 1000
-"""Scenes that are drawn at once: of 24 parts one in some hundred thousands has its gaps."""
+"""Number of scenes drawn at once. With 24 parts, only about one in 100,000 has the required
+gaps."""
 
 
 def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return places (M, 2) [m], at least 40 mm apart and 15 % off the edges."""
+    """Return random positions (M, 2) [m], at least 40 mm apart, and 15 % away from the edges."""
     room = 0.85 * rig.plate.half
     while True:
         before = rng.bit_generator.state
@@ -137,7 +139,7 @@ def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
 def targets(
     rig: Rig, parts: int, count: int, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return scattered places (M, 2) [m] and forces (M, 2) [mu m g]."""
+    """Return random positions (M, 2) [m] and forces (M, 2) [mu m g]."""
     found = []
     for _ in range(count):
         position = scatter(rig, parts, rng)

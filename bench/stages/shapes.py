@@ -1,6 +1,7 @@
-"""Parts of any outline in hostile scenes: recall, precision, centres, time.
+"""Parts of any outline in difficult scenes: recall, precision, centres, time.
 
-Nothing is known of the parts; the plate was seen bare before. The scenes: `hostile`.
+The detector gets no information on the parts, but images of the bare plate. The scenes are from
+`hostile`.
 """
 
 from __future__ import annotations
@@ -29,31 +30,34 @@ from stages.hostile import (
 )
 
 SCENES, QUICK_SCENES = 20, 1
-"""Of each kind."""
+"""Number of scenes of each kind."""
 
 FIRST = 100
-"""Number of the first scene that is measured: those before were for tuning."""
+"""Number of the first measured scene. Scenes with smaller numbers are for tuning."""
 
 REACH = 0.5
-"""How near to a part's true centre a patch must be to count, in radii of the disc of its area."""
+"""Maximum distance of a detection from a part's true centre [radii of the disc of equal area]."""
 
 GOAL_PERCENT = (98, 99)
-"""Recall and precision that are wanted."""
+"""Required recall and precision [%]."""
 
 OURS, TAUGHT = METHODS = "find_patches", "find_types"
 
 SEEN = np.dtype([("x_px", "f8"), ("y_px", "f8"), ("label", "U32"), ("whole", "?")])
-"""What is read of a sighting; the label is empty if the method knows no types."""
+"""Evaluated fields of a detection. The label is empty if the method does not use types."""
 
 
 Tally = dict[str, list[Any]]
-"""What was found in some scenes. `hit`: of each part that lies wholly in the image whether it was
-found; `true`: of each thing found that counts whether it is such a part; `label`, `name`, `gap_px`:
-of each such part that was found what it was called, what it is, and how far it is off."""
+"""Results of several scenes. Only parts that are completely in the image are evaluated.
+
+hit: Whether each of these parts was detected.
+true: Whether each evaluated detection is such a part.
+label, name, gap_px: Detected type, true type and position error of each detected part.
+"""
 
 
 def add(tally: Tally, seen: np.ndarray, parts: list[Part]) -> None:
-    """Count one scene: sightings (n,) SEEN and parts."""
+    """Add one scene with its detections (n,) SEEN and parts."""
     seen = seen[seen["label"] != GROUP]
     centres = np.array([part.middle_px for part in parts]).reshape(-1, 2)
     reach = REACH * np.array([part.radius_px for part in parts])
@@ -78,7 +82,8 @@ def measure(quick: bool) -> Result:
 
 
 def sentence(rows: list[dict[str, Any]], method: str) -> str:
-    """Say in how many kinds of scenes a method does what is wanted, and in what time."""
+    """Return a sentence on the number of kinds of scenes in which a method reaches the goal, and on
+    its time."""
     own = [row for row in rows if row["method"] == method]
     below = [
         f"{row['kind']} ({row['recall_percent']:.1f}, {row['precision_percent']:.1f})"
@@ -94,7 +99,7 @@ def sentence(rows: list[dict[str, Any]], method: str) -> str:
 
 
 def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
-    """Measure ours, with and without types, and their peer in scenes of one kind."""
+    """Measure the project's detector with and without types, in scenes of one kind."""
     catalogue, calibration = make_catalogue(all_types()), calibrate_by_scale(SCALE_PX_M)
     tallies: dict[str, Tally] = {name: defaultdict(list) for name in METHODS}
     times: dict[str, list[float]] = {name: [] for name in tallies}
@@ -106,7 +111,7 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
         }
         for name, find in finders.items():
             if not times[name]:
-                find()  # warms up
+                find()  # warm-up
             found, seconds = timed(find)
             times[name].append(seconds)
             add(tallies[name], as_seen(found), parts)
@@ -127,7 +132,7 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
 
 
 def as_seen(found: list[Patch] | np.ndarray) -> np.ndarray:
-    """Return sightings (n,) as they are, patches as (n,) SEEN."""
+    """Return patches converted to (n,) SEEN. Other detections are returned unchanged."""
     if isinstance(found, np.ndarray):
         return found
     return np.array([(*p.centre_px, GROUP if p.group else "", p.whole) for p in found], SEEN)

@@ -20,26 +20,27 @@ from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, Scene, alike, al
 from stages.tray import tray_rows
 
 EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
-"""Methods: our judge, our model of parts, and the peers."""
+"""Methods: the reference, the simulator's model of parts, and the baselines."""
 
 PEER_STEP_MS = 0.1
-"""Step at which pymunk errs by 0.12 % in the exact scene: what speeds are compared at."""
+"""Time step at which pymunk's error in the exact scene is 0.12 %. Speeds are compared at this
+error."""
 
 SPAN, PEER_SPAN = CYCLES / FREQUENCY, 0.1
-"""Simulated time of a scene, and of a timed run of a peer [s]."""
+"""Simulated time of a scene, and of a timed run of a baseline [s]."""
 
 MUJOCO_LEAST_MS = 0.05
-"""Shortest step at which MuJoCo is run [ms]: it takes long, and gets no better."""
+"""Minimum time step of MuJoCo [ms]. Shorter steps take long and are not more accurate."""
 
 WIDE_M = 2.0
-"""Side of the plate whose cost is measured: room for 1000 parts."""
+"""Side length of the plate in measurements of the cost [m], large enough for 1000 parts."""
 
 SPACING_M = 0.02
-"""Between the centres of the parts whose cost is measured: they do not touch."""
+"""Distance between the centres of parts in measurements of the cost [m]. They do not touch."""
 
 
 def measure(quick: bool) -> Result:
-    """Measure error by setting, speed at the peer's error, colliding discs, and cost."""
+    """Measure error by setting, speed at pymunk's error, colliding discs, and cost."""
     tables = [
         Table.of("error", error_rows(quick)),
         Table.of("speed", speed_rows(quick), step=PEER_STEP_MS),
@@ -50,26 +51,26 @@ def measure(quick: bool) -> Result:
 
 
 def rms(values: Any) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def peer_scene(scene: Scene, dt: float, span: float, offset: float = 0.5) -> PymunkScene:
-    """Build the peer's scene; it may take the plate's velocity where it serves it best."""
+    """Return pymunk's scene. The plate's velocity may be evaluated at the best time in a step."""
     return PymunkScene(scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset)
 
 
 def peer_travel(scene: Scene, dt: float, offset: float) -> np.ndarray:
-    """How far the peer's parts went in 1 s (M, 2) [m]."""
+    """Return the displacement of pymunk's parts in 1 s (M, 2) [m]."""
     return np.asarray(peer_scene(scene, dt, SPAN, offset).run() - scene.position)
 
 
 Setting = tuple[str, str, list[float], Callable[[], object], float]
-"""Method, its setting, its errors [m], and a run of so many seconds to time."""
+"""Method, its setting, its errors [m], a function to time, and its simulated time [s]."""
 
 
 def error_rows(quick: bool) -> list[dict[str, Any]]:
-    """Error of the travel of one part after 1 s, and speed, by setting."""
+    """Return rows of the error of one part's travel after 1 s, and of the speed, by setting."""
     rows = []
     for gamma, exact in EXACT_M.items():
         for method, setting, errors, run, span in settings(alike(gamma, 1), exact, quick):
@@ -85,7 +86,7 @@ def error_rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
-    """Yield every method at each of its settings, judged by the exact travel [m]."""
+    """Yield every method with each of its settings. `exact` is the exact travel [m]."""
     steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
     tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
     repeats = range(2 if quick else 5)
@@ -115,13 +116,14 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
 
 
 def speed_rows(quick: bool) -> list[dict[str, Any]]:
-    """Speed at the peer's error by number of parts, which move all ways."""
+    """Return rows of the speed at pymunk's error by number of parts, which move in all
+    directions."""
     counts, there = (1, 10, 100), optional(PYMUNK)
     return [{"parts": count, "lead": lead(count, quick) if there else None} for count in counts]
 
 
 def lead(count: int, quick: bool) -> float:
-    """How many times as fast we are as pymunk, at its error."""
+    """Return a sentence on the ratio of the simulator's speed to pymunk's, at the same error."""
     scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
     truth = scene.travel(1e-11)
     error = min(rms(peer_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))
@@ -132,7 +134,7 @@ def lead(count: int, quick: bool) -> float:
 
 
 def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> float:
-    """Return the loosest tolerance that gives no more than the wanted error [m]."""
+    """Return the largest tolerance whose error does not exceed the required one [m]."""
     for tolerance in 10.0 ** np.arange(-3, -10, -1):
         if rms(scene.travel(tolerance) - truth) <= wanted:
             break
@@ -140,7 +142,7 @@ def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> float:
 
 
 def cost_rows(quick: bool) -> list[dict[str, Any]]:
-    """Simulated seconds per second of every method, from 1 to 1000 parts."""
+    """Return rows of simulated seconds per second of every method, for 1 to 1000 parts."""
     rows = []
     for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
         scene = all_ways(20, count)
@@ -161,7 +163,7 @@ def cost_rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def run_world(cycle: PlateCycle, position: np.ndarray) -> WorldState:
-    """Run three cycles of the world that the closed loop runs in, on a larger plate."""
+    """Run three cycles of the closed loop's world, on a larger plate."""
     ids = tuple(f"black_{i + 1}" for i in range(len(position)))
     state = WorldState.at_rest(ids, position)
     return run_cycle(state, cycle, wide_rig(), MU, cycles=3)
@@ -169,6 +171,6 @@ def run_world(cycle: PlateCycle, position: np.ndarray) -> WorldState:
 
 @lru_cache(maxsize=1)
 def wide_rig() -> Rig:
-    """Return the default rig with a plate that has room for many parts."""
+    """Return the default rig with a plate that is large enough for many parts."""
     rig = load_rig()
     return replace(rig, plate=replace(rig.plate, length_m=WIDE_M, width_m=WIDE_M))

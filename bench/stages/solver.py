@@ -1,6 +1,6 @@
-"""Plate motions for wanted average forces, from a cold start.
+"""Plate motions for requested average forces, without a warm start.
 
-Every answer, ours and the peer's, is judged by the force map on samples that neither has used.
+All results are checked by the force map on samples that no method has used.
 """
 
 from __future__ import annotations
@@ -18,34 +18,36 @@ from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 from stages.scenes import targets
 
 HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}
-"""Harmonics N by parts M: the fewest with parameters to spare, as `SinusoidSolver` chooses."""
+"""Number of harmonics N, by number of parts M: the minimum with more parameters than forces, as
+`SinusoidSolver` chooses."""
 
 PERIOD_PER_HARMONIC = 0.025
-"""[s]; averaged forces do not depend on it."""
+"""Period per harmonic [s]. Averaged forces do not depend on it."""
 
 ROTATION_SHARE = 3
-"""`RotationSolver` gets every third target only: it takes ten times as long."""
+"""`RotationSolver` gets only every third target, because it takes ten times as long."""
 
 TOLERANCE = 1e-4
-"""Greatest error of a component that counts as success [mu m g]."""
+"""Maximum error of a force component in a successful solution [mu m g]."""
 
 RESTARTS = 20
-"""Further starts that every method has."""
+"""Number of restarts of every method."""
 
 SAMPLES = 1024
-"""Samples of the peer's last steps: enough for most dips."""
+"""Number of samples in scipy's final steps. They resolve most dips of the slip."""
 
 JUDGE_SAMPLES = 6007
-"""Samples of the judge: no multiple of anybody else's."""
+"""Number of samples of the check. It is not a multiple of any method's number."""
 
 OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
-"""The peer: least_squares(method='lm') with our Jacobian on the same samples, random starts, then
-the same last steps on fine samples. Our times include the finished PlateCycle within the rig's
-limits, RotationSolver's also closure and ramps; scipy's end with the parameters."""
+"""Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,
+from random starts, with the same final steps on fine samples. The times of the project's solvers
+include the finished PlateCycle within the rig's limits, and for RotationSolver also closure and
+ramps. scipy's times end with the parameters."""
 
 
 def measure(quick: bool) -> Result:
-    """Solve random targets for 1 to 4 parts."""
+    """Solve random requests for 1 to 4 parts."""
     rig = load_rig()
     samples = []
     for parts in HARMONICS:
@@ -54,7 +56,7 @@ def measure(quick: bool) -> Result:
 
 
 def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
-    """Solve the same targets by all methods, in turns; one sample per target and method."""
+    """Solve the same requests with all methods in turn. Return a sample per request and method."""
     number = HARMONICS[parts]
     period = PERIOD_PER_HARMONIC * number
     ours = SinusoidSolver(
@@ -94,7 +96,7 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
 
 
 class ScipySolver:
-    """scipy's least_squares on the force map: what one would write without our solver."""
+    """scipy's least_squares on the force map, the obvious solution without the project's solver."""
 
     def __init__(self, rig: Rig, number: int, period: float) -> None:
         limits = Limits.of(rig)
@@ -103,7 +105,7 @@ class ScipySolver:
         self.reset()
 
     def reset(self) -> None:
-        """Start the random numbers anew."""
+        """Restart the random numbers from their seed."""
         self._rng = np.random.default_rng(0)
 
     def solve(self, position: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -123,7 +125,7 @@ class ScipySolver:
     ) -> Any:
         still = np.zeros_like(position)
         rows = np.tile([True, True, False], len(position))
-        # 'lm' wants at least as many errors as parameters: the further ones are zero.
+        # 'lm' requires at least as many errors as parameters. The additional errors are zero.
         spare = max(0, len(start) - force.size)
 
         def errors(theta: np.ndarray) -> np.ndarray:
@@ -140,7 +142,7 @@ class ScipySolver:
 
 
 def told(parts: int, method: str, samples: list[dict[str, Any]]) -> str:
-    """Sum up the samples of one method at one number of parts."""
+    """Return the statistics of one method's samples for one number of parts."""
     mine = [s for s in samples if s["parts"] == parts and s["method"] == method]
     met = 100 * np.mean([s["error"] <= TOLERANCE for s in mine])
     ms = np.median([s["ms"] for s in mine])

@@ -1,6 +1,6 @@
-"""What each stage of the loop costs for one image.
+"""Computation time of each stage of the loop for one image.
 
-The loop itself is `loop.run`; every stage then gets the same inputs once more.
+`loop.run` runs the loop. Then every stage gets the same inputs again, and is timed.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from tasks.runs import sorting
 
 PARTS = (1, 2, 4, 6, 8, 10, 16)
 IMAGES = 40
-"""Images of one run."""
+"""Number of images of a run."""
 
 FIRST = 4
-"""Images that are not counted: the parts are not known yet, or something is made only once."""
+"""Number of first images that are not counted. There the parts are not known yet, or caches are
+filled."""
 
 STAGES = ("camera", "vision", "planner", "solver", "driver", "simulator")
 
@@ -44,7 +45,7 @@ def measure(quick: bool) -> Result:
 
 
 def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str, Any]:
-    """Give every stage the run's inputs again, and time it."""
+    """Give every stage the inputs of the run again, and return the row of its times."""
     camera, vision, tracker = Camera(rig), make_vision(rig), Tracker()
     planner, controller = Planner(rig, scenario), Controller(rig)
     state = planner.start(planner.initial())

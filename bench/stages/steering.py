@@ -1,7 +1,8 @@
-"""Plate motions for wanted displacements on the true stick-slip cycle.
+"""Plate motions for requested displacements on the exact stick-slip cycle map.
 
-Each scene is a short closed loop without camera and planner: the controller answers where the
-parts are now, its cycle runs next, and `plate_sim` moves them. All want a random, steady drift.
+Each scene is a short closed loop without camera and planner. The controller gets the true
+positions, its cycle runs next, and `plate_sim` moves the parts. A random constant drift of each
+part is requested.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from stages.scenes import scatter
 
 PARTS = (1, 2, 4, 6, 8, 10, 16, 24)
 DRIFT = 0.005
-"""Greatest wanted drift of a part along each axis [m/s]."""
+"""Maximum requested drift of a part along each axis [m/s]."""
 
 SCENES = 50
 
 CYCLES = 6
-"""Cycles of a scene; the first is solved from a cold start."""
+"""Number of cycles of a scene. The first one is solved without a warm start."""
 
 GOOD = 0.15
-"""Missed share that counts as met, as in the controller."""
+"""Maximum relative error of a request that counts as met, as in the controller."""
 
 
 def measure(quick: bool) -> Result:
@@ -41,7 +42,7 @@ def measure(quick: bool) -> Result:
 
 
 def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict[str, Any]:
-    """Run some scenes with one number of parts."""
+    """Run scenes with one number of parts, and return their row."""
     rng = np.random.default_rng(parts)
     scenes, period = [], 0.0
     for _ in range(count + 1):
@@ -70,15 +71,15 @@ def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict
 def scene(
     rig: Rig, controller: Controller, position: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Steer parts (M, 2) [m] from rest.
+    """Move parts from rest.
 
     Returns
     -------
     found : (4, CYCLES)
-        Time of each answer [ms]; root mean square over parts and axes of the displacement [m] that
-        is missed in truth, that the solver foresaw to miss, and that was asked.
+        Time of each solution [ms], and root mean squares over parts and axes [m]: true error of the
+        displacement, its error by the solver's prediction, and the requested displacement.
     period : float
-        Of the last answer [s].
+        Period of the last solution [s].
     """
     controller.reset()
     drift = rng.uniform(-DRIFT, DRIFT, position.shape)

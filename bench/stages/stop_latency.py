@@ -1,4 +1,5 @@
-"""From the emergency_stop call to the wire, under floods of messages."""
+"""Latency from the call of emergency_stop to the Stop on the serial line, under floods of
+messages."""
 
 from __future__ import annotations
 
@@ -32,10 +33,10 @@ from plate_interfaces.msg import DriverStatus
 from stages.device import PERIOD_S, device, shaking
 
 NODES = ("simulator", "detector", "planner", "solver", "driver")
-"""Of the whole graph; the simulator follows the setpoints that the driver publishes."""
+"""Nodes of the complete graph. The simulator follows the setpoints that the driver publishes."""
 
 LONGEST_MS = 50.0
-"""From call to wire, at most."""
+"""Maximum allowed latency from the call to the line [ms]."""
 
 STOPS, QUICK_STOPS = 30, 3
 START_S = 60.0
@@ -91,7 +92,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 
 
 class Bench(Listener):
-    """A node that enables, plays and stops."""
+    """ROS node that enables the motors, publishes cycles and calls the stop."""
 
     def __init__(self, period_s: float | None) -> None:
         super().__init__("stop_latency")
@@ -100,7 +101,7 @@ class Bench(Listener):
         self.stop = self.node.create_client(Trigger, "emergency_stop")
         self.enable = self.node.create_client(SetBool, "enable")
         self.plate = PlateClient(self.node, self.until)
-        if period_s is not None:  # else the solver alone publishes cycles
+        if period_s is not None:  # otherwise only the solver publishes cycles
             cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
             table = shaking(64, 5e-4)
 
@@ -113,20 +114,20 @@ class Bench(Listener):
         self.state = msg.state
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait for a condition."""
+        """Wait until a condition is true, for at most `seconds`. Return whether it is true."""
         end = time.monotonic() + seconds
         while not condition() and time.monotonic() < end:
             time.sleep(0.005)
         return condition()
 
     def is_enabled(self) -> bool:
-        """Enable, and wait until the driver is ready."""
+        """Enable the motors, and wait until the driver is ready. Return whether it is."""
         future = self.enable.call_async(SetBool.Request(data=True))
         answered = self.until(future.done, 20.0) and future.result().success
         return answered and self.until(lambda: self.state == DriverState.READY, 10.0)
 
     def begin_task(self) -> None:
-        """Start a task, as soon as the planner takes it."""
+        """Start a task when the planner accepts it."""
         self.until(lambda: self.plate.found("sort_parts"), START_S)
         self.plate.start(load_scenario("sort_10"), START_S)
 
@@ -135,7 +136,8 @@ def latencies(
     count: int, domain: int, points: int = 0, pause_s: float = 0.1, period_s: float = PERIOD_S,
     busy: int = 0, graph: bool = False, **options: Any,
 ) -> list[tuple[float, float]]:  # fmt: skip
-    """Return the times [ms] from the call of emergency_stop to the frame, at most and at least."""
+    """Return the upper and lower bounds of the times from the call of emergency_stop to the frame
+    [ms]."""
     context = multiprocessing.get_context("spawn")
     ready, done, stops = context.Event(), context.Event(), context.Queue()
     found: list[tuple[float, float]] = []
@@ -143,7 +145,7 @@ def latencies(
     others = {f"busy_{k}": [sys.executable, "-c", BUSY] for k in range(busy)}
     if points:
         others["flood"] = [sys.executable, "-c", FLOOD, str(points), str(pause_s)]
-    # The planner is to hear of the cycles that the device begins, not of the simulator's.
+    # The planner must receive the cycle starts of the device, not those of the simulator.
     unheard = dict.fromkeys((ONE_PROCESS, "simulator"), ("simulator:cycle_started", "unheard"))
     with tempfile.TemporaryDirectory() as folder:
         link = str(Path(folder) / "port")
@@ -170,8 +172,8 @@ def latencies(
 
 
 def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, float]]:
-    """Enable, start a task if there is one, play for a while, stop; returns the time from call to
-    wire [ms]."""
+    """Enable, start a task if requested, play for a while, and stop. Return the bounds of the time
+    from the call to the line [ms]."""
     if not bench.is_enabled():
         return []
     if task:
@@ -192,7 +194,7 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
 
 
 def measure(quick: bool) -> Result:
-    """Measure all conditions; quick: a few stops of each."""
+    """Measure all conditions. A quick measurement has only a few stops of each."""
     rows: list[dict[str, Any]] = []
     with ExitStack() as stack:
         domain = stack.enter_context(own_domain())

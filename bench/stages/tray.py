@@ -1,7 +1,7 @@
-"""Colliding discs in a walled tray, beside the peers: speed and overlap.
+"""Colliding discs in a tray with walls, compared with the baselines: speed and overlap.
 
-Discs start in a grid with gaps of 1 mm, at random velocities. The tray shakes along x as in the
-exact scene, at 20 mu g; contacts stop parts.
+Discs start on a grid with gaps of 1 mm, with random velocities. The tray shakes along x as in the
+exact scene, with 20 mu g. Contacts are inelastic.
 """
 
 from __future__ import annotations
@@ -31,24 +31,26 @@ SPAN = CYCLES / FREQUENCY
 """Simulated time [s]."""
 
 SLOP = 1e-5
-"""Overlap [m] that pymunk may leave: as little as we do. By default it is 0.1 m, for pixels."""
+"""Overlap that pymunk may leave [m], as small as the project's. pymunk's default of 0.1 is meant
+for pixels."""
 
 THICK = 0.05
-"""Of pymunk's walls [m]: none goes through."""
+"""Thickness of pymunk's walls [m], so that no disc passes through."""
 
 REPEATS = 20
-"""Of our runs in one timing: it then takes about as long as the peer's, caches as warm."""
+"""Number of the simulator's runs in one timing. It then takes about as long as the baseline's, with
+equally warm caches."""
 
 GRIDS = {10: (5, 2), 100: (20, 5), 300: (30, 10)}
-"""Columns and lines of the grid by number of discs."""
+"""Columns and rows of the grid, by number of discs."""
 
 
 MUJOCO_MOST = 100
-"""Discs that MuJoCo is given: with more it takes too long."""
+"""Maximum number of discs for MuJoCo. With more it takes too long."""
 
 
 def shaken(count: int) -> Scene:
-    """Return the tray with so many discs."""
+    """Return the tray with `count` discs."""
     columns, lines = GRIDS[count]
     x = np.arange(columns) - 0.5 * (columns - 1)
     y = np.arange(lines) - 0.5 * (lines - 1)
@@ -59,7 +61,7 @@ def shaken(count: int) -> Scene:
 
 
 def ours(tray: Scene, steps: int, samples: int = 0) -> BodyTrajectory:
-    """Run plate_sim's parts in so many steps a cycle, with so many samples of each."""
+    """Simulate the discs with plate_sim, with given numbers of steps and samples per cycle."""
     return simulate_bodies(
         tray.cycle, DISC, tray.position, 0, tray.velocity, 0, MU, GRAVITY, CYCLES, samples,
         tray.cycle.period / steps, contacts=Contacts(0.0, walls=True), half=HALF,
@@ -67,7 +69,7 @@ def ours(tray: Scene, steps: int, samples: int = 0) -> BodyTrajectory:
 
 
 def our_trace(tray: Scene, steps: int) -> np.ndarray:
-    """Return plate_sim's places after every step (k, M, 2), in the plate."""
+    """Return plate_sim's positions in the plate's frame after every step (k, M, 2) [m]."""
     run = ours(tray, steps, steps)
     t = np.arange(1, len(run.time)) % steps * (tray.cycle.period / steps)
     return np.asarray(run.position[1:] - tray.cycle.pose(t)[:, None, :2])
@@ -89,7 +91,8 @@ class PymunkTray(PymunkScene):
             shape.friction = shape.elasticity = 0.0
 
     def trace(self) -> np.ndarray:
-        """Advance; returns places after every step (k, M, 2), in the plate."""
+        """Simulate the scene. Return positions in the plate's frame after every step (k, M, 2)
+        [m]."""
         path = np.empty((len(self.twist), len(self.parts), 2))
         for k, velocity in enumerate(self.twist):
             self.plate.velocity = velocity
@@ -99,7 +102,8 @@ class PymunkTray(PymunkScene):
 
 
 def overlap(path: np.ndarray) -> float:
-    """Deepest overlap [m] of any two discs, or of a disc and a wall, at any step (k, M, 2)."""
+    """Return the maximum overlap of two discs, or of a disc and a wall, at any step (k, M, 2)
+    [m]."""
     i, j = np.triu_indices(path.shape[1], 1)
     least = min(float(np.linalg.norm(p[i] - p[j], axis=1).min()) for p in path)
     return max(0.0, 2 * RADIUS - least, float(np.max(np.abs(path) - (HALF - RADIUS))))
@@ -112,9 +116,10 @@ def tray_rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
-    """Speed and overlap of all methods, in steps of about 1, 1.5 and 0.2 ms, and of our own.
+    """Return rows of speed and overlap of all methods, with time steps of about 1, 1.5 and 0.2 ms,
+    and of the simulator's default step.
 
-    They are timed in turns; the peers' scenes are built afresh, which is not timed.
+    The methods are timed in turn. The baselines' scenes are built for each run, which is not timed.
     """
     steps = (33, 22) if quick else (33, 22, 167)
     own = round(tray.cycle.period / STEP)

@@ -1,7 +1,8 @@
-"""Creep beside the peers, what is left out, other laws of friction.
+"""Creep compared with baselines, neglected effects, other laws of friction.
 
-How far the simulator can be believed: creep of parts that should ride, beside the peers; the
-size of what it leaves out; and what laws of friction that nobody told the loop do to tasks.
+Three measurements show how accurate the simulator is: the creep of parts that should stick, the
+size of the effects that the model neglects, and the results of tasks under laws of friction that
+the loop does not assume.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
 from tasks.runs import runs_of, summed
 
 Method = tuple[str, float | None, Callable[[PlateCycle, float, float], float]]
-"""Name, step [ms] if it has any, and what gives the drift [m] in a plate's motion under a pull
-[mu g] after a time [s]."""
+"""Name, time step [ms] if there is one, and a function that returns the drift [m] for a motion of
+the plate, a pull [mu g] and a time [s]."""
 
 CREEP_S = 10
-"""Time in which a part should stay where it is on the plate [s]."""
+"""Time in which a part should not move relative to the plate [s]."""
 
 RIDES = {
     "level, shaken at 0.9 mu g": (0.9, 0.0),
     "still, tilt pulls 0.9 mu g": (0.0, 0.9),
     "0.45 mu g each": (0.45, 0.45),
 }
-"""Scene -> peak acceleration of the plate, and the pull down the tilt, over mu g: below 1, so that
-friction holds the part and its true drift is none."""
+"""For each scene, the peak acceleration of the plate and the pull by its tilt [mu g]. Their sum is
+below 1, so friction holds the part and its true drift is 0."""
 
 HOME = np.zeros((1, 2))
-"""Where the part lies at the start [m]."""
+"""Initial position of the part [m]."""
 
 SQUARE = polygon(0.016 * (np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) - 0.5))
 
@@ -50,42 +51,44 @@ IN_CONTACT = """<mujoco>
 <body pos="0 0 {height}"><freejoint/><geom type="cylinder" size="{radius} {height}" mass="{mass}"
 friction="{mu} 0 0"/></body></worldbody>
 </mujoco>"""
-"""A cylinder that lies on a plane."""
+"""MuJoCo model of a cylinder on a plane."""
 
 HEIGHT = 0.003
-"""Half that of the cylinder [m]."""
+"""Half the height of the cylinder [m]."""
 
 WORLDS: tuple[dict[str, float], ...] = (
     {}, {"static_ratio": 1.3}, {"friction_slope": 0.5}, {"friction_slope": -0.5},
     {"friction_slope": 2.0}, {"friction_slope": -2.0}, {"heave": 0.01}, {"heave": 0.05},
 )  # fmt: skip
-"""Laws of friction in which tasks are run; loop and planner believe the first."""
+"""Laws of friction for the tasks. The loop assumes the first one."""
 
 LEFT = ("effect", "formula", "assumed", "size")
-"""The columns of what is left out of the model."""
+"""Columns of the table of neglected effects."""
 
 DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
-"""Of a steel part [kg/m3]; of an aluminium plate [Pa], [kg/m3], [-]."""
+"""Density of a steel part [kg/m3]; Young's modulus [Pa], density [kg/m3] and Poisson's ratio of an
+aluminium plate."""
 
 OFF_PLANE_M, OUT_OF_PLANE = 1e-3, 0.01
-"""Assumed: the motors push so far beside the plate's middle plane [m], and the plate moves up and
-down by this share of its motion."""
+"""Assumptions: distance of the motors' forces from the plate's middle plane [m], and vertical
+motion as a fraction of the horizontal motion."""
 
 AIR_VISCOSITY, AIR_DENSITY, AIR_GAP_M = 1.8e-5, 1.2, 10e-6
-"""[Pa s], [kg/m3]; between two surfaces that touch at their peaks [m]."""
+"""Viscosity [Pa s] and density [kg/m3] of air, and gap between two surfaces that touch at their
+peaks [m]."""
 
 CHARGE, VACUUM = 2.7e-5, 8.85e-12
-"""What air bears before a spark [C/m2]; [F/m]."""
+"""Maximum charge density in air before a breakdown [C/m2], and vacuum permittivity [F/m]."""
 
 WEAR, HARDNESS = 1e-4, 1e9
-"""Archard's coefficient of dry sliding [-], and the softer one's hardness [Pa]."""
+"""Archard's coefficient of dry sliding [-], and hardness of the softer surface [Pa]."""
 
 PRESLIDING_M = 1e-6
-"""Way over which the contact's asperities give before they slide [m]."""
+"""Displacement by which the contact's asperities deform before they slide [m]."""
 
 
 def measure(quick: bool) -> Result:
-    """Measure creep and tasks, and estimate what is left out."""
+    """Measure creep and tasks, and estimate the neglected effects."""
     there = [method for peer, method in PEERS if optional(peer)]
     tables = [
         Table.of("creep", creep_rows([*OURS, *there], 0.5 if quick else CREEP_S), span=CREEP_S),
@@ -96,7 +99,7 @@ def measure(quick: bool) -> Result:
 
 
 def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:
-    """Drift [um] of a part that rides in a span of time [s], by method and scene."""
+    """Return rows of the drift [um] of a sticking part within a time [s], by method and scene."""
     rows = []
     for name, ms, run in methods:
         row: dict[str, Any] = {"method": name, "step_ms": ms}
@@ -108,12 +111,12 @@ def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:
 
 
 def tilted(pull: float) -> Ground:
-    """The tilt that pulls so much [mu g] along x."""
+    """Return the ground whose tilt has this pull along x [mu g]."""
     return Ground(tilt=(float(np.arcsin(pull * MU)), 0.0))
 
 
 def by_events(cycle: PlateCycle, pull: float, span: float) -> float:
-    """Drift [m] of our judge's point; the plate is at home at the end."""
+    """Return the drift of a point by the event-driven reference [m]. The plate ends at home."""
     cycles = round(span * FREQUENCY)
     start = cycle.twist(0.0)[:, :2]
     run = simulate(cycle, HOME, start, MU, GRAVITY, cycles, 1, ground=tilted(pull))
@@ -121,7 +124,7 @@ def by_events(cycle: PlateCycle, pull: float, span: float) -> float:
 
 
 def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> float:
-    """Drift [m] of our world's part."""
+    """Return the drift of a part by the simulator's world [m]."""
     start, cycles = cycle.twist(0.0)[:, :2], round(span * FREQUENCY)
     run = simulate_bodies(
         cycle, part, HOME, 0, start, 0, MU, GRAVITY, cycles, 0, ground=tilted(pull)
@@ -130,14 +133,14 @@ def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> fl
 
 
 def in_pymunk(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
-    """Drift [m] in pymunk."""
+    """Return the drift in pymunk [m]."""
     scene = PymunkScene(cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
     scene.space.gravity = pull * MU_G, 0.0
     return float(scene.run()[0, 0] - scene.plate.position.x)
 
 
 def in_joints(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
-    """Drift [m] in MuJoCo with friction in joints, as in the scene of `sim`."""
+    """Return the drift in MuJoCo with friction of joints, as in the scene of `sim` [m]."""
     scene = MujocoScene(cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
     scene.shake[:, 0] += pull * MU_G
     return float(scene.run()[0, 0] - scene.moved[0])
@@ -146,7 +149,7 @@ def in_joints(dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
 def in_contact(
     dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0, noslip: int = 0,
 ) -> float:  # fmt: skip
-    """Drift [m] in MuJoCo of a cylinder on a plane, in the plate's frame."""
+    """Return the drift in MuJoCo of a cylinder on a plane, in the plate's frame [m]."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
@@ -180,11 +183,11 @@ PEERS: list[tuple[str, Method]] = [
     )
     for ms in (1.0, 0.1)
 ]
-"""By the package that they need."""
+"""Required package, and method."""
 
 
 def left_out(rig: Rig) -> list[dict[str, str]]:
-    """Return the size of what the simulator leaves out on a rig, each by a formula."""
+    """Return the effects that the simulator neglects on a rig, with their sizes by formulas."""
     mu, g, m, r = rig.friction.mu, rig.friction.gravity, rig.parts.mass_kg, rig.parts.radius_m
     a, s = rig.limits.accel, 2 / pi * rig.limits.speed
     push, area, length = mu * m * g, pi * r**2, rig.plate.length_m
@@ -233,7 +236,7 @@ def left_out(rig: Rig) -> list[dict[str, str]]:
 
 
 def percent(share: float) -> str:
-    """Write a share in two digits."""
+    """Return a fraction as a percentage with two digits."""
     return f"{100 * share:.2g} %"
 
 

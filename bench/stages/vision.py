@@ -1,8 +1,7 @@
 """Finding discs in an image: time, misses, error of the centres.
 
-The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
-
-Images come from the simulated camera, so the true centres are known.
+The detector is compared with OpenCV and scikit-image. The images are from the simulated camera, so
+the true centres are known.
 """
 
 from __future__ import annotations
@@ -22,17 +21,17 @@ from plate_vision import detect, make_vision
 OURS = "plate_vision.detect"
 
 FRAMES, PEER_FRAMES = 250, 20
-"""Images of each scene: a thousand in all for ours, fewer for the peers, to save time; the fewer
-are those that all are timed with."""
+"""Number of images of each scene: 1000 in total for the project's detector, fewer for the baselines
+to save time. All are timed with the smaller number."""
 
 ROUNDS = 5
-"""Times that each is timed with every image, in a loop and in turns."""
+"""Number of timings of each method with every image, in a loop and in turn."""
 
 THRESHOLD = 165
-"""Grey level between parts (130 at most) and plate (198 at least), for the peers."""
+"""Grey level between parts (up to 130) and plate (from 198), for the baselines."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
-"""Image (H, W) to centres (n, 2) [px]."""
+"""Function from an image (H, W) to centres (n, 2) [px]."""
 
 
 def measure(quick: bool) -> Result:
@@ -47,7 +46,7 @@ def measure(quick: bool) -> Result:
 
 
 def make_finders(rig: Rig) -> dict[str, Finder]:
-    """Return our detector and its peers, ready to run."""
+    """Return the project's detector and the baselines by name, ready to run."""
     vision = make_vision(rig)
     mask = np.zeros((rig.camera.height_px, rig.camera.width_px), np.uint8)
     cv2.fillConvexPoly(mask, np.round(vision.region.outline_px).astype(np.int32), 255)
@@ -153,8 +152,8 @@ def scene_rows(
 def times_of(
     finders: dict[str, Finder], images: list[np.ndarray], rounds: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the times (rounds, images) [s] of every method: in a loop of its own, and in turns
-    with the others."""
+    """Return the times (rounds, images) [s] of every method, in a separate loop, and in turn with
+    the others."""
     loop = {name: np.empty((rounds, len(images))) for name in finders}
     turns = {name: np.empty((rounds, len(images))) for name in finders}
     for k in range(rounds):
@@ -168,7 +167,8 @@ def times_of(
 
 
 def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np.ndarray:
-    """Return centres (count, 2) [m]: scattered on a coarse grid, alone or in touching threes."""
+    """Return centres (count, 2) [m] of discs on a coarse grid, separate or in touching groups of
+    three."""
     radius = rig.parts.radius_m
     columns, lines, group = (11, 5, 3) if touching else (18, 8, 1)
     room = rig.plate.half - radius
