@@ -2,8 +2,8 @@
 
 python bench/coin.py [--out FOLDER]
 
-The plate turns about its centre, to and fro, not alike in both senses. A coin is carried around at
-a constant rate, and slowly outwards, until it falls off the edge.
+The plate rotates back and forth about its centre, faster in one direction than in the other. A coin
+moves around the centre at a constant rate, and slowly outwards, until it falls off the edge.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from plate_sim import WorldState, run_cycle
 from stages.scenes import wave_cycle
 
 FREQUENCY, SPIN = 25, 1.05
-"""Of the plate: theta' = SPIN (sin wt + cos(2 wt) / 2) [Hz], [rad/s]; within the rig's limits."""
+"""Motion of the plate: theta' = SPIN (sin wt + cos(2 wt) / 2) [Hz], [rad/s], within the rig's
+limits."""
 
 COIN_RADIUS = 9.525e-3
-"""Of a 1 cent coin [m]."""
+"""Radius of a 1 cent coin [m]."""
 
 START, MOST = 0.08, 3600
-"""Where the coin begins, from the plate's centre [m], and when its watch ends [s]."""
+"""Initial distance of the coin from the plate's centre [m], and maximum duration [s]."""
 
 SHOWN, MEAN = 2.0, 10
-"""Seconds between the coins that are drawn, and over which rates are means."""
+"""Time between drawn coins, and time over which rates are averaged [s]."""
 
 INK, COIN = "#3b3b3b", "#0b6e99"
 
@@ -67,12 +68,13 @@ def main() -> None:
 
 
 def plate_motion() -> PlateCycle:
-    """Return the plate's turning to and fro about its centre."""
+    """Return the plate's rotation back and forth about its centre."""
     return wave_cycle(FREQUENCY, np.array([0.0, 0.0, SPIN]))
 
 
 def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Places (k, 2) [m] of the coin at the starts of cycles, until it leaves the plate."""
+    """Return the positions (k, 2) [m] of the coin at the starts of cycles, until it leaves the
+    plate."""
     rig = replace(rig, parts=replace(rig.parts, radius_m=COIN_RADIUS))
     state = WorldState.at_rest(("coin",), np.array([[START, 0.0]]))
     track = [state.position[0]]
@@ -83,12 +85,12 @@ def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
 
 
 def polar(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return angle [rad] and radius [m] of places (n, 2)."""
+    """Return angle [rad] and radius [m] of positions (n, 2) [m]."""
     return np.unwrap(np.arctan2(track[:, 1], track[:, 0])), np.hypot(track[:, 0], track[:, 1])
 
 
 def slopes(values: np.ndarray) -> np.ndarray:
-    """Mean rates over whole stretches of `MEAN` seconds, from the second one on."""
+    """Return mean rates over intervals of `MEAN` seconds, from the second one on."""
     return np.diff(values[MEAN * FREQUENCY :: MEAN * FREQUENCY]) / MEAN
 
 

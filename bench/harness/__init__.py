@@ -1,6 +1,6 @@
-"""What all measurements stand on: fair races, results and their files, a cache, parallel runs.
+"""Common functions of all measurements: fair timing, results and their files, cache, parallel runs.
 
-The closed loop without ROS is `plate_bringup.loop`; `harness.serial` is its transport over a serial
+The closed loop without ROS is `plate_bringup.loop`. `harness.serial` is its transport over a serial
 line.
 """
 

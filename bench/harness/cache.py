@@ -1,4 +1,4 @@
-"""What is measured already: results in a file, and a digest of the code that they rest on."""
+"""Cache of measured results in a file, with a digest of the code from which they were made."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ PACKAGES = (
     "plate_bringup", "plate_core", "plate_driver", "plate_feeder", "plate_native", "plate_planner",
     "plate_sim", "plate_solver", "plate_vision",
 )  # fmt: skip
-"""What every measurement depends on, as it is installed."""
+"""Installed packages on which every measurement depends."""
 
 FOLDERS = (ROOT / "bench", ROOT / "tools")
-"""Where modules of measurements are."""
+"""Folders with the modules of measurements."""
 
 
 class Cache:
-    """Results by key, each kept as soon as it is there: a measurement cut short goes on.
+    """Results by key. Each is written at once, so that an interrupted measurement can continue.
 
     Parameters
     ----------
     path : Path
-        Lines of JSON with `code`, `key` and `value`.
+        File with lines of JSON: `code`, `key` and `value`.
     code : str
-        Digest of what the results depend on; those of other code count for nothing.
+        Digest of the code of the results. Results of other code are ignored.
     """
 
     def __init__(self, path: Path, code: str) -> None:
@@ -59,10 +59,10 @@ class Cache:
 
 @lru_cache
 def code_of(module: str) -> str:
-    """Return a digest of all that a module of a measurement depends on.
+    """Return a digest of all files on which a module of a measurement depends.
 
-    That is `config`, our packages as they are installed, the sources of their kernels, and the
-    files of `bench` and `tools` that the module imports, itself among them.
+    These are `config`, the installed packages, the sources of their kernels, and the module with
+    the files of `bench` and `tools` that it imports.
     """
     digest = hashlib.sha256(code_of_packages().encode())
     for path in sorted(own_files(module)):
@@ -72,7 +72,7 @@ def code_of(module: str) -> str:
 
 @lru_cache
 def code_of_packages() -> str:
-    """Return a digest of `config` and of our packages."""
+    """Return a digest of `config` and of the installed packages."""
     digest = hashlib.sha256()
     files = sorted([*(ROOT / "config").rglob("*.yaml"), *(ROOT / "src").rglob("*.[ch]pp")])
     for name in PACKAGES:
@@ -86,7 +86,7 @@ def code_of_packages() -> str:
 
 
 def own_files(module: str) -> set[Path]:
-    """Return the files of `bench` and `tools` that a module imports, itself among them."""
+    """Return a module's file and the files of `bench` and `tools` that it imports."""
     found: set[Path] = set()
     waiting = [module]
     while waiting:

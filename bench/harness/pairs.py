@@ -1,4 +1,4 @@
-"""What a detector has found, paired with what is true."""
+"""Assignment of a detector's results to the true parts."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 OUT_OF_REACH = 1e3
-"""Cost of a pair that is none [its reach]."""
+"""Cost of a pair beyond its reach [reach]."""
 
 
 def paired(
     found: np.ndarray, true: np.ndarray, reach: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pair places found (n, 2) with true ones (m, 2), one to one, as many as can be.
+    """Assign detected positions (n, 2) to true ones (m, 2), one to one, with as many pairs as
+    possible.
 
     Parameters
     ----------
     reach : float or (m,)
-        How near to a true place a pair must be.
+        Maximum distance of a pair.
 
     Returns
     -------
     i, j, gap : (k,) each
-        Indices of both, and how far apart they are.
+        Indices of both, and their distance.
     """
     gap = np.linalg.norm(found[:, None] - true, axis=2)
     cost = np.where(gap <= reach, gap / reach, OUT_OF_REACH)
@@ -32,5 +33,5 @@ def paired(
 
 
 def places(rows: np.ndarray) -> np.ndarray:
-    """Return the columns `x_px`, `y_px` of a structured array (n,) as places (n, 2) [px]."""
+    """Return the columns `x_px`, `y_px` of a structured array (n,) as positions (n, 2) [px]."""
     return np.column_stack([rows["x_px"], rows["y_px"]])

@@ -1,4 +1,4 @@
-"""Parallel runs by any `concurrent.futures.Executor`, such as processes of this machine."""
+"""Parallel runs by any `concurrent.futures.Executor`, such as processes on this computer."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from harness.cache import Cache
 
 
 def executor(workers: int | None = None) -> Executor:
-    """Return an executor of fresh processes on this machine; default: one for each core."""
+    """Return an executor of new processes on this computer. Default: one for each core."""
     return ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn"))
 
 
 def parallel(
     pool: Executor, run: Callable[..., Any], work: Sequence[tuple], note: Callable[[str], None]
 ) -> Iterator[Any]:
-    """Yield run(*item) of every item of work, in order; cancel the rest if the caller stops early.
+    """Yield run(*item) for every item of work, in order. If the caller stops early, the rest is
+    canceled.
 
     Parameters
     ----------
@@ -38,14 +39,14 @@ def parallel(
 def resumed(
     pool: Executor, run: Callable[..., Any], work: Mapping[str, tuple], cache: Cache
 ) -> list[Any]:
-    """Return run(*item) of every item of work, in order; a cached item is not run again.
+    """Return run(*item) for every item of work, in order. A cached item is not run again.
 
     Parameters
     ----------
     run : callable
-        Returns values that JSON can hold.
+        Returns values that JSON can represent.
     work : mapping of str to tuple
-        Key in the cache -> arguments.
+        Arguments, by key in the cache.
     """
     missing = [key for key in work if key not in cache]
     fresh = pool.map(run, *zip(*(work[key] for key in missing), strict=True))
@@ -58,14 +59,14 @@ def by_case(
     run: Callable[..., Any], cases: Mapping[Any, Sequence[tuple]], cache: Cache,
     workers: int | None = None,
 ) -> dict[Any, list[Any]]:  # fmt: skip
-    """Return run(*item) of every item of every case, by case; default: on all cores.
+    """Return run(*item) for every item of every case, by case. Default: on all cores.
 
     Parameters
     ----------
     run : callable
-        As of `resumed`.
+        As in `resumed`.
     cases : mapping to sequence of tuple
-        What the case is, its text being the key in the cache -> arguments of its runs.
+        Arguments of the runs, by case. The text of a case is part of the key in the cache.
     """
     work = {f"{case} {k}": item for case, items in cases.items() for k, item in enumerate(items)}
     with executor(workers) as pool:

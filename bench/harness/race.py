@@ -1,4 +1,4 @@
-"""Fair timing: contestants take turns, so that all meet the same noise."""
+"""Fair timing: the compared functions run in turn, so that the same disturbances affect all."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 
 BATCH_S = 2e-3
-"""Least time of one timed batch of calls [s]: far above the clock's resolution."""
+"""Minimum time of a timed batch of calls [s]. It is much longer than the clock's resolution."""
 
 LEAST_ROUNDS = 3
-"""Rounds of a race, however slow the contestants: a median needs them."""
+"""Minimum number of rounds, also for slow functions, because a median needs them."""
 
 cpu_time = time.process_time
-"""The clock of all measurements [s]: time of the cores, of all threads together. On an idle machine
-it is the wall time of our single thread; other programs that take the cores do not count."""
+"""Clock of all measurements [s]: CPU time of all threads of this process. On an idle computer it
+equals the wall time of a single thread. CPU time of other programs is not included."""
 
 
 def timed(call: Callable[..., Any], *arguments: Any, **named: Any) -> tuple[Any, float]:
-    """Return what a call gives, and the time that it took [s]."""
+    """Return the result of a call, and its time [s]."""
     began = cpu_time()
     found = call(*arguments, **named)
     return found, cpu_time() - began
@@ -30,7 +30,7 @@ def timed(call: Callable[..., Any], *arguments: Any, **named: Any) -> tuple[Any,
 
 @dataclass(frozen=True)
 class Race:
-    """Times of contestants that took turns.
+    """Times of functions that were called in turn.
 
     Attributes
     ----------
@@ -41,16 +41,16 @@ class Race:
     times: Mapping[str, np.ndarray]
 
     def median(self, name: str) -> float:
-        """Median time per call [s]."""
+        """Return the median time per call [s]."""
         return float(np.median(self.times[name]))
 
     def lead(self, name: str, peer: str) -> float:
-        """How many times faster `name` is than `peer`: the median of the rounds' ratios."""
+        """Return the ratio of the times of `peer` and `name`, the median over the rounds."""
         return float(np.median(self.times[peer] / self.times[name]))
 
 
 def race(contestants: Mapping[str, Callable[[], object]], seconds: float) -> Race:
-    """Time contestants in turns for about `seconds` in all; the first call of each is not timed."""
+    """Time functions in turn for about `seconds` in total. The first call of each is not timed."""
     batch = {}
     for name, call in contestants.items():
         call()

@@ -1,8 +1,8 @@
-"""The closed loop over the serial line, in simulated time: the driver's transport, a line with its
-faults, the device, and an independent judge of what the device commands.
+"""The closed loop over the serial line, in simulated time.
 
-The device's clock rules: an image is taken at each of its boundaries; the answer reaches the driver
-`ANSWER_S` later, and is uploaded while the cycle before it is played.
+It has the driver's transport, a line with faults, the device, and an independent check of the
+device's setpoints. The time is the device's. An image is taken at each boundary of its segments.
+The answer reaches the driver `ANSWER_S` later, and is uploaded while the previous cycle is played.
 """
 
 from __future__ import annotations
@@ -24,25 +24,28 @@ from plate_sim import PlateMotion
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 
 ANSWER_S = 0.05
-"""From an image to the driver [s]: what detector, planner and solver take together, and margin."""
+"""Time from an image to the driver [s]: computation of detector, planner and solver, plus a
+margin."""
 
 POLL_TICKS = 2
-"""Ticks of 1 ms between two looks of the driver at its port."""
+"""Period at which the driver polls its port [ticks of 1 ms]."""
 
 SHORTEST_S = 0.02
-"""Segments that are shorter have no image of their own [s]."""
+"""Minimum length of a segment with an image at its end [s]."""
 
 LOOK_S = 1.0
-"""What the operator takes to look at the rig and to enable again, after a stop was told [s]."""
+"""Time from the report of a stop until the operator has checked the rig and enables it [s]."""
 
 SETTLE_S = 3.0
-"""Longest time that a plate without a new cycle takes to come to rest [s]."""
+"""Maximum time until a plate without a new cycle is at rest [s]."""
 
 ROUNDING = 2e-3
-"""Share by which a limit may be passed: what the motors' splines may differ from the plate's."""
+"""Fraction by which a limit may be exceeded, because the splines of the motors differ from the
+plate's."""
 
 JUMP_M = 2e-6
-"""A setpoint may miss what those around it promise by this much [m]: rounding of the wire."""
+"""Maximum deviation of a setpoint from the interpolation of its neighbours [m], by rounding in the
+protocol."""
 
 
 class Port:
@@ -56,18 +59,18 @@ class Port:
             raise OSError("the device is disconnected")
 
     def read(self, size: int) -> bytes:
-        """Take what has come."""
+        """Return the bytes that have arrived."""
         self._check()
         return self._emulator.to_host.arrived(self._emulator.now)
 
     def write(self, data: bytes) -> int:
-        """Send."""
+        """Send bytes. Return their number."""
         self._check()
         self._emulator.to_device.sent(data, self._emulator.now)
         return len(data)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing, because there is nothing to release."""
 
 
 def opened(emulator: Emulator) -> Port:
@@ -79,13 +82,13 @@ def opened(emulator: Emulator) -> Port:
 
 @dataclass
 class Operator:
-    """A person at the rig: enables at the start, and after each stop once he has looked at the rig,
-    at what was told. Nothing else brings the current back.
+    """Simulated operator. He enables the motors at the start, and `LOOK_S` after the report of each
+    stop. Nothing else enables them.
 
     Attributes
     ----------
     enables : int
-        Times that he has enabled so far.
+        Number of enables so far.
     """
 
     transport: SerialTransport
@@ -94,7 +97,7 @@ class Operator:
     _since: float | None = None
 
     def look(self, now: float) -> None:
-        """Look at what the driver reports at a time [s]."""
+        """Check the driver's report at the time `now` [s], and enable the motors if it is time."""
         if self.transport.report().condition is not Condition.OFF:
             self._since = None
             return
@@ -112,13 +115,13 @@ class SerialLine:
     ----------
     rig : Rig
     seed : int
-        Of the line's faults.
+        Seed of the line's faults.
     schedule : FaultSchedule
-        What goes wrong all the time.
+        Permanent faults of the line.
     event : str
-        `disconnect`, `reset` or `brown_out`: happens once, ...
+        Single event: `disconnect`, `reset` or `brown_out`. Empty: none.
     at : float
-        ... at this time [s], wherever the plate is in its cycle.
+        Time of the event [s], at any phase of a cycle.
     """
 
     def __init__(
@@ -140,7 +143,7 @@ class SerialLine:
 
     @property
     def running(self) -> PlateCycle:
-        """The cycle, or tail of one, that the device plays."""
+        """Cycle, or tail of a cycle, that the device plays."""
         device = self.emulator.device
         table = self.transport.sent.get(device.playing)
         if table is None or device.play is None:
@@ -149,7 +152,7 @@ class SerialLine:
         return table.cycle if tail is None or into < device.table()[2] else tail
 
     def send(self, table: MotorTable) -> None:
-        """Take an answer, which the driver gets `ANSWER_S` later."""
+        """Accept a table. The driver gets it `ANSWER_S` later."""
         self._waiting.append((self.emulator.now + ANSWER_S, table))
 
     def play(self, until: float) -> list[PlateMotion]:
@@ -170,7 +173,8 @@ class SerialLine:
                 return motions
 
     def settle(self) -> None:
-        """Let the plate come to rest: no more answers come."""
+        """Discard waiting tables, and simulate until the plate is at rest, for at most
+        `SETTLE_S`."""
         self._waiting, began = [], self.emulator.now
         while self.emulator.now - began < SETTLE_S and not self.resting:
             self._tick()
@@ -181,7 +185,8 @@ class SerialLine:
         return self.emulator.state in (State.OFF, State.READY)
 
     def _tick(self) -> list[Segment]:
-        """Let a millisecond pass for all."""
+        """Advance all parts of the simulation by 1 ms. Return the segments that the device
+        finished."""
         segments = self.emulator.tick()
         self.judge.moved(self.emulator.plate[0])
         now = self.emulator.now
@@ -205,8 +210,8 @@ class SerialLine:
 def serial_run(
     setup: Setup, schedule: FaultSchedule | None = None, event: str = "", at: float = 0.0
 ) -> tuple[Moment, SerialLine]:
-    """Run a task over the serial line, with what goes wrong (see `SerialLine`); returns the last
-    moment, and the line after the plate was given time to come to rest."""
+    """Run a task over the serial line, with faults as in `SerialLine`. Return the last moment, and
+    the line after the plate has come to rest."""
     rig = load_rig()
     line = SerialLine(rig, setup.seed, schedule or FaultSchedule(), event, at)
     *_, last = run(setup, rig, line)
@@ -216,18 +221,18 @@ def serial_run(
 
 @dataclass(frozen=True)
 class Verdict:
-    """Greatest shares of the rig's limits in any setpoint that was commanded.
+    """Maximum fractions of the rig's limits over all commanded setpoints.
 
     Attributes
     ----------
     stroke, speed, force : float
-        Of the motors.
+        Fractions for the motors.
     accel : float
-        Of the motors, and of the plate's corners.
+        Fraction for the motors and the plate's corners.
     jump : float
-        Greatest difference of two setpoints from what their speeds say [m].
+        Maximum deviation of a step between two setpoints from the one by their speeds [m].
     travel : float
-        Of the stroke, by the plate as it really moved, without current too.
+        Actual travel of the motors as a fraction of the stroke, also without current.
     """
 
     stroke: float = 0.0
@@ -239,41 +244,42 @@ class Verdict:
 
     @property
     def worst(self) -> float:
-        """Greatest share of any limit."""
+        """Maximum fraction of any limit."""
         return max(self.stroke, self.speed, self.accel, self.force, self.travel)
 
     @property
     def kept(self) -> bool:
-        """Whether all limits were kept, and nothing jumped."""
+        """Whether all limits were kept, and no setpoint jumped."""
         return bool(self.worst <= 1 + ROUNDING and self.jump < JUMP_M)
 
 
 @dataclass
 class Judge:
-    """An independent judge of what a device commands: all limits, at every tick."""
+    """Independent check of a device's setpoints: all limits, at every tick."""
 
     rig: Rig
     _setpoints: list[tuple[float, np.ndarray]] = field(default_factory=list)
     _travel: float = 0.0
 
     def update(self, now: float, at: np.ndarray | None) -> None:
-        """Note a setpoint (3, 4) at a time [s]: position, speed, acceleration; None: no current."""
+        """Record a setpoint (3, 4) at a time [s]: position, speed, acceleration. None: no
+        current."""
         if at is not None:
             self._setpoints.append((now, at))
 
     def moved(self, travel: np.ndarray) -> None:
-        """Note where the motors (4,) really are [m]."""
+        """Record the actual positions of the motors (4,) [m]."""
         self._travel = max(self._travel, float(np.max(np.abs(travel))))
 
     def verdict(self) -> Verdict:
-        """Judge all setpoints so far."""
+        """Return the maximum fractions of all setpoints so far."""
         limits = self.rig.limits
         travel = self._travel / limits.stroke_m
         if not self._setpoints:
             return Verdict(travel=travel)
         times = np.array([now for now, _ in self._setpoints])
         q, qd, qdd = np.array([at for _, at in self._setpoints], float).transpose(1, 0, 2)
-        # With infinite tolerance: whether the four agree is not asked here.
+        # The tolerance is infinite, because the consistency of the four motors is not checked here.
         motion = plate_state(self.rig, q, qd, qdd, np.inf)
         corners = float(np.max(np.abs(corner_accels(self.rig, motion))))
         return Verdict(
@@ -287,7 +293,11 @@ class Judge:
 
 
 def _jump(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
-    """Greatest miss [m] of Hermite's rule from a tick to the next; pauses without current aside."""
+    """Return the maximum deviation of a step from Hermite's rule [m], except over pauses without
+    current.
+
+    The rule is dq = dt (v0 + v1)/2 - dt^2 (a1 - a0)/12.
+    """
     dt = np.diff(times)
     step = dt[:, None] * (qd[1:] + qd[:-1]) / 2 - dt[:, None] ** 2 * (qdd[1:] - qdd[:-1]) / 12
     miss = np.abs(np.diff(q, axis=0) - step)[dt < 1.5 * np.min(dt, initial=np.inf)]

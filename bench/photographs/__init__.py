@@ -1,4 +1,5 @@
-"""Real photographs of small parts, with truth marked by hand: how many are found, and by whom.
+"""Real photographs of small parts with hand-marked truth, to evaluate detectors.
 
-`photographs.yaml` says where they come from; `fetch` brings them, `evaluate` judges detectors.
+`photographs.yaml` lists their sources. `fetch` downloads them, and `evaluate` runs detectors on
+them.
 """

@@ -1,7 +1,7 @@
-"""Detectors that are compared: ours, and peers with settings as their guides give them.
+"""Compared detectors: the project's, and baselines with the settings of their guides.
 
-None knows how many parts there are, nor of what size; nothing is set for one picture. Where a guide
-names no value for a peer's setting, it has the best of a few on the half for tuning.
+None gets the number or the size of the parts, or settings for a single picture. If a guide gives no
+value for a setting of a baseline, it is the best of a few values on the tuning half.
 """
 
 from __future__ import annotations
@@ -23,20 +23,21 @@ FOUND = np.dtype(
         ("label", "U32"),
     ]
 )
-"""One part that was found: centre and radius of the disc of the same area [px]; angle, NaN without;
-class, empty without."""
+"""One detected part: centre and radius of the disc with the same area [px]; angle, NaN if there is
+none; class, empty if there is none."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
-"""Image (H, W, 3) uint8 -> (n,) FOUND."""
+"""Function from an image (H, W, 3) uint8 to (n,) FOUND."""
 
 LEAST_PX2 = 30.0
-"""Smallest patch that a peer reports [px2]."""
+"""Minimum area of a patch that a baseline reports [px2]."""
 
 LARGEST = 0.25
-"""Largest, as a fraction of the picture."""
+"""Maximum area of a patch, as a fraction of the picture."""
 
 DEEPER_PX = 1.5
-"""How much further from the rim the middles of two parts are than where they touch [px]."""
+"""Minimum difference between the contour distances at the middles of two parts and at their contact
+[px]."""
 
 OURS = "ours, untaught"
 
@@ -44,8 +45,8 @@ WHITE = 255
 
 
 def make_finders() -> dict[str, Finder]:
-    """Return detectors that are taught nothing, by name; peers that are not installed are left
-    out."""
+    """Return the detectors that need no teaching, by name. Baselines that are not installed are
+    omitted."""
     finders: dict[str, Finder] = {OURS: find_ours}
     if optional("skimage.segmentation") is not None:
         finders["scikit-image watershed"] = watershed
@@ -53,14 +54,14 @@ def make_finders() -> dict[str, Finder]:
 
 
 def find_ours(image: np.ndarray) -> np.ndarray:
-    """Find parts by `plate_vision.detect`, without options; groups are no parts."""
+    """Find parts by `plate_vision.detect` without options. Groups are omitted."""
     seen = detect(image)
     seen = seen[seen["method"] != "group"]
     return as_found(seen, seen["label"])
 
 
 def as_found(seen: np.ndarray, label: Sequence[str] | np.ndarray) -> np.ndarray:
-    """Return sightings (n,) of ours with these labels as FOUND."""
+    """Return detections (n,) of the project's detector as FOUND, with these labels."""
     found = np.zeros(len(seen), FOUND)
     for name in ("x_px", "y_px", "radius_px"):
         found[name] = seen[name]
@@ -69,8 +70,8 @@ def as_found(seen: np.ndarray, label: Sequence[str] | np.ndarray) -> np.ndarray:
 
 
 def watershed(image: np.ndarray) -> np.ndarray:
-    """Find patches whose colour is further from the commonest one than Otsu's threshold, split by a
-    watershed on the distance to their rim."""
+    """Find patches whose colour differs from the median colour by more than Otsu's threshold. Split
+    them by a watershed of the distance to their contour."""
     measure, morphology = optional("skimage.measure"), optional("skimage.morphology")
     segmentation = optional("skimage.segmentation")
     mask = _far_from_background(image)
@@ -86,7 +87,8 @@ def watershed(image: np.ndarray) -> np.ndarray:
 
 
 def _far_from_background(image: np.ndarray) -> np.ndarray:
-    """Return a mask (H, W) uint8 of what differs from the median colour, holes filled."""
+    """Return a mask (H, W) uint8 of pixels that differ from the median colour, with filled
+    holes."""
     image = cv2.medianBlur(image, 3)
     lab = cv2.cvtColor(image.astype(np.float32) / WHITE, cv2.COLOR_BGR2Lab)
     away = np.linalg.norm(lab - np.median(lab.reshape(-1, 3), axis=0), axis=2)
@@ -98,7 +100,8 @@ def _far_from_background(image: np.ndarray) -> np.ndarray:
 
 
 def _found(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return patches (n,) FOUND by centre [px] and area [px2], without specks and backgrounds."""
+    """Return patches (n,) FOUND from centres [px] and areas [px2], without too small and too large
+    ones."""
     found = np.zeros(len(area), FOUND)
     found["x_px"], found["y_px"] = x, y
     found["radius_px"] = np.sqrt(area / np.pi)

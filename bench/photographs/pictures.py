@@ -1,7 +1,7 @@
-"""The photographs and what is true of them: read from `photographs.yaml`.
+"""The photographs and their truth, from `photographs.yaml`.
 
-Angles are in degrees, counter-clockwise as seen; image coordinates are x to the right and y down,
-the centre of the first pixel is (0, 0).
+Angles are in degrees, counter-clockwise in the picture. In image coordinates x points to the right
+and y down, and the centre of the first pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ LIST = Path(__file__).with_name("photographs.yaml")
 ROOT = Path(__file__).resolve().parents[2]
 
 FOLDER = ROOT / "out/photographs"
-"""Where fetched files and figures are."""
+"""Folder of downloaded files and of figures."""
 
 HALVES = ("tuning", "held_out")
-"""To tune on, and to look at once at the end."""
+"""Half for tuning, and half that is used only once at the end."""
 
 TRUTH = np.dtype(
     [
@@ -36,34 +36,35 @@ TRUTH = np.dtype(
         ("touching", "?"),
     ]
 )
-"""One part: centre of its area with holes filled, radius of the disc of the same area [px]; angle,
-NaN if it has none; in how many directions it looks the same, 0 for a disc and for what is seen too
+"""One part: centre of its area with filled holes, radius of the disc with the same area [px];
+angle, NaN if it has none; order of its rotational symmetry, 0 for a disc and for a part seen too
 much from the side; class; whether it touches another part."""
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A picture and its truth.
+    """A photograph and its truth.
 
     Attributes
     ----------
     name : str
     half : str
-        One of `HALVES`, by the name's digest: see `half_of`.
+        One of `HALVES`, chosen by the digest of the name (see `half_of`).
     source : mapping
-        `github`, `commit` and `path`; or `package`, `version` and `path` in the folder of packages.
+        Keys `github`, `commit` and `path`; or `package`, `version` and `path` in the folder of
+        packages.
     licence, by : str
     sha256 : str
-        Of the file.
+        Digest of the file.
     crop_px : (4,) of int, optional
-        x, y, width, height of what is used of the file.
+        x, y, width, height of the part of the file that is used.
     shrink : int
-        What is used is then made smaller by this factor.
+        Factor by which this part is reduced in size.
     parts : (n,) TRUTH
     ignore : (m, 3)
-        x, y, radius [px] of what is cut or doubtful: found or not, it does not count.
+        x, y, radius [px] of cut or doubtful parts. They do not count, detected or not.
     plate : (k, 2), optional
-        Corners [px] of a polygon; what is found outside does not count.
+        Corners of a polygon [px]. Detections outside do not count.
     """
 
     name: str
@@ -80,11 +81,11 @@ class Photograph:
 
     @property
     def file(self) -> Path:
-        """Where the fetched file is."""
+        """Path of the downloaded file."""
         return FOLDER / "files" / (self.name + Path(self.source["path"]).suffix.lower())
 
     def image(self) -> np.ndarray:
-        """Return what is used of the picture, (H, W, 3) uint8: blue, green, red."""
+        """Return the used part of the picture (H, W, 3), uint8: blue, green, red."""
         image = cv2.imread(str(self.file), cv2.IMREAD_COLOR)
         if image is None:
             raise FileNotFoundError(f"{self.file}: no picture, allowed: what `fetch` brought")

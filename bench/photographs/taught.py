@@ -1,7 +1,8 @@
-"""Ours, taught: of each class at most five are shown, the rest is to be found and named.
+"""The project's detector with taught types. It gets at most five examples of each class, and must
+find and name the other parts.
 
-A class as `coin` may hold several types in the detector's sense: where its examples are refused
-together, because they differ, each is taught as a type of its own.
+A class such as `coin` may contain several types. If its examples are refused together because they
+differ, each is taught as a separate type.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from plate_vision import calibrate_by_scale, find_parts
 from plate_vision.shapes import Example, model_background, teach
 
 MOST_EXAMPLES = 5
-"""Of one class."""
+"""Maximum number of examples of a class."""
 
 SCALE = 1000.0
-"""A pixel is thought to be a millimetre [px/m]: nothing is known of the pictures' scale."""
+"""Assumed scale of the pictures [px/m], 1 mm per pixel. The actual scale is unknown."""
 
 
 def teach_examples(
@@ -33,13 +34,13 @@ def teach_examples(
     image : (H, W, 3) uint8
         Blue, green, red.
     parts : (n,) TRUTH
-        Those that stand alone are shown first, at most `MOST_EXAMPLES` of a class.
+        Separate parts are used as examples first, at most `MOST_EXAMPLES` of a class.
 
     Returns
     -------
     finder, shown, refused
-        The taught detector: image to (m,) FOUND; which parts (n,) bool were shown; what was
-        refused, with the reasons.
+        The taught detector, a function from an image to (m,) FOUND; the parts (n,) bool that were
+        used as examples; and the refused examples with the reasons.
     """
     calibration = calibrate_by_scale(SCALE)
     bare = model_background(image)
@@ -76,7 +77,7 @@ def teach_examples(
 
 
 def _box(part: np.ndarray) -> tuple[float, float, float, float]:
-    """Return where the centre of an example is: x0, y0, x1, y1 [px]."""
+    """Return the box x0, y0, x1, y1 that contains the centre of an example [px]."""
     reach = 0.5 * float(part["radius_px"])
     x, y = float(part["x_px"]), float(part["y_px"])
     return x - reach, y - reach, x + reach, y + reach

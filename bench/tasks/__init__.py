@@ -1,4 +1,5 @@
-"""Measurements of whole tasks in the closed loop: `measure(quick)` of a module gives its `Result`.
+"""Measurements of complete tasks in the closed loop. `measure(quick)` of each module returns a
+`Result`.
 
-Nothing here is imported from outside, but by `bench/run.py` by its name.
+Other folders do not import these modules, except `bench/run.py`, by their names.
 """

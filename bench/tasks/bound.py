@@ -1,9 +1,9 @@
 """How fast 1 to 10 parts can be moved: bounds, global search, closed loop.
 
-Parts are scattered, half of them are to go to the left, half to the right; across they may go
-anywhere. The search looks for the steady cycle that carries them fastest on average: many descents
-of the solver, with the rig's limits, each from the velocities that the parts have once a motion
-repeats. With the plate at rest between cycles, as the graph has it, and without.
+Scattered parts move along x, half of them to the left and half to the right. Their y is free. The
+search looks for the periodic cycle with the maximum mean speed of the parts: many descents of the
+solver within the rig's limits, from the velocities at the start of a periodic motion. Cycles either
+begin and end at rest or not.
 """
 
 from __future__ import annotations
@@ -25,25 +25,26 @@ from tasks.runs import UNEVEN, sorting
 
 COUNTS = (1, 2, 4, 10)
 PERIODS = {0.05: 3, 0.1: 4, 0.15: 6, 0.2: 8, 0.3: 12}
-"""Length of a cycle [s] -> harmonics: those of the solver, and a shorter and a longer one."""
+"""Number of harmonics, by length of a cycle [s]: the solver's lengths, and a shorter and a longer
+one."""
 
 SCENES, STARTS, DISTURBED = 2, 60, 120
-"""Scattered scenes; motions drawn at random for each, and disturbances of the best so far."""
+"""Number of scenes, of random start motions for each, and of disturbances of the best motion."""
 
 SPREADS = (0.15, 0.5)
-"""Sizes of disturbances, by turns [size of the motion]."""
+"""Sizes of disturbances, used in turn [size of the motion]."""
 
 AHEAD_M, WEIGHT, FAR_M = 0.3, 0.04, 10.0
-"""How far ahead parts are to be, what a metre counts, and how much further is as good [m]."""
+"""Target distance of a part [m], weight of its distance, and excess distance without cost [m]."""
 
 COAST_S, ITERATIONS, STEP = 0.03, 24, 0.4e-3
-"""As the solver has them [s]."""
+"""Coast time [s], number of iterations and time step [s], as in the solver."""
 
 SETTLED, FINE = 20, 1000
-"""Cycles until the parts' velocities repeat, and steps of each."""
+"""Number of cycles until the parts' velocities are periodic, and steps per cycle."""
 
 SEEDS = range(50_000, 50_005)
-"""Of the closed loop."""
+"""Seeds of the closed loop's runs."""
 
 
 def measure(quick: bool) -> Result:
@@ -84,7 +85,7 @@ def measure(quick: bool) -> Result:
 def fastest(
     rig: Rig, count: int, period: float, at_rest: bool, scene: int, quick: bool = False
 ) -> float:
-    """Return the greatest mean speed that is found [m/s]."""
+    """Return the maximum mean speed that the search finds [m/s]."""
     rng = np.random.default_rng([scene, count])
     labels, position = start_positions(sorting(count), rig, rng)
     way = np.where(np.array(labels) == "black", -1.0, 1.0)
@@ -112,7 +113,8 @@ def fastest(
 
 
 def wanted(rig: Rig, position: np.ndarray, velocity: np.ndarray, way: np.ndarray) -> Goal:
-    """Ask parts (M, 2) [m] as far as can be along x, each in its direction (M,); y is free."""
+    """Return a goal for parts at (M, 2) [m]: as far as possible along x, each in its direction
+    (M,), with free y."""
     displacement = np.column_stack([way * (AHEAD_M + FAR_M), np.zeros(len(way))])
     tolerance = np.column_stack([np.full(len(way), FAR_M), np.full(len(way), 100.0)])
     return Goal(
@@ -122,15 +124,15 @@ def wanted(rig: Rig, position: np.ndarray, velocity: np.ndarray, way: np.ndarray
 
 
 def kept(rig: Rig, cycle: PlateCycle) -> PlateCycle:
-    """Scale a cycle to the rig's limits where it exceeds them."""
+    """Return a cycle, scaled down to the rig's limits if it exceeds them."""
     return cycle.scaled(min(1.0, 1 / max(usage(rig, cycle).overall, 1e-9)))
 
 
 def steady(
     rig: Rig, cycle: PlateCycle, position: np.ndarray, way: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Return the mean speed [m/s] of parts that are put back after each cycle, once their
-    velocities (M, 2) [m/s] at its start repeat, and these."""
+    """Return the mean speed of the parts [m/s] in periodic motion, and their velocities (M, 2) at
+    the start of a cycle [m/s]. After each cycle, the parts are reset to their positions."""
     t = (np.arange(FINE) + 0.5) * cycle.period / FINE
     pose, twist, dt = cycle.pose(t), cycle.twist(t), np.full(FINE, cycle.period / FINE)
     friction, velocity = np.full(len(way), rig.friction.accel), np.zeros_like(position)
@@ -142,8 +144,8 @@ def steady(
 
 
 def loop_speed(count: int, seed: int) -> float:
-    """Return the mean speed [m/s] of the parts in the closed loop until half of their ways to their
-    sides are done."""
+    """Return the mean speed of the parts in the closed loop, until half of their total distance to
+    their sides is done [m/s]."""
     goal = 0.6 * load_rig().plate.half[0]
     first: float | None = None
     going = 1

@@ -1,9 +1,9 @@
-"""What trials beyond the greedy step learn and choose by: motions that one answer has found.
+"""Variants of the solver that choose among the motions of one search, for `horizon`.
 
-The cost-to-go of a motion is v phi(x1): x1 is the state of plate and parts after it, phi are
-`features` of the whole plate, v the ridge regression of the ways that are left `LATER` cycles
-later, when the solver goes on from x1. It is fitted within answers: only differences between their
-motions count.
+The cost-to-go of a motion is v phi(x1). x1 is the state of plate and parts after the motion, and
+phi are the `features` of this state. v is fitted by ridge regression to the distances that remain
+after `LATER` more cycles of the solver. Only differences between the motions of the same search are
+fitted.
 """
 
 from __future__ import annotations
@@ -34,23 +34,24 @@ from plate_solver.sinusoids import (
 )
 
 BEST, LATER, STARTS, STEPS, TWICE, EVERY = 5, 6, 4, 12, 2, 5
-"""Number of best motions compared in an answer; cycles until they are judged; descents in each of
-these cycles, and iterations of a descent; repetitions for each motion; and one answer in EVERY is
+"""Number of best motions compared in a search; cycles until they are evaluated; descents in each of
+these cycles, and iterations of a descent; repetitions for each motion; one search of EVERY is
 used."""
 
 RIDGE = 100.0
-"""Of the regression, in units of the features' spread."""
+"""Ridge parameter of the regression, for features in units of their standard deviation."""
 
 NEAR = 3
 """Number of starts near the motion that the network proposes."""
 
 LANE_M, CLEAR_M, ARM_M = 0.03, 0.04, 0.2
 """Distance from a part's path within which another part is an obstacle; distance of two centres
-below which room is short; lever by which a rotation of the plate is compared with a shift [m]."""
+below which parts are too close; lever arm that converts rotation of the plate to a shift [m]."""
 
 
 class Comparing(SinusoidSteering):
-    """Keeps what a search has found, and the goal: for who chooses in another way."""
+    """Steering that records the motions found by a search and its goal, so that subclasses can
+    choose another motion."""
 
     def steer(self, goal: Goal, number: int, period: float, *args: Any) -> Any:
         """Find a motion."""
@@ -68,22 +69,22 @@ class Comparing(SinusoidSteering):
         return self.chosen(best) if self.goal.free_end else best, iterations
 
     def chosen(self, best: Any) -> Any:
-        """Return the motion that is taken, where the best by its cost is known."""
+        """Return the motion to use. `best` is the one with the minimum cost."""
         return best
 
     def family(self, goal: Goal) -> LimitedSinusoids:
-        """Return the motions that keep the limits, from the state of the plate."""
+        """Return the family of motions within the limits that begin in the goal's plate state."""
         number, period, grid, free = self.key
         return limited_sinusoids(number, period, self._limits, 1.0, grid, free, goal.plate)
 
     def finished(self) -> list[np.ndarray]:
-        """Return the `BEST` motions, corrected within the limits."""
+        """Return the parameters of the `BEST` motions, corrected to the limits."""
         motions, best = self._motions[self.key], sorted(self.found, key=lambda one: one.cost)
         return [self._within(self.goal, motions, f.parameters, 0.0).parameters for f in best[:BEST]]
 
 
 class Judging(Comparing):
-    """Takes of the best motions the one with the least cost-to-go."""
+    """Chooses among the best motions the one with the minimum cost-to-go."""
 
     value: list[float]
 
@@ -95,7 +96,8 @@ class Judging(Comparing):
 
 
 class Following(Comparing):
-    """Follows now and then what becomes of the best motions: what a cost-to-go is learned from."""
+    """Simulates in some searches the consequences of the best motions, as data for learning a
+    cost-to-go."""
 
     answers = 0
     groups: list[list[list[float]]]
@@ -113,7 +115,7 @@ class Following(Comparing):
         return best
 
     def followed(self, goal: Goal, twist: np.ndarray, seed: list[int]) -> float:
-        """Return the ways that are left after `LATER` cycles more [m]."""
+        """Return the total distance to go after `LATER` more cycles [m]."""
         rng = np.random.default_rng(seed)
         for _ in range(LATER):
             family = self.family(goal)
@@ -128,7 +130,7 @@ class Following(Comparing):
 
 
 class Proposing(Comparing):
-    """Starts once from the network's motion, and `NEAR` times near what comes of it."""
+    """Starts one descent from the network's motion, and `NEAR` descents near its result."""
 
     seen: Any
 
@@ -152,7 +154,7 @@ class Proposing(Comparing):
         return super()._search(improved, own, *more)
 
     def offered(self) -> np.ndarray:
-        """Return the motion that the network answers with, in the parameters of ours."""
+        """Return the network's motion, converted to the solver's parameters."""
         (parts, running), family, motions = self.seen, self.family(self.goal), self.motions
         known, place = self.before[0] == parts.ids and running is not None, parts.position
         drift = (place - self.before[1]) / running.period if known else np.zeros_like(place)
@@ -173,7 +175,7 @@ class Proposing(Comparing):
 
 
 def moved(goal: Goal, family: LimitedSinusoids, parameters: np.ndarray) -> Goal:
-    """Return the goal that remains after a motion, with the state in which the motion ends."""
+    """Return the remaining goal after a motion, with the final state of the motion."""
     motion = *family.samples(parameters), goal.friction_accel
     place, velocity = end_state(goal.position, goal.velocity, *motion)
     own = family.coefficients(parameters)
@@ -187,10 +189,10 @@ def moved(goal: Goal, family: LimitedSinusoids, parameters: np.ndarray) -> Goal:
 def features(goal: Goal) -> np.ndarray:
     """Return phi (10,) of the state in which a goal begins.
 
-    Of the ways: their sum, and that after a coast, the longest, the sum of squares; the solver's
-    own cost; the speed along the ways; parts that stand in others' ways; what is lacking between
-    neighbours; what of the ways no shift and swirl of the whole plate would do; the plate's speed,
-    squared.
+    Of the distances to go: their sum, their sum after a coast, their maximum, their sum of squares.
+    Then the solver's cost, the parts' speed towards their targets, the number of parts in others'
+    paths, the missing distance between close parts, the part of the displacements that no rigid
+    motion of the plate achieves, and the plate's squared speed.
     """
     place, coasted = goal.position, goal.position + goal.coast * goal.velocity
     way, later = (goal.left(at.T.ravel()) for at in (place, coasted))
@@ -214,8 +216,8 @@ def features(goal: Goal) -> np.ndarray:
 
 
 def learned(groups: Sequence[Sequence[Sequence[float]]]) -> list[float]:
-    """Return v (10,) by what is known of the motions of answers: ways that were left in the end,
-    and phi."""
+    """Return v (10,), fitted to groups of motions. Each motion has its final distance to go and
+    its phi."""
     within = [np.array(group) - np.mean(group, axis=0) for group in groups]
     rows = np.vstack(within)
     left, phi, spread = rows[:, 0], rows[:, 1:], np.std(rows[:, 1:], axis=0) + 1e-12

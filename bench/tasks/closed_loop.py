@@ -15,14 +15,14 @@ SEEDS = {
     "sort_corners_12": 20, "assemble_8": 100, "sort_shapes": 30, "sort_mixed": 30, "align_6": 50,
     "assemble_letters": 50, "follow_2": 20,
 }  # fmt: skip
-"""Scenario -> runs."""
+"""Number of runs, by scenario."""
 
 FIRST_SEED = 61_000
-"""Nothing was tuned on this seed or a later one."""
+"""First seed. No parameter was tuned with this seed or a larger one."""
 
 
 def measure(quick: bool) -> Result:
-    """Run scenarios with several seeds."""
+    """Run all scenarios with their seeds."""
     counts = {"sort_10": 1, "sort_shapes": 1, "follow_2": 1} if quick else SEEDS
     cases: dict[str, list[Loop]] = {}
     for scenario, count in counts.items():
@@ -33,7 +33,7 @@ def measure(quick: bool) -> Result:
 
 
 def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sum up the runs of a scenario."""
+    """Return the row that summarises the runs of a scenario."""
     good = [run for run in runs if run["success"]]
     times = [run["time_s"] for run in good]
     middle, (low, high) = median(times), of_median(times)
@@ -48,7 +48,7 @@ def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def error(runs: list[dict[str, Any]]) -> str:
-    """Say how exact the runs are: errors of paths and places, and of angles."""
+    """Return a text with the errors of the runs: of paths or positions, and of angles."""
     told = []
     for key, unit, kind, factor in (
         ("rms_error_m", "mm", "RMS ", 1e3), ("turn_error_deg", "degrees", "turned ", 1.0),

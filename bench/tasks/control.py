@@ -1,6 +1,6 @@
-"""The closed loop with more and less time for the solver.
+"""The closed loop with more and less effort of the solver.
 
-The whole loop: image noise, friction uneven by 10 %.
+The complete loop is simulated, with image noise and friction that is uneven by 10 %.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from tasks.runs import UNEVEN, Loop, runs_of, summed
 
 SCENARIOS = ("follow_3", "sort_10")
 SEEDS = range(11_000, 11_006)
-"""Of all runs: scatter, image noise, friction and the solver's random numbers."""
+"""Seeds of all runs. They determine start positions, image noise, friction and the solver's random
+numbers."""
 
 EFFORTS: dict[str, tuple[dict[str, int], ...]] = {
     "sinusoids": (
@@ -24,7 +25,7 @@ EFFORTS: dict[str, tuple[dict[str, int], ...]] = {
     ),
     "rotations": ({"iterations": 1, "restarts": 0}, {}, {"iterations": 40, "restarts": 4}),
 }  # fmt: skip
-"""Options of the solver by method; none: the controller's own."""
+"""Options of the solver, by method. An empty one has the controller's defaults."""
 
 
 def measure(quick: bool) -> Result:

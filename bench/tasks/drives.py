@@ -1,10 +1,9 @@
 """Drives on a bus: error against latency, jitter and the drives' own loop.
 
-Drives on a bus: the tracking error against its latency and jitter, and against the drives' loop.
-
-Two parts at 40 mm/s, uneven friction. The board sends a setpoint each 2 ms; it reaches all drives
-`latency_ms` and a random part of `jitter_ms` later, never before an older one. Neither planner nor
-solver know of it. A drive's position loop is critically damped, with feed-forward of speed.
+Two parts follow paths at 40 mm/s with uneven friction. The board sends a setpoint every 2 ms. It
+reaches all drives after `latency_ms` plus a random fraction of `jitter_ms`, but never before an
+older one. Planner and solver do not know this delay. A drive's position loop is critically damped,
+with a feedforward of speed.
 """
 
 from __future__ import annotations
@@ -21,23 +20,24 @@ from plate_sim import PlateMotion
 from tasks.runs import UNEVEN, median, summed
 
 DRIVES = ("interpolated", "held, with its speed", "held")
-"""A straight line to the setpoint over 2 ms, as by CiA 402; as by an ODrive; neither."""
+"""Behaviour of drives: a straight line to the setpoint over 2 ms, as in CiA 402; the setpoint with
+its speed, as in an ODrive; only the setpoint."""
 
 USUAL = {"latency_ms": 1.0, "jitter_ms": 0.0, "loop_hz": 150.0}
 VALUES = {
     "latency_ms": (0.0, 1.0, 2.0, 4.0), "jitter_ms": (0.0, 1.0, 2.0, 3.0, 5.0),
     "loop_hz": (75.0, 150.0, 300.0),
 }  # fmt: skip
-"""What is changed, and to what. Frames of four axes take 1 ms, at 1 Mbit/s."""
+"""Values of each varied parameter. The frames of four axes take 1 ms at 1 Mbit/s."""
 
 BUS_STEPS, STEP_S = 4, 5e-4
 
 FIRST_SEED, SEEDS = 83000, 3
-"""Nothing was tuned on these seeds."""
+"""First seed and number of seeds. No parameter was tuned with them."""
 
 
 class Driven(Direct):
-    """The simulator's transport, with a plate that drives on a bus move."""
+    """Transport to a simulated plate that is moved by drives on a bus."""
 
     def __init__(
         self, drive: str, seed: int, latency_ms: float, jitter_ms: float, loop_hz: float
@@ -53,7 +53,7 @@ class Driven(Direct):
         """Of the plate's distance from where its cycle is [m2]."""
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
-        """Let time pass, and the drives follow."""
+        """Advance the time, while the drives follow the setpoints."""
         began = self.now
         [cycle] = super().play(until)
         times = np.linspace(0, cycle.period, 1 + max(1, round(cycle.period / STEP_S)))
@@ -90,14 +90,15 @@ class Driven(Direct):
 
 
 def driven_run(drive: str, seed: int, bus: dict[str, float]) -> dict[str, Any]:
-    """Return how a run ended with a kind of drives, or with bridges, which follow exactly."""
+    """Run the task with a kind of drives, or with bridges, which follow exactly. Return its
+    result."""
     line = Driven(drive, seed, **bus) if bus else Direct()
     row = summary(with_settings(Setup("follow_2", seed), UNEVEN), load_rig(), line)
     return row | {"plate_um": 1e6 * float(np.sqrt(np.mean(getattr(line, "squares", 0))))}
 
 
 def measure(quick: bool) -> Result:
-    """Follow two rectangles with each kind of drive, one value changed at a time."""
+    """Follow two rectangles with each kind of drive, and one changed value at a time."""
     cases = [("bridges", "", 0.0)] + [
         (drive, changed, value)
         for drive in DRIVES

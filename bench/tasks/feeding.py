@@ -1,9 +1,9 @@
-"""A feeder in production beside peers that shake and look: speed, accuracy.
+"""A feeder in production compared with feeders that shake and look: speed, accuracy.
 
-One case is the base; in the others one thing is changed: how full the plate is, the gripper's
-clearance, the robot's cycle, the pick window, the type of part. The peers are those of
-`tasks.shaking`; all have the same hopper, robot, camera and noise. Only parts that are wanted come
-out of the hopper.
+Each case changes one value of the base case: the number of parts on the plate, the gripper's
+clearance, the robot's cycle, the pick window, or the type of part. The baselines are those of
+`tasks.shaking`. All feeders have the same hopper, robot, camera and noise. The hopper drops only
+requested parts.
 """
 
 from __future__ import annotations
@@ -20,32 +20,33 @@ from plate_core.tasks import FeedTask, Scenario, load_scenario
 from tasks.shaking import Shaker
 
 RECIPES = {"discs": "feed", "nuts": "feed_nuts", "bars": "feed_bars"}
-"""Type of part -> recipe; of bars an angle is asked, within 5 degrees."""
+"""Recipe, by type of part. The angle of bars is requested within 5 degrees."""
 
 METHODS = ("ours", "vibrated", "thrown")
-"""Our feeder, and its peers."""
+"""The project's feeder, and the baselines."""
 
 SEEDS = range(60_000, 60_003)
 TIME_S, QUICK_S = 60.0, 10.0
-"""Of one production [s]."""
+"""Duration of one production [s]."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is produced.
+    """One case of production.
 
     Attributes
     ----------
     kind : str
-        Type of part: a key of `RECIPES`.
+        Type of part, a key of `RECIPES`.
     fill : int
-        Parts that the hopper keeps on the plate.
+        Number of parts that the hopper keeps on the plate.
     clearance_m : float
-        The gripper's [m].
+        Clearance of the gripper [m].
     cycle_s : float
-        The robot's [s].
+        Cycle of the robot [s].
     window_m : float or None
-        Side of a square pick window in the middle of the recipe's [m]; None: that one.
+        Side length of a square pick window in the middle of the recipe's window [m]. None: the
+        recipe's window.
     """
 
     kind: str = "discs"
@@ -56,7 +57,7 @@ class Case:
 
     @property
     def recipe(self) -> Scenario:
-        """As a scenario."""
+        """Return the recipe as a scenario."""
         recipe = filled(load_scenario(RECIPES[self.kind]), self.fill)
         task = recipe.task
         assert isinstance(task, FeedTask)
@@ -80,7 +81,7 @@ CASES = {
     "window": [replace(BASE, window_m=0.1), BASE],
     "kind": [replace(BASE, kind=k) for k in RECIPES],
 }
-"""What is changed -> cases, the base among them."""
+"""Cases by the changed value, including the base case."""
 
 
 def measure(quick: bool) -> Result:
@@ -100,7 +101,7 @@ def measure(quick: bool) -> Result:
 
 
 def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any]:
-    """Run one production; returns it as JSON has it."""
+    """Run one production, and return its result for JSON."""
     setup = Setup(case.recipe, seed)
     if method == "ours":
         return produce(setup, case.cycle_s, time_s).row
@@ -108,7 +109,7 @@ def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any
 
 
 def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sum up the runs of a case."""
+    """Return the row that summarises the runs of a case."""
 
     def finite(values: list[float]) -> list[float]:
         return [v for v in values if v is not None and np.isfinite(v)] or [np.nan]

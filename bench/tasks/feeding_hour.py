@@ -1,7 +1,7 @@
 """An hour of production: parts lost, stops, memory.
 
-An hour of production in one run: parts that slip, parts that lie on the wrong face, images that
-come late or never. Nothing may be lost, nothing stop, and memory may not grow.
+The hour is one run, with failed picks, parts on the wrong face, and late and missing images. No
+part may be lost, production must not stop, and memory must not grow.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from plate_core.tasks import load_scenario
 from plate_sim import Disturbances
 
 RECIPE, FILL, CYCLE_S, SEED = "feed", 15, 2.0, 61_000
-"""One part in ten is grey: it lies on the wrong face and goes to the chute."""
+"""Recipe, number of parts on the plate, robot's cycle [s] and seed. One part of ten is grey: it has
+the wrong face up, and goes to the chute."""
 
 WORLD = Disturbances(
     pick_failure=0.05,
@@ -27,10 +28,10 @@ WORLD = Disturbances(
     friction_spread=0.1,
     friction_patches=0.1,
 )
-"""Images come late, and some never."""
+"""Disturbances: failed picks, late images and missing images."""
 
 EVERY_S, HOUR_S, QUICK_S = 300.0, 3600.0, 20.0
-"""Time between two rows, of the whole production, and of a quick one [s]."""
+"""Time between two rows, and duration of the production and of a quick one [s]."""
 
 
 def measure(quick: bool) -> Result:
@@ -59,7 +60,7 @@ def measure(quick: bool) -> Result:
 
 
 def row(now: Production, cell: FeederCell) -> dict[str, Any]:
-    """Return what there is to tell now."""
+    """Return the row for the current time."""
     return {
         "minute": cell.tally.time_s / 60, "picks": now.picks, "failed": now.failed,
         "waiting": 100 * now.waiting, "discharged": now.discharged, "lost": now.lost,

@@ -1,8 +1,8 @@
-"""Cameras that run free: error against rate, exposure, latency and scatter.
+"""Free-running cameras: error against rate, exposure, latency and jitter.
 
-Two parts at 40 mm/s, uneven friction; the planner knows neither the latency nor the scatter of the
-stamps. A camera is good for the task where all runs end well and the median of their errors is at
-most `ALLOWED_MM`: one value of it is changed at a time, until the border is passed.
+Two parts follow paths at 40 mm/s with uneven friction. The planner knows neither the latency nor
+the jitter of the stamps. A camera is sufficient if all runs succeed and the median of their errors
+is at most `ALLOWED_MM`. One value at a time is changed until the camera is no longer sufficient.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from plate_core import load_rig
 from tasks.runs import UNEVEN, runs_of, summed
 
 USUAL = {"image_rate": 30.0, "exposure_s": 0.01, "latency": 0.04, "stamp_jitter": 0.005}
-"""The camera where nothing else is said."""
+"""Default values of the camera."""
 
 VALUES = {
     "image_rate": (5.0, 7.5, 10.0, 12.0, 15.0, 20.0, 30.0, 60.0, 120.0),
@@ -21,16 +21,16 @@ VALUES = {
     "latency": (0.0, 0.02, 0.04, 0.08, 0.12, 0.16, 0.24),
     "stamp_jitter": (0.0, 0.002, 0.005, 0.01, 0.015, 0.02),
 }
-"""What is changed, and to what."""
+"""Values of each varied parameter."""
 
 TRIGGERED = {"exposure_s": 0.001}
-"""What free cameras are compared with: an image at the start of each cycle, with a true stamp."""
+"""Camera for comparison: it takes an image at the start of each cycle, with an exact stamp."""
 
 ALLOWED_MM = 0.2
-"""Root mean square error up to which a camera is good for the task [mm]."""
+"""Maximum root mean square error of a sufficient camera [mm]."""
 
 FIRST_SEED, SEEDS = 82000, 5
-"""Nothing was tuned on these seeds."""
+"""First seed and number of seeds. No parameter was tuned with them."""
 
 
 def measure(quick: bool) -> Result:

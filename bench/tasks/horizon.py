@@ -1,17 +1,18 @@
 """Trials beyond the greedy step: a motion played again, a learned cost-to-go, a learned start.
 
-Each answer of the solver minimises the remaining error after its motion was played n times,
+The solver minimises the remaining error after its motion was played n times,
 
     J(xn) = |w way(xn)|^2 + edges + neighbours,   xk = F(xk-1, pk-1; a),   pk = E a,
 
-over coefficients a; F moves the parts' state, the plate begins a play in pk. The trials are
+over the coefficients a. F is the cycle map of the parts' state, and pk is the plate's state at the
+start of play k + 1. The trials are
 
-- `once`, `2 times` (the default), `3 times`: n = 1, 2, 3, with 40, 20 and 14 starts, as more plays
-  take longer to evaluate. The others are compared with n = 1, and use it:
-- `cost-to-go`: of the five best motions the one with the least v phi(x1), a regression of the ways
-  that are left `LATER` cycles later, learned from sorts of its own (phi: `features`);
-- `network`: one start, and three near what comes of it, from the network of examples/agents, which
-  knows four parts.
+- `once`, `2 times` (the default), `3 times`: n = 1, 2, 3 with 40, 20 and 14 starts, because more
+  plays take longer to evaluate. The other trials use n = 1, and are compared with it:
+- `cost-to-go`: uses the motion with the minimum v phi(x1) of the five best ones. v is a regression
+  of the distances to go after `LATER` more cycles, learned from other sort tasks (phi: `features`).
+- `network`: one start from the network of examples/agents, which is trained for four parts, and
+  three starts near its result.
 """
 
 from __future__ import annotations
@@ -37,20 +38,20 @@ SEEDS: dict[str, dict[str, int]] = {
     "assemble_8": {"2 times": 6},
     "sort_4": {"network": 13},
 }
-"""Scenario -> how many seeds of each trial, from `FIRST` on."""
+"""Number of seeds of each trial from `FIRST` on, by scenario."""
 
 FIRST, LEARNED_FROM = 57_100, range(57_000, 57_004)
-"""Seed of the first run; seeds of the sorts from which a cost-to-go is learned."""
+"""Seed of the first run, and seeds of the sort tasks from which the cost-to-go is learned."""
 
 TRIALS: dict[str, tuple[str, int]] = {
     "once": ("", 1), "2 times": ("", 2), "3 times": ("", 3),
     "cost-to-go": ("cost-to-go", 1), "network": ("network", 1),
 }  # fmt: skip
-"""Trial -> kind, and plays of the motion."""
+"""Kind, and number of plays of the motion, by trial."""
 
 
 def measure(quick: bool) -> Result:
-    """Run every trial beside the search with one play, seed by seed."""
+    """Run every trial and the search with one play with the same seeds."""
     cache, counts = Cache.of(__name__), SEEDS
     if quick:
         counts = {"sort_10": dict.fromkeys(SEEDS["sort_10"], 1)}
@@ -80,7 +81,8 @@ def measure(quick: bool) -> Result:
 
 
 def compared(runs: list[dict[str, Any]], trial: str) -> dict[str, Any]:
-    """Sum up the runs of a trial, beside those of the search with one play on the same seeds."""
+    """Return the row that compares the runs of a trial with those of one play, for the same
+    seeds."""
 
     def of(name: str, key: str) -> np.ndarray:
         return np.array([run[name][key] for run in runs])
@@ -99,12 +101,12 @@ def compared(runs: list[dict[str, Any]], trial: str) -> dict[str, Any]:
 def tried(
     scenario: str, seed: int, kind: str, plays: int, value: list[float] | None
 ) -> dict[str, Any]:
-    """Run the closed loop once; returns a row of `bench/closed_loop.py`."""
+    """Run the closed loop once. Return a row of `bench/closed_loop.py`."""
     return driven(scenario, seed, plays, kind, {"value": value} if kind == "cost-to-go" else {})
 
 
 def what_comes(seed: int) -> list[list[list[float]]]:
-    """Sort ten parts; returns what `learned` takes."""
+    """Sort ten parts. Return the input of `learned`."""
     groups: list[list[list[float]]] = []
     driven("sort_10", seed, 1, "following", {"groups": groups}, restarts="20")
     return groups
@@ -113,7 +115,7 @@ def what_comes(seed: int) -> list[list[list[float]]]:
 def driven(
     scenario: str, seed: int, plays: int, kind: str, options: dict[str, Any], **settings: str
 ) -> dict[str, Any]:
-    """Run the closed loop, friction uneven by 10 %, with a steering of `STEERING`."""
+    """Run the closed loop with friction uneven by 10 % and a steering of `STEERING`."""
     setup = with_settings(Setup(scenario, seed), UNEVEN | settings)
     trying = patch.object(loop, "Controller", partial(Trying, kind, options))
     with trying, patch.object(steer, "PLAYS", plays):
@@ -121,7 +123,7 @@ def driven(
 
 
 class Trying(Controller):
-    """The controller with a steering of this module in place of its own."""
+    """The controller with a steering of this module instead of its own."""
 
     def __init__(self, kind: str, options: dict[str, Any], *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
@@ -133,7 +135,7 @@ class Trying(Controller):
             solver._steering = now
 
     def answer(self, wanted: Any, running: Any, until: float = np.inf) -> Any:
-        """Tell the steering what the camera saw, too."""
+        """Return the controller's answer. Also give the steering the request's parts."""
         steering: Any = self._solvers["sinusoids"]
         steering._steering.seen = wanted.parts, running
         return super().answer(wanted, running, until)
@@ -142,4 +144,4 @@ class Trying(Controller):
 STEERING: dict[str, Any] = {
     "cost-to-go": Judging, "network": Proposing, "following": Following
 }  # fmt: skip
-"""Kind of a trial -> its steering."""
+"""Steering, by kind of a trial."""

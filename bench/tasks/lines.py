@@ -1,4 +1,4 @@
-"""Serial lines from slow to fast, bad and far: tables played, time to a stop."""
+"""Serial lines of different speed, quality and latency: played tables, and time to a stop."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ DELAYS_S = (0.0, 0.02, 0.1)
 
 PIECES = 64
 PLAY_S = 60.0
-"""Time for which cycles come, one in each period [s]."""
+"""Time for which a cycle is sent in each period [s]."""
 
 BEGIN_S, STOP_S = 30.0, 5.0
-"""Longest waits [s]: until the motors are ready, and until they brake."""
+"""Maximum time until the motors are ready, and until they brake [s]."""
 
 STOPS = 5
-"""Stops, each from mid-motion."""
+"""Number of stops during motion."""
 
 
 def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) -> dict[str, Any]:
-    """Let a host send a new cycle each period over a line; then stop it a few times."""
+    """Send a new cycle in each period over a line, then stop the device a few times."""
     trouble = LineFaults(baud=float(baud), dropped=lost, delay=delay_s)
     emulator = Emulator(DeviceLimits.of_rig(load_rig()), 1, FaultSchedule(trouble))
     transport = SerialTransport(lambda: Port(emulator), lambda: emulator.now, 1, baud=float(baud))
@@ -42,7 +42,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     sent, due = [0], [0.0]
 
     def run(seconds: float, plays: bool, until: Any = None) -> None:
-        """Let time pass; a cycle is sent each period, if the device takes it."""
+        """Advance the time, and send a cycle in each period if the device accepts it."""
         for tick in range(round(seconds * 1e3)):
             emulator.tick()
             if plays and emulator.now >= due[0]:
@@ -91,7 +91,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
 
 
 def measure(quick: bool) -> Result:
-    """Run all lines; quick: the fastest and a slow one."""
+    """Run all lines. A quick measurement has only the fastest and a slow one."""
     bauds, lost, delays = ((115_200, 921_600), (0.0, 0.03), (0.0, 0.1)) if quick else (
         BAUDS, LOST, DELAYS_S
     )  # fmt: skip

@@ -1,10 +1,8 @@
-"""Small and weak rigs: success, time, error, and what `feasible` said.
+"""Small and weak rigs: success, time and error, compared with the prediction of `feasible`.
 
-What a rig is asked before it is bought: success, time and error of tasks on small and weak rigs,
-beside what `ros2 run plate_bringup feasible` says of them.
-
-The whole loop with image noise and uneven friction. Some 90 runs: ten
-minutes on two cores.
+The results answer the questions before a rig is bought. They are compared with the prediction of
+`ros2 run plate_bringup feasible`. The complete loop is simulated with image noise and uneven
+friction. The 90 runs take about ten minutes on two cores.
 """
 
 from __future__ import annotations
@@ -22,21 +20,21 @@ from plate_core.tasks import load_scenario
 from tasks.runs import UNEVEN, runs_of, summed
 
 RATIOS = (2, 3, 5, 10)
-"""Shaking ratios of the default plate: its acceleration over mu g, by `accel_mps2`."""
+"""Shaking ratios of the default plate: its acceleration `accel_mps2` divided by mu g."""
 
 STROKES_MM = (2,)
-"""Strokes of the default plate."""
+"""Strokes of the default plate [mm]."""
 
 FORCES_N = ((10, 5), (20, 10))
-"""Peak and continuous force of the motors of the default plate."""
+"""Peak and continuous forces of the default plate's motors [N]."""
 
 SCENARIOS = ("sort_4", "sort_10", "follow_2")
 
 SEEDS = range(50_000, 50_003)
-"""Nobody tuned on these."""
+"""Seeds. No parameter was tuned with them."""
 
 FULL_PACE = 0.95
-"""Share of the speed asked for from which on it is not told."""
+"""Fraction of the requested speed from which on the speed is not listed."""
 
 
 def measure(quick: bool) -> Result:
@@ -61,7 +59,7 @@ def measure(quick: bool) -> Result:
 
 
 def rigs() -> dict[str, Rig]:
-    """Return the rigs, by name."""
+    """Return the rigs by name."""
     default = load_rig()
 
     def limited(**limits: float) -> Rig:
@@ -78,7 +76,7 @@ def rigs() -> dict[str, Rig]:
 
 
 def judged(rig: Rig, scenario: str) -> dict[str, Any]:
-    """Return what `feasible` says of a task."""
+    """Return the prediction of `feasible` for a task."""
     verdict = judge_task(rig, load_scenario(scenario))
     return {
         "feasible": "likely" if verdict.likely else "not likely",
@@ -88,7 +86,8 @@ def judged(rig: Rig, scenario: str) -> dict[str, Any]:
 
 
 def by_rig(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each rig: how its tasks ended, and in brackets what `feasible` said."""
+    """Return a row for each rig with the results of its tasks, and the predictions of `feasible` in
+    brackets."""
     found: dict[str, dict[str, Any]] = {}
     for row in rows:
         mine = found.setdefault(row["rig"], {"rig": row["rig"], "gamma": row["gamma"]})

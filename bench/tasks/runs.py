@@ -1,4 +1,5 @@
-"""What measurements of tasks share: many runs of the closed loop, kept, and summed up in a row."""
+"""Common functions of the measurements of tasks: run the closed loop many times, with a cache, and
+summarise the runs in a row."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ UNEVEN = {"friction_spread": "0.1", "friction_patches": "0.1"}
 """Friction differs by 10 % between parts and over the plate: settings of `bench/closed_loop.py`."""
 
 Loop = tuple[Setup, Mapping[str, str], Rig]
-"""What is run, with settings of `bench/closed_loop.py`."""
+"""Setup of a run, settings of `bench/closed_loop.py`, and rig."""
 
 
 def sorting(count: int) -> Scenario:
@@ -33,8 +34,8 @@ def sorting(count: int) -> Scenario:
 
 
 def runs_of(cache: Cache, cases: Mapping[Any, Sequence[Loop]]) -> dict[Any, list[dict[str, Any]]]:
-    """Return a row of `bench/closed_loop.py` for each loop, by case, from the cache or by running
-    it."""
+    """Return a row of `bench/closed_loop.py` for each loop, by case. Loops that are not in the
+    cache are run."""
     work = {
         case: [(with_settings(setup, settings), rig) for setup, settings, rig in loops]
         for case, loops in cases.items()
@@ -43,10 +44,10 @@ def runs_of(cache: Cache, cases: Mapping[Any, Sequence[Loop]]) -> dict[Any, list
 
 
 def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return one row for the runs of a case; None where there is nothing to sum up.
+    """Return one row for the runs of a case. A value without data is None.
 
-    Times of the task are simulated, of the runs that ended well; `most` and `worst` are of the
-    worst run, everything else is a median over the runs.
+    Times of the task are simulated times of successful runs. `most` and `worst` are values of the
+    worst run. All others are medians over the runs.
     """
     runs = list(runs)
     good = [run for run in runs if run["success"]]
@@ -75,5 +76,5 @@ def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def median(values: list[float]) -> float | None:
-    """Return the median, None of nothing."""
+    """Return the median. None if there are no values."""
     return float(np.median(values)) if values else None

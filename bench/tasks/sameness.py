@@ -1,8 +1,9 @@
-"""One seed, one answer: what changes a run, to the last bit.
+"""Bit-identical runs with the same seed: effect of load and of other processors.
 
-Every variation runs in fresh processes and is compared with a quiet one in which BLAS and numpy
-take the code of AVX2 (`ALIKE`). Another processor is stood in for by the code that libraries would
-choose for it; which code of our kernels runs, the processor alone decides. Some 1000 runs.
+Every variation runs in new processes. It is compared with a run without load in which BLAS and
+numpy use their code for AVX2 (`ALIKE`). Other processors are represented by the code that the
+libraries would choose for them. The code of the project's kernels depends only on the actual
+processor. There are about 1000 runs.
 """
 
 from __future__ import annotations
@@ -26,24 +27,24 @@ SCENARIOS = ("sort_10", "follow_2", "assemble_8", "align_6")
 SEEDS = range(9000, 9020)
 
 PIECES = ("simulator", "camera", "vision", "planner", "solver")
-"""In the order in which a cycle goes through them."""
+"""Stages, in the order in which a cycle passes them."""
 
 BUSY = 4
-"""Loops beside a loaded run."""
+"""Number of processes that load the computer in a loaded run."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """What is unlike the quiet run.
+    """Differences from the run without load.
 
     Attributes
     ----------
     settings : mapping
-        Variables of the environment.
+        Environment variables.
     workers, busy : int
-        Processes that share the runs, and loops that only take time.
+        Number of processes that share the runs, and of processes that only use CPU time.
     needs : str
-        What the processor has to have, as /proc/cpuinfo calls it.
+        Required feature of the processor, by its name in /proc/cpuinfo.
     """
 
     settings: Mapping[str, str] = field(default_factory=dict)
@@ -53,7 +54,7 @@ class Variation:
 
     @property
     def possible(self) -> bool:
-        """Whether it runs on this processor."""
+        """Whether the variation can run on this processor."""
         flags = Path("/proc/cpuinfo").read_text(encoding="ascii").split()
         return not self.needs or self.needs in flags
 
@@ -77,7 +78,7 @@ VARIATIONS = {
 
 
 def measure(quick: bool) -> Result:
-    """Run all variations; quick: two seeds."""
+    """Run all variations. A quick measurement has two seeds."""
     cache, seeds = Cache.of(__name__), SEEDS[:2] if quick else SEEDS
     reference = traces("quiet", Variation(), seeds, cache)
     rows: list[dict[str, Any]] = []
@@ -97,8 +98,8 @@ def measure(quick: bool) -> Result:
 def traces(
     name: str, variation: Variation, seeds: range, cache: Cache
 ) -> dict[str, list[list[str]]]:
-    """Return the traces of every scenario in a variation, by seed, from the cache or by running
-    them."""
+    """Return the traces of every scenario in a variation, by seed. Those that are not in the cache
+    are run."""
     work = {(name, scenario): [(scenario, seed) for seed in seeds] for scenario in SCENARIOS}
     with surroundings(variation):
         found = by_case(trace, work, cache, variation.workers)
@@ -106,12 +107,12 @@ def traces(
 
 
 def trace(scenario: str, seed: int) -> list[str]:
-    """Run the loop; returns the digests of what each piece made, one string per cycle."""
+    """Run the loop. Return the digests of each stage's output, one string per cycle."""
     return [" ".join(map(digest, made(moment))) for moment in run(Setup(scenario, seed))]
 
 
 def made(moment: Moment) -> Iterator[list[np.ndarray]]:
-    """Yield what each of `PIECES` made."""
+    """Yield the output of each of `PIECES`."""
     world, parts, wanted, cycle = moment.world, moment.parts, moment.wanted, moment.answer.cycle
     forces, start = wanted.forces, [] if wanted.start is None else [wanted.start]
     yield [world.position, world.angle]
@@ -127,7 +128,7 @@ def digest(arrays: list[np.ndarray]) -> str:
 
 
 def compared(pairs: list[tuple[list[str], list[str]]]) -> dict[str, Any]:
-    """Return how many pairs of traces are the same, and where the first other ones part."""
+    """Return the number of equal pairs of traces, and the first difference of the others."""
     others = [pair for pair in pairs if pair[0] != pair[1]]
     row = {"runs": len(pairs), "same": len(pairs) - len(others), "piece": None, "cycle": None}
     for cycle, (a, b) in enumerate(zip(*others[0], strict=False)) if others else ():
@@ -139,7 +140,7 @@ def compared(pairs: list[tuple[list[str], list[str]]]) -> dict[str, Any]:
 
 @contextmanager
 def surroundings(variation: Variation) -> Iterator[None]:
-    """Let processes that are started meanwhile find what a variation says."""
+    """Context in which new processes get the settings and the load of a variation."""
     before = dict(os.environ)
     with ExitStack() as stack:
         stack.callback(os.environ.update, before)

@@ -1,4 +1,4 @@
-"""The serial path: a short task, and faults of the line."""
+"""The serial path: a short task with faults of the line and the device."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from plate_core.yaml_fields import Fields
 from plate_sim.device import FaultSchedule, LineFaults
 
 RUNS = 100
-"""Of each kind of accident."""
+"""Number of runs of each kind of accident."""
 
 BAUD = 921_600.0
 
@@ -43,11 +43,11 @@ KINDS: dict[str, tuple[dict[str, float], str]] = {
     "reset": ({}, "reset"),
     "brown-out": ({}, "brown_out"),
 }
-"""Name of an accident: what the line does, and what happens once in mid-task."""
+"""Permanent faults of the line, and single event during the task, by name of an accident."""
 
 
 def measure(quick: bool) -> Result:
-    """Run all; quick: a few of each."""
+    """Run all accidents. A quick measurement has only a few of each."""
     runs = 1 if quick else RUNS
     work = {kind: [(kind, seed) for seed in range(runs)] for kind in KINDS}
     faults = [
@@ -57,7 +57,7 @@ def measure(quick: bool) -> Result:
 
 
 def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sum up the runs with one kind of accident."""
+    """Return the row that summarises the runs with one kind of accident."""
     sums = {key: sum(row[key] for row in runs) for key in ("done", "told", "kept", "resting")}
     most = {key: max(row[key] for row in runs) for key in ("enables", "used")}
     return {"kind": kind, **sums, **most, "stuck": len(runs) - sums["done"] - sums["told"]}

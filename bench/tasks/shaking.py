@@ -1,28 +1,31 @@
-"""The peer of the feeder: a plate that shakes all parts, looks, and shakes again, as flexible
-feeders on the market do. Simulator, camera, vision, robot and hopper are those of our feeder.
+"""Baseline of the feeder: a plate that shakes all parts, takes an image, and shakes again.
 
-It looks while the robot is away and the plate rests. All parts that lie ready in one image are
-picked one after the other, with no further look. When none is left it shakes, from the grip of the
-last one on (ours moves only when the robot has left the view), and again until a look shows one.
-The hopper is opened with a shake, by the same rule as ours. A look takes 0.2 s: settling, exposure,
-evaluation.
+Commercial flexible feeders work like this. Simulator, camera, vision, robot and hopper are those of
+the project's feeder.
 
-Two kinds of shakes:
+It takes an image while the robot is away and the plate rests. All parts that are ready in one image
+are picked one after the other, without a further image. When none is left, it shakes until an image
+shows a ready part. It starts to shake at the last grip, but the project's feeder moves only after
+the robot has left the view. The hopper opens during a shake, by the same rule as the project's. An
+image takes 0.2 s: settling, exposure, evaluation.
 
-- Vibrated: the simulated plate, moved in its plane as strongly as the rig allows, slow one way and
-  fast back (a Fejer kernel as velocity). Conveying brings the parts' centre to that of the pick
-  window, along x, then y. Stirring turns the plate about two centres on its long axis, one after
-  the other (a blinking vortex, which mixes well); which way round is drawn for each shake. Parts
-  that leave over an edge cost only the time until the next drop: such feeders have a rim, this
-  plate has none. In its plane no vibration spreads parts that lie still: the mean friction force
-  has no sources, as that of each centre of rotation has none.
-- Thrown: idealised vertical shakes, better than any that exist. In 0.6 s with settling all parts
-  come to lie anew, evenly distributed over the plate and turned evenly, the discs about them clear
-  of each other. What the other kind lacks in spreading cannot flatter us here.
+There are two kinds of shakes:
 
-How vibrating was tuned: 20 discs, clearance 6 mm, a robot of 2 s, seeds 0 to 9, 60 s each; a grid
-of 3 times of stirring, 3 shares of the way conveyed and 2 waveforms. The most parts a minute won:
-`STIR_S`, `CONVEY` and `HARMONICS`. Throwing has nothing to tune. Figures are of other seeds.
+- Vibrated: the simulated plate moves in its plane as strongly as the rig allows, slowly in one
+  direction and fast in the other (a Fejer kernel as velocity). Conveying moves the centre of the
+  parts to that of the pick window, along x, then y. Stirring rotates the plate about two centres on
+  its long axis, one after the other (a blinking vortex, which mixes well), in a random direction
+  for each shake. Parts that leave over an edge cost only the time until the next drop, because
+  commercial feeders have a rim. No vibration in the plane spreads resting parts: the mean friction
+  force of each centre of rotation has no divergence, nor has any sum of them.
+- Thrown: idealised vertical shakes, better than any existing feeder's. Within 0.6 s with settling,
+  all parts get new random positions and angles, uniformly distributed, with disjoint circumscribed
+  discs. So the missing spreading of the first kind does not favour the project's feeder here.
+
+Vibrating was tuned with 20 discs, a clearance of 6 mm, a robot cycle of 2 s and seeds 0 to 9, 60 s
+each, over 3 times of stirring, 3 fractions of the conveyed distance and 2 waveforms. `STIR_S`,
+`CONVEY` and `HARMONICS` are the values with the most parts per minute. Throwing has no parameters
+to tune. Results are from other seeds.
 """
 
 from __future__ import annotations
@@ -43,31 +46,33 @@ from plate_vision.bare_plate import BARE_IMAGES
 from plate_vision.shapes import learn_plate
 
 TICK_S = 0.1
-"""The robot is asked so often while the plate rests [s]: as in our loop."""
+"""Period at which the robot is polled while the plate rests [s], as in the project's loop."""
 
 LOOK_TICKS, THROW_TICKS = 2, 6
-"""Time of a look, and of an idealised shake [ticks]."""
+"""Duration of taking an image, and of an idealised shake [ticks]."""
 
 SAMPLES = 240
-"""Of a cycle."""
+"""Number of samples per cycle."""
 
 MOST_CYCLES, COAST_S = 10, 0.5
-"""Of one conveying; and how long parts slide on at most [s]."""
+"""Maximum number of cycles of one conveying, and maximum time for which parts slide after it
+[s]."""
 
 TRIES = 2000
-"""Places drawn for a part that is thrown, until there is room."""
+"""Maximum number of random positions tried for a thrown part."""
 
 
 STIR_S, CONVEY = 0.8, 0.5
-"""Time of stirring in a shake [s]; fraction of the way to the window's centre that parts are
-conveyed."""
+"""Time of stirring per shake [s], and fraction of the distance to the window's centre by which
+parts are conveyed."""
 
 PERIOD_S, HARMONICS = 0.1, 2
-"""Of a cycle [s]."""
+"""Period of a cycle [s], and number of harmonics of its velocity."""
 
 
 def waveform() -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity (SAMPLES,) over a period of 1 s: slow one way, fast back."""
+    """Return displacement and velocity (SAMPLES,) over a period of 1 s, slow in one direction and
+    fast in the other."""
     t = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     order = np.arange(1, HARMONICS + 1)
     share = 2 * (1 - order / (HARMONICS + 1))
@@ -84,8 +89,8 @@ def shaken(rig: Rig, axis: np.ndarray) -> PlateCycle:
 
 
 def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
-    """Return how far (MOST_CYCLES,) [m] one part gets along an axis in 1, 2, ... cycles, until it
-    lies still again."""
+    """Return the distances (MOST_CYCLES,) [m] by which 1, 2, ... cycles move one part along an
+    axis, until it is at rest again."""
     ways = []
     for count in range(1, MOST_CYCLES + 1):
         position, velocity = np.zeros((1, 2)), np.zeros((1, 2))
@@ -99,14 +104,14 @@ def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
 
 
 class Shaker:
-    """A plate that shakes and looks, with its robot.
+    """A plate that shakes and takes images, with its robot.
 
     Parameters
     ----------
     setup : Setup
         Its scenario is a recipe with a hopper.
     cycle_s : float
-        The robot's [s].
+        Cycle of the robot [s].
     is_thrown : bool
         Whether shakes are idealised.
     """
@@ -135,7 +140,7 @@ class Shaker:
         self._conveyed = [conveyed(self.rig, cycle, k) for k, cycle in enumerate(self._pushes)]
 
     def run(self, time_s: float) -> Production:
-        """Produce for a time [s]."""
+        """Run the production for a time [s]."""
         steps = self._steps()
         while self.tally.time_s < time_s:
             self._act()
@@ -143,7 +148,7 @@ class Shaker:
         return Production.of(self.tally, self.robot, self.simulation, self.task)
 
     def _steps(self) -> Iterator[PlateCycle]:
-        """Yield what the plate does, without end."""
+        """Yield the plate's cycles one after the other, without end."""
         while True:
             yield from self._thrown() if self.is_thrown else self._vibrated()
             while self._in_view:
@@ -155,7 +160,7 @@ class Shaker:
             if image is not None:
                 self.parts = observe(self._vision, Tracker(), image, stamp, None).parts
                 self.listed = self._ready()
-            while self.listed or self.robot.place is not None:  # a part that lies there still
+            while self.listed or self.robot.place is not None:  # ready parts are left to pick
                 yield self._rest
 
     def _ready(self) -> list[tuple[float, float, float]]:
@@ -168,7 +173,7 @@ class Shaker:
         return [(*self.parts.position[i].tolist(), float(self.parts.angle[i])) for i in rows]
 
     def _open(self) -> float:
-        """Open the hopper if parts are missing; returns for how long [s]."""
+        """Open the hopper if parts are missing. Return the opening time [s]."""
         hopper, count = self.task.hopper, len(self.parts)
         if hopper is None or count >= hopper.least:
             return 0.0
@@ -207,7 +212,7 @@ class Shaker:
             yield self._rest
 
     def _act(self) -> None:
-        """Have the robot do what is due."""
+        """Perform the robot's actions that are due."""
         while True:
             before = self.robot
             self.robot, act = before.step(self.tally.time_s)
@@ -230,24 +235,24 @@ class Shaker:
                 self.listed = self.listed[1:]
 
     def _play(self, cycle: PlateCycle) -> None:
-        """Let a cycle pass."""
+        """Simulate a cycle."""
         self.simulation.run(cycle)
         self.tally.time_s += cycle.period
 
 
 def turn_about(centre: np.ndarray) -> np.ndarray:
-    """Return the axis (3,) [m, m, rad] of small turns about a point (2,) [m]."""
+    """Return the axis (3,) [m, m, rad] of small rotations about a point (2,) [m]."""
     return np.array([centre[1], -centre[0], 1.0])
 
 
 def mirrored(cycle: PlateCycle) -> PlateCycle:
-    """Return a cycle the other way round."""
+    """Return a cycle with the opposite direction."""
     return cycle.scaled(-1.0)
 
 
 def thrown(reach: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return places (M, 2) [m] for discs of radii `reach` (M,) [m] on a plate of half sizes (2,)
-    [m], clear of each other; one for which there is no room lies on others."""
+    """Return random positions (M, 2) [m] of disjoint discs with the radii `reach` (M,) [m], on a
+    plate with half side lengths (2,) [m]. A disc without free space overlaps others."""
     place = np.zeros((len(reach), 2))
     for i, mine in enumerate(reach):
         for _ in range(TRIES):

@@ -1,6 +1,7 @@
-"""Number of parts: time, parts dropped.
+"""Sorting time and dropped parts by number of parts.
 
-The whole loop in a clean world: image noise, even friction, parts that collide.
+The complete loop is simulated in a clean world, with image noise, even friction and colliding
+parts.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from plate_core import load_rig
 from tasks.runs import sorting, summed
 
 COUNTS = {50: 2, 32: 2, 24: 3, 16: 5, 10: 5}
-"""Parts that are sorted, and how many seeds; the longest first: a run of 50 parts takes as long as
-thirty of 10."""
+"""Number of seeds, by number of parts. The longest runs are first: a run with 50 parts takes as
+long as 30 runs with 10 parts."""
 
 
 def measure(quick: bool) -> Result:
-    """Sort all numbers of parts."""
+    """Run the sort tasks with all numbers of parts."""
     rig, counts = load_rig(), {10: 1} if quick else COUNTS
     cases = {n: [(Setup(sorting(n), k), rig) for k in range(runs)] for n, runs in counts.items()}
     rows = [

@@ -1,6 +1,6 @@
-"""Every scenario over many seeds, and in worlds that are not as believed.
+"""Every scenario with many seeds, and in worlds that differ from the assumed one.
 
-Some 2,000 runs: two hours on two cores. A measurement that was cut short goes on where it stopped.
+About 2000 runs take two hours on two cores. An interrupted measurement continues where it stopped.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from plate_core.rig import Suspension, mass_matrix, modal_matrices
 from tasks.runs import UNEVEN, runs_of, summed
 
 FIRST_SEED = 20_000
-"""No parameter was ever chosen by runs with this seed or a later one."""
+"""First seed. No parameter was chosen by runs with this seed or a larger one."""
 
 LATE, LOST = {"latency": "0.05"}, {"missed_parts": "0.05", "false_parts": "0.01"}
 
 MOTOR_GAIN = (1.1, 0.9, 1.1, 0.9)
-"""Motors that give 10 % more or less force than asked."""
+"""Ratios of the motors' actual to their requested force."""
 
 
 WEAK = "motors off by 10 %"
-"""World in which the motors' forces are off by `MOTOR_GAIN`, as they are in the last one."""
+"""Name of the world with the forces of `MOTOR_GAIN`, which the last world also has."""
 
 WORLDS: dict[str, dict[str, str]] = {
     "clean": {},
@@ -37,7 +37,8 @@ WORLDS: dict[str, dict[str, str]] = {
     "dirt, 5 % missed, 1 % false": UNEVEN | LOST,
     "all of these": UNEVEN | LATE | LOST | {"mu_scale": "0.7"},
 }
-"""What is not as the planner and the solver think: settings of `bench/closed_loop.py`."""
+"""Differences from the world that planner and solver assume, as settings of
+`bench/closed_loop.py`."""
 
 CASES = (
     ("sort_10", "sinusoids", "dirt", 300),
@@ -56,7 +57,7 @@ CASES = (
     ("coin_circle", "sinusoids", "dirt", 20),
     ("spin_1", "rotations", "dirt", 20),
 )  # fmt: skip
-"""Scenario, method, world, seeds."""
+"""Scenario, method, world, number of seeds."""
 
 
 def measure(quick: bool) -> Result:
@@ -75,9 +76,10 @@ def measure(quick: bool) -> Result:
 
 
 def weak(rig: Rig) -> Rig:
-    """Return the rig with motors that do not give the force that is asked of them.
+    """Return the rig with motors whose forces differ from the requested ones by `MOTOR_GAIN`.
 
-    The plate hangs softly (5 Hz, well damped), and its drive knows it by heart but for the motors.
+    The plate has a soft suspension (5 Hz, well damped). Its drive compensates for the suspension,
+    but not for the motors.
     """
     mass = mass_matrix(rig.plate.mass_kg, rig.plate.inertia_kgm2)
     damping, stiffness = modal_matrices(mass, np.full(3, 5.0), np.full(3, 0.5))

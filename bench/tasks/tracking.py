@@ -1,4 +1,4 @@
-"""1 to 6 parts on circles: tracking error against speed, fastest that is kept."""
+"""1 to 6 parts on circles: tracking error against speed, and maximum speed that the loop keeps."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from plate_solver import RotationSolver, SinusoidSolver
 from tasks.runs import UNEVEN, runs_of, summed
 
 SPEEDS_MM = (2, 5, 20, 40, 80, 160, 320)
-"""Speeds along the circles [mm/s]; tried in this order until one fails."""
+"""Speeds along the circles [mm/s]. They are tried in this order until one fails."""
 
 SEEDS = (0, 1)
-"""Runs at each speed, side by side: image noise, friction and the solver's chance differ."""
+"""Seeds of the runs at each speed. Image noise, friction and the solver's random numbers differ."""
 
 CENTRES_M = ((-0.2, 0.07), (0.2, -0.07), (0.0, 0.07), (-0.2, -0.07), (0.2, 0.07), (0.0, -0.07))
 """Centres of the circles, in the order in which they are used [m]."""
 
 COUNTS = {"sinusoids": (1, 2, 3, 4, 5, 6), "rotations": (2, 4, 6)}
-"""Parts by method."""
+"""Numbers of parts, by method."""
 
 RADIUS_M = 0.05
-"""Of the circles."""
+"""Radius of the circles [m]."""
 
 SPAN_S = 6.0
-"""How long each is driven [s], but for half a lap at least and two at most."""
+"""Duration of a run [s], but at least half a lap and at most two laps."""
 
 MOST_RMS_M, MOST_DELAY = 6e-3, 1.05
-"""Kept is a speed at which all runs end well, with at most this error (a hundredth of the plate's
-length), and take at most this share of the time that the speed asks for."""
+"""Limits for a speed that counts as kept, if all runs succeed: maximum error, a hundredth of the
+plate's length [m], and maximum ratio of the actual time to the time at this speed."""
 
 
 def measure(quick: bool) -> Result:
-    """Drive 1 to 6 parts faster and faster."""
+    """Move 1 to 6 parts with increasing speeds."""
     rig = load_rig()
     seeds, cache = SEEDS[:1] if quick else SEEDS, Cache.of(__name__)
     going = [("sinusoids", 2)] if quick else [(name, n) for name in COUNTS for n in COUNTS[name]]
@@ -59,12 +59,12 @@ def measure(quick: bool) -> Result:
 
 
 def laps(speed: float) -> float:
-    """Return how often a circle is driven round at a speed [m/s]."""
+    """Return the number of laps at a speed [m/s]."""
     return float(np.clip(round(speed * SPAN_S / (2 * np.pi * RADIUS_M), 3), 0.08, 2.0))
 
 
 def circles(count: int, speed: float) -> dict[str, Any]:
-    """Return a scenario: `count` parts on a circle each, at one speed [m/s]."""
+    """Return a scenario with `count` parts, each on its own circle, at one speed [m/s]."""
     places, paths = [], []
     for k, (x, y) in enumerate(CENTRES_M[:count]):
         start = 90 * k % 360
@@ -86,12 +86,12 @@ def circles(count: int, speed: float) -> dict[str, Any]:
 def row_of(
     rig: Rig, method: str, count: int, speed_mm: int, runs: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Sum up the runs at one speed [mm/s]."""
+    """Return the row that summarises the runs at one speed [mm/s]."""
     solver = SinusoidSolver(rig) if method == "sinusoids" else RotationSolver(rig)
     period = solver.steering_period(count)
     speed = 1e-3 * speed_mm
     least = laps(speed) * 2 * np.pi * RADIUS_M / speed
-    # A task begins with one cycle at rest and ends with the cycle in which the last lap does.
+    # A task begins with one cycle at rest, and ends with the cycle in which the last lap ends.
     delay = max((run["time_s"] - 3 * period) / least for run in runs)
     row = summed(runs)
     kept = row["good"] == len(runs) and row["worst_rms_mm"] <= 1e3 * MOST_RMS_M

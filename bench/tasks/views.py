@@ -1,6 +1,6 @@
-"""Tasks as real cameras see them: tilt, parts with height, gloss, shadow, light that changes.
+"""Tasks with images as of real cameras: tilt, parts with height, gloss, shadow, changing light.
 
-Some 200 runs: an hour on one core. A measurement that was cut short goes on where it stopped.
+About 200 runs take an hour on one core. An interrupted measurement continues where it stopped.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from plate_core.tasks import load_scenario
 from tasks.runs import runs_of, summed
 
 FIRST_SEED, SEEDS = 54_000, 10
-"""No parameter was chosen by runs with this seed or a later one."""
+"""First seed and number of seeds. No parameter was chosen by runs with these or larger seeds."""
 
 SCENARIOS = ("sort_10", "follow_2", "sort_shapes")
 
@@ -31,7 +31,7 @@ SCENES: dict[str, dict[str, str]] = {
     "light 20 % down after 3 s": {"light_step": "-0.2", "light_step_s": "3"},
     "flicker 6 %": {"flicker": "0.06"},
 }  # fmt: skip
-"""Settings of `bench/closed_loop.py`."""
+"""Settings of `bench/closed_loop.py`, by name of a scene."""
 
 
 def measure(quick: bool) -> Result:
