@@ -163,7 +163,7 @@ def checked(args: argparse.Namespace) -> Plan:
     if args.image_rate and args.camera:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed with --camera: 0")
     if args.image_rate and args.lockstep:
-        raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with --lockstep")
+        raise PlateError(f"image rate is {args.image_rate:g}, allowed with --lockstep: 0")
     Disturbances(image_rate=args.image_rate)  # raises if the rate is out of range
     within("picks", args.picks, 1, MOST_PICKS)
     within("robot cycle", args.robot_cycle, 0.3, 60, " s")

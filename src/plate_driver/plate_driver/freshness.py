@@ -82,7 +82,7 @@ class Freshness:
         if number is not None and number != self.number:
             why = "the motors became ready"
         elif number is not None and away > STANDSTILL_S:
-            why = f"the driver itself stood still for {away:.1f} s"
+            why = f"the driver was stalled for {away:.1f} s"
         new = replace(self, number=number, updated_at=now)
         return replace(new, since_ns=clock_ns, why=why) if why else new
 

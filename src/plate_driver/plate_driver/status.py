@@ -79,7 +79,7 @@ def driver_status(
             return status(DriverState.STOPPED, f"stopped: {current.text}; {LOOK}", current.reason)
         if requested or not current.reason:
             return status(DriverState.DISABLED, OFF, requested)
-        text = f"stopped: while this driver was not connected; {LOOK}"
+        text = f"stopped while this driver was not connected; {LOOK}"
         return status(DriverState.STOPPED, text, current.reason)
     if condition is Condition.ENABLING or latch.enabling:
         return status(DriverState.ENABLING, "enabling: the plate goes home")

@@ -35,7 +35,7 @@ def test_age_is_by_the_stamp_and_both_ways():
     fresh = ready().with_state(0, 0.1, at(0.1))
     assert fresh.remaining_s(at(10), at(10.1), PERIOD) == pytest.approx(0.48)
     assert fresh.remaining_s(at(10), at(10.57), PERIOD) == pytest.approx(0.01)
-    slow, clocks = r"is the computer too slow\?", "does the clock that stamps images agree "
+    slow, clocks = r"is the computer too slow\?", "is the clock of the image stamps "
     for clock, why in ((10.59, slow), (300.0, clocks), (10 - AHEAD_S - 0.01, clocks)):
         with pytest.raises(CycleError, match=rf"old, allowed: 0 to 0\.58 s; {why}"):
             fresh.remaining_s(at(10), at(clock), PERIOD)
@@ -73,7 +73,7 @@ def test_what_came_before_a_standstill_moves_nothing():
     fresh = ready(5.0).with_state(0, 5.0 + STANDSTILL_S, at(5.25))
     assert fresh.remaining_s(at(5.2), at(5.3), PERIOD) > 0
     stood = fresh.with_state(0, 5.6, at(5.6))
-    with pytest.raises(CycleError, match="the driver itself stood still for 0"):
+    with pytest.raises(CycleError, match="the driver was stalled for 0"):
         stood.remaining_s(at(5.5), at(5.6), PERIOD)
     assert stood.remaining_s(at(5.6), at(5.7), PERIOD) > 0
 

@@ -284,7 +284,7 @@ class Planner:
         elif clock.went_back(t):
             state = self.start(state)
         elif t - clock.stamp > MAX_GAP_S:
-            gap = f"no parts for {t - clock.stamp:.0f} s by the stamps of the images"
+            gap = f"no parts for {t - clock.stamp:.0f} s according to the image stamps"
             state = self.stop(state, Failure(Reason.NO_PARTS, f"{gap}: is the camera's clock set?"))
         kept = state.task.active and self.rules.keeps_last(state.memory)
         parts = state.estimator.seen if kept else parts

@@ -235,7 +235,7 @@ class FrictionResult:
     @property
     def text(self) -> str:
         """Result in one line."""
-        ratio = "not seen"
+        ratio = "not measured"
         if np.isfinite(self.static_ratio):
             ratio = f"{self.static_ratio:.2f} +- {self.static_error:.2f}"
         return (
@@ -447,7 +447,7 @@ class FrictionMeasurement:
         kept = [name for name in grip if accel / RANGE < grip[name] < accel / MIN_ABOVE]
         if not kept:
             raise PlateError(
-                f"friction: mu is about {typical:.2f}, and the rig's limits allow pushes of "
+                f"friction: mu is about {typical:.2f}, but the rig's limits allow only pushes of "
                 f"{accel:.1f} m/s2, allowed: {MIN_ABOVE * typical * gravity:.1f} m/s2 or more"
             )
         notes = tuple(
@@ -588,7 +588,7 @@ class FrictionMeasurement:
         static_error = float(np.hypot(width, scatter / np.sqrt(max(1, len(ratios)))))
         notes = self.notes + self._types(parts) + self._axes()
         if len(ratios) and ratios.size < count:
-            notes += (f"static friction was seen on {len(ratios)} of {count} parts",)
+            notes += (f"static friction was measured for {len(ratios)} of {count} parts",)
         return FrictionResult(
             tuple(parts), mean, error, float(np.sqrt(max(0.0, between)) / mean),
             float(np.sqrt(max(0.0, np.average(along, weights=weights)))), static,

@@ -225,8 +225,10 @@ def begin(
     if again and not missing:
         return replace(state, waiting_since=waiting_since, began=t)
     if t - waiting_since > limits.start_timeout_s + TIME_TOLERANCE_S:
-        what = f"{_listed(missing)} not seen" if missing else "no two images with the same parts"
-        why = _joined(f"{what} within {limits.start_timeout_s:g} s of start", others, LOOK)
+        what = "no two images with equal parts within"
+        if missing:
+            what = f"{_listed(missing)} not detected within"
+        why = _joined(f"{what} {limits.start_timeout_s:g} s of the start", others, LOOK)
         return _end(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
     return replace(state, waiting_since=waiting_since)
 

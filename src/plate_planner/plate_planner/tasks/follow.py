@@ -411,7 +411,9 @@ class Follower(TaskRules):
 
     def outcome(self, memory: FollowMemory, t: float) -> str:
         """Return a summary of errors and pace until time t [s]."""
-        text = f"error {1e3 * memory.rms_error_m:.2f} mm RMS, {1e3 * memory.max_error_m:.2f} most"
+        text = (
+            f"error {1e3 * memory.rms_error_m:.2f} mm RMS, maximum {1e3 * memory.max_error_m:.2f}"
+        )
         if memory.lead_s > 0:
             text += f"; {memory.lead_s:.1f} s of the time to reach the starts of the paths"
         pace = memory.pace(t)

@@ -173,7 +173,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         return {
             **self._emulator.values(),
             "latest tick [ms]": f"{self._late_ms:.1f}",
-            "clock stood still [ms]": f"{self._lost_ms:.0f}",
+            "clock stalled [ms]": f"{self._lost_ms:.0f}",
         }
 
     def _begin_report(self) -> None:
