@@ -30,7 +30,7 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="Drives on a CAN bus without a board: commissioned, and led, from the host.",
+    description="Commissioning and control of drives on a CAN bus from the host, without a board.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -21,7 +21,7 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="A feeder: hands out parts to a robot one by one.",
+    description="A feeder: dispenses parts to a robot one by one.",
     license="Apache-2.0",
     entry_points={"console_scripts": [f"feeder = {NAME}.node:main"]},
 )

@@ -22,6 +22,6 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="The plate as a benchmark: environments of Gymnasium, agents and their judge.",
+    description="The plate as a benchmark: environments of Gymnasium, agents and their evaluation.",
     license="Apache-2.0",
 )

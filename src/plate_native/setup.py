@@ -17,6 +17,6 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="How kernels in C++ are compiled, and the headers that they share.",
+    description="Compilation of the C++ kernels, and their shared headers.",
     license="Apache-2.0",
 )

@@ -22,7 +22,7 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="Turns a task and the parts' positions into the force wanted on each part.",
+    description="Computes the requested force on each part from a task and the parts' positions.",
     license="Apache-2.0",
     entry_points={"console_scripts": [f"planner = {NAME}.node:main"]},
 )

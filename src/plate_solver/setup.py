@@ -22,7 +22,7 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="Finds the plate motion whose friction gives each part the force wanted.",
+    description="Computes the plate motion whose friction gives each part the requested force.",
     license="Apache-2.0",
     entry_points={"console_scripts": [f"solver = {NAME}.node:main"]},
 )

@@ -21,7 +21,7 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="A live page: see the plate, drag a part, and it goes there.",
+    description="A live page that shows the plate and moves parts to where they are dragged.",
     license="Apache-2.0",
     entry_points={"console_scripts": [f"page = {NAME}.node:main"]},
 )
