@@ -159,7 +159,7 @@ def main() -> int:
     parser.add_argument(
         "--held-out",
         action="store_true",
-        help="the half without influence on any setting: only totals, to be read once at the end",
+        help="evaluate the half that was not used for tuning; prints only totals",
     )
     half = HALVES[parser.parse_args().held_out]
     there, missing = of_half(half)

@@ -332,7 +332,7 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
     if task.valid_s < least:
         raise PlateError(
             f"valid_s is {task.valid_s:g} s, allowed: at least {least:g} s, because a robot with "
-            f"a cycle of {cycle_s:g} s needs so long from the feeder's reply until it has left "
+            f"a cycle of {cycle_s:g} s needs this time from the feeder's reply until it has left "
             "the plate"
         )
 

@@ -221,7 +221,7 @@ def _part_type(name: str, fields: Fields) -> PartType:
         body = outline = _ordered(fields, "outline_m", outline)
     holes = [_ordered(fields, "holes_m", hole) for hole in holes]
     if not Polygon(body, holes).is_valid:
-        raise fields.fail("holes_m", "holes wholly in the part, and none in another")
+        raise fields.fail("holes_m", "holes completely inside the part that do not overlap")
     area, centre, _ = moments(body, holes)
     if area < SMALLEST_M2:
         raise fields.fail("holes_m", "holes smaller than the part")

@@ -74,7 +74,7 @@ class Response:
         finite = np.all(np.isfinite(self.matrix)) and np.all(np.isfinite(self.frequency))
         if not finite or self.frequency[0] <= 0 or np.any(np.diff(self.frequency) <= 0):
             raise PlateError(
-                "response: a value is not finite, or frequencies do not increase from above 0"
+                "response: values must be finite, and frequencies above 0 and increasing"
             )
 
     @classmethod
