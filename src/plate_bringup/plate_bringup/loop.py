@@ -525,7 +525,7 @@ def run(
             solving = cpu_time()
             answer = controller.answer(wanted, line.running)
             solve_s = cpu_time() - solving
-            table, fitted = prepare(rig, answer.cycle, round(began * 1e9), before=line.running)
+            table, fitted = prepare(rig, answer.cycle, round(began * 1e9), before=(line.running,))
             line.send(table)
             state = planner.record_cycle(state, answer.cycle, now)
             step_s = cpu_time() - at_work

@@ -11,6 +11,7 @@ from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.motion import motor_state, plate_state, usage
 from plate_driver.cycle_starts import CycleStarts
 from plate_driver.setpoints import Guard, MotorTable, SetpointStream, knots, prepare, refined
+from plate_driver.setpoints.guard import SENT_KEPT
 from plate_driver.setpoints.limits import check_setpoints
 from plate_driver.transports import Measured
 
@@ -100,7 +101,7 @@ def test_a_cycle_in_motion_begins_to_the_last_bit_where_the_last_one_ends(pair):
     times, *states = second.knots
     for state, off in zip(states, (5e-7, 5e-5, 5e-3), strict=True):
         state[0] += off  # as a sender that rounds
-    table, fit = prepare(RIG, PlateCycle.from_knots(times, *states), 2, before=before.cycle)
+    table, fit = prepare(RIG, PlateCycle.from_knots(times, *states), 2, before=(before.cycle,))
     assert fit.factor == 1
     for mine, old in zip(
         (table.q, table.qd, table.qdd), (before.q, before.qd, before.qdd), strict=True
@@ -117,8 +118,8 @@ def test_a_cycle_in_motion_that_begins_elsewhere_is_refused(pair, rng):
         with pytest.raises(
             CycleError, match="from the state in which the last table ends its cycle"
         ):
-            prepare(RIG, second, 1, before=other)
-    prepare(RIG, second, 1, before=first)
+            prepare(RIG, second, 1, before=(other,))
+    prepare(RIG, second, 1, before=(first,))
 
 
 def test_a_cycle_in_motion_is_never_scaled(rng):
@@ -128,10 +129,10 @@ def test_a_cycle_in_motion_is_never_scaled(rng):
     assert 0 < fit.factor < 0.9
     np.testing.assert_allclose(table.cycle.tail.knot_pose, fit.factor * first.tail.knot_pose)
     with pytest.raises(CycleError, match="begins in motion"):
-        prepare(RIG, spliced(rng, first), 2, before=table.cycle)
+        prepare(RIG, spliced(rng, first), 2, before=(table.cycle,))
     small = spliced(rng)
     with pytest.raises(CycleError) as caught:
-        prepare(RIG, spliced(rng, small, size=2e-2), 2, before=small)
+        prepare(RIG, spliced(rng, small, size=2e-2), 2, before=(small,))
     assert "plate_cycle: stroke is " in str(caught.value)
     assert " m, allowed: 0.01 m; it begins in motion and cannot be scaled" in str(caught.value)
 
@@ -139,14 +140,14 @@ def test_a_cycle_in_motion_is_never_scaled(rng):
 def test_what_rounding_makes_of_a_limit_is_no_excess(rng):
     first = spliced(rng)
     second = spliced(rng, first)
-    used = prepare(RIG, second, 1, before=first)[1].usage
+    used = prepare(RIG, second, 1, before=(first,))[1].usage
     tight = replace(RIG, limits=replace(RIG.limits, accel=used.accel / (1 + 2e-6)))
-    table, fit = prepare(tight, second, 1, before=first)
+    table, fit = prepare(tight, second, 1, before=(first,))
     assert fit.factor == 1
     assert np.all(table.cycle.knot_pose == second.knot_pose)
     tight = replace(RIG, limits=replace(RIG.limits, accel=used.accel / 1.001))
     with pytest.raises(CycleError, match="cannot be scaled"):
-        prepare(tight, second, 1, before=first)
+        prepare(tight, second, 1, before=(first,))
 
 
 def test_the_tail_keeps_the_limits_too(pair):
@@ -163,13 +164,13 @@ def test_the_tail_keeps_the_limits_too(pair):
     assert 0.5 < prepare(rig, short, 1)[1].factor < 0.995
     short, rig = hard(second)
     with pytest.raises(CycleError, match=r"acceleration is .* it begins in motion and cannot be"):
-        prepare(rig, short, 1, before=first)
+        prepare(rig, short, 1, before=(first,))
 
 
 def test_a_tail_alone_is_no_cycle(pair):
     first, _ = pair
     with pytest.raises(CycleError, match="begins in motion and has no tail"):
-        prepare(RIG, first.tail, 1, before=first)
+        prepare(RIG, first.tail, 1, before=(first,))
 
 
 @pytest.mark.parametrize("length", [0.0099, 10.1])
@@ -182,7 +183,7 @@ def test_strange_tails_are_refused(pair, length):
 
 def test_the_last_look_sees_tail_splice_and_start(pair):
     first, second = pair
-    before, table = (prepare(RIG, c, 1, before=b)[0] for c, b in ((first, None), (second, first)))
+    before, table = (prepare(RIG, c, 1, before=b)[0] for c, b in ((first, ()), (second, (first,))))
     start = before.q[KNOTS], before.qd[KNOTS]
     arrays = table.times, table.q, table.qd, table.qdd
     check_setpoints(RIG, *arrays, start)
@@ -219,7 +220,7 @@ def test_with_a_calibration_only_cycles_from_rest_are_taken(pair):
     t = np.linspace(0, TAIL, 20)
     np.testing.assert_allclose(seen[0].pose(PERIOD + t), first.tail.pose(t), atol=1e-15)
     with pytest.raises(CycleError, match="allowed with a calibration: a cycle that begins at rest"):
-        prepare(RIG, second, 2, correction=correction, before=first)
+        prepare(RIG, second, 2, correction=correction, before=(first,))
 
 
 # Guard
@@ -255,6 +256,23 @@ def test_what_was_refused_is_not_followed(pair, rng):
         guard.accepted(spliced(rng, second), 11, 10.06)
     guard, _ = guard.accepted(second, 11, 10.07)
     guard.accepted(spliced(rng, second), 12, 10.15)
+
+
+def test_a_cycle_may_continue_an_earlier_table_because_the_last_one_may_have_come_too_late(
+    pair, rng
+):
+    first, second = pair
+    guard, _ = Guard(RIG).accepted(first, 1, 10.0)
+    late, _ = guard.accepted(second, 2, 10.12)
+    after, _ = late.accepted(spliced(rng, first), 3, 10.14)
+    assert after.table is not None
+    np.testing.assert_array_equal(after.table.cycle.state(0), first.state(-1))
+    for number in range(SENT_KEPT - 1):
+        after, _ = after.accepted(spliced(rng, second), 4 + number, 10.16)
+    with pytest.raises(CycleError, match="begins in motion"):
+        after.accepted(spliced(rng, first), 9, 10.18)
+    with pytest.raises(CycleError, match=r"begins in motion, .* from rest"):
+        after.resting(10.2).accepted(spliced(rng, second), 9, 10.2)
 
 
 def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng):
@@ -423,7 +441,7 @@ def sender(rng, guard, last):
 def test_whatever_comes_through_the_guard_the_plate_never_jumps():
     totals, warmest = np.zeros(3, int), 0.0
     rig = replace(RIG, limits=replace(RIG.limits, continuous_force=1.0, thermal_time_s=3.0))
-    for seed in range(5):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         guard, player, last, refused = Guard(rig, hold_cycles=2), Player(), spliced(rng), 0
         for k in range(60):
@@ -463,7 +481,7 @@ def sampled(sent) -> np.ndarray:
 
 def test_a_stream_goes_on_in_motion_or_with_the_tail(pair):
     first, second = (
-        prepare(RIG, c, 1, before=b)[0] for c, b in zip(pair, (None, pair[0]), strict=True)
+        prepare(RIG, c, 1, before=b)[0] for c, b in zip(pair, ((), (pair[0],)), strict=True)
     )
     begun, sent = SetpointStream.of(first, 1).until(0.09)
     # Nothing beyond the splice was sent yet: both ways are open.
@@ -480,7 +498,7 @@ def test_a_stream_goes_on_in_motion_or_with_the_tail(pair):
 
 def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):
     first, second = (
-        prepare(RIG, c, 1, before=b)[0] for c, b in zip(pair, (None, pair[0]), strict=True)
+        prepare(RIG, c, 1, before=b)[0] for c, b in zip(pair, ((), (pair[0],)), strict=True)
     )
     stream, sent = SetpointStream.of(first, 1).until(0.11)
     assert stream.playing.cycle is first.cycle.tail

@@ -173,7 +173,7 @@ class Plate:
             action = self.controller.answer(wanted, self.running).cycle
             self.solving_s += clocks() - began
         stamp = round(self.time * 1e9)
-        table, fitted = prepare(self._shared.rig, action, stamp, before=self.running)
+        table, fitted = prepare(self._shared.rig, action, stamp, before=(self.running,))
         self.limit_share, self.scaled = fitted.usage.overall, fitted.factor < 1
         return table.cycle
 

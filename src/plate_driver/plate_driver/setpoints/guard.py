@@ -17,6 +17,11 @@ from .limits import Fit
 from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays, prepare
 from .thermal import ThermalState
 
+SENT_KEPT = 4
+"""Number of sent cycles that may play. A table that arrives late is not played: the device plays
+the tail of an earlier one, and the next cycle continues that one. The solver keeps the same number.
+"""
+
 EXPERIMENT_CYCLES = 9
 """Number of plays of a calibration cycle: one more than is measured. Total below 10 s."""
 
@@ -110,6 +115,9 @@ class Guard:
         Stamp of the last accepted cycle.
     table : MotorTable or None
         Last table sent. None if the plate rests.
+    sent : tuple of PlateCycle
+        The last cycles sent, oldest first: those that may play. Empty if the plate rests. The
+        device itself checks that a table continues the one that plays.
     sent_at, lasts_s : float
         Time when the last table was sent, and time from then until the plate rests without a new
         one [s].
@@ -124,6 +132,7 @@ class Guard:
     hold_s: float = float("inf")
     last_ns: int | None = None
     table: MotorTable | None = None
+    sent: tuple[PlateCycle, ...] = ()
     sent_at: float = 0.0
     lasts_s: float = 0.0
     thermal: ThermalState = field(default_factory=ThermalState)
@@ -162,12 +171,12 @@ class Guard:
         # One more play than that is possible, because the current table is played to its end.
         longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         allowed = thermal.allowed_load(self.rig, longest)
-        before = None if self.table is None else self.table.cycle
         table, fit = prepare(
-            self.rig, cycle, stamp_ns, self.repeats, allowed, self.correction, before
+            self.rig, cycle, stamp_ns, self.repeats, allowed, self.correction, self.sent
         )
         thermal = thermal.under(fit.usage.thermal_load)
-        guard = replace(self, table=table, sent_at=now, thermal=thermal)
+        sent = (*self.sent, table.cycle)[-SENT_KEPT:]
+        guard = replace(self, table=table, sent=sent, sent_at=now, thermal=thermal)
         lasts_s = guard.plays * table.cycle.period
         if table.tail is not None:  # the current table is played to its end first
             lasts_s = table.length + (0.0 if self.table is None else self.table.length)
@@ -204,7 +213,7 @@ class Guard:
     def resting(self, now: float) -> Guard:
         """Return the guard after the plate has stopped or come to rest."""
         thermal = self.thermal.at_time(self.rig, now).under(np.zeros(4))
-        return replace(self, table=None, thermal=thermal)
+        return replace(self, table=None, sent=(), thermal=thermal)
 
     def over(self, now: float, times: float = 1.0) -> bool:
         """Return whether no more cycles arrive.

@@ -5,7 +5,7 @@ Plate states at the knots become motor travel, speed and acceleration by `plate_
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,7 +119,7 @@ def prepare(
     repeats: int = 1,
     thermal_load: np.ndarray | float = 1.0,
     correction: Correction | None = None,
-    before: PlateCycle | None = None,
+    before: Sequence[PlateCycle] = (),
 ) -> tuple[MotorTable, Fit]:
     """Convert a plate cycle to a motor table within the rig's limits.
 
@@ -137,20 +137,23 @@ def prepare(
         Correction by a calibration. Both the requested motion and the command keep the limits. The
         correction depends on the next cycle, which is unknown at the end of a cycle in motion.
         Therefore such a cycle is played with its tail as one motion from rest to rest.
-    before : PlateCycle, optional
-        The last cycle sent. A cycle in motion may begin at its end. Default: the plate rests.
+    before : sequence of PlateCycle, optional
+        The cycles that may play, oldest first. A cycle in motion may begin at the end of any of
+        them. Default: the plate rests.
 
     Raises
     ------
     CycleError
-        If the plate cannot execute the cycle, or if it begins in motion and does not continue
-        `before` or exceeds a limit.
+        If the plate cannot execute the cycle, or if it begins in motion and does not continue one
+        of `before` or exceeds a limit.
     """
     if len(cycle.knots[0]) > MAX_KNOTS:
         count = len(cycle.knots[0])
         raise CycleError(f"plate_cycle: {count} knots, allowed: at most {MAX_KNOTS}")
+    running = None
     if not (cycle.starts_at_rest or (cycle.tail is None and cycle.closes)):
-        whole = _following(cycle, before, correction)
+        running = _continued(cycle, before, correction)
+        whole = _following(cycle, running)
     elif cycle.tail is None:
         whole = with_fades(cycle, repeats)
     else:
@@ -176,23 +179,22 @@ def prepare(
         command, fitted = _corrected(rig, fitted, correction, thermal_load)
     made = MotorTable.of(rig, command, stamp_ns)
     start = None
-    if before is not None and not whole.starts_at_rest:
-        q, qd, _ = motor_state(rig, *before.state(-1)[:, None])
+    if running is not None:
+        q, qd, _ = motor_state(rig, *running.state(-1)[:, None])
         start = q[0], qd[0]
     check_setpoints(rig, made.times, made.q, made.qd, made.qdd, start)
     return made, fitted
 
 
-def _following(
-    cycle: PlateCycle, before: PlateCycle | None, correction: Correction | None
+def _continued(
+    cycle: PlateCycle, before: Sequence[PlateCycle], correction: Correction | None
 ) -> PlateCycle:
-    """Return a cycle that begins in motion, with its first state replaced by the end state of
-    `before`.
+    """Return the newest cycle of `before` that a cycle in motion continues.
 
     Raises
     ------
     CycleError
-        If it does not begin in that state, or must not follow.
+        If it continues none of them, or must not begin in motion.
     """
     if cycle.tail is None:
         raise CycleError(
@@ -203,18 +205,24 @@ def _following(
         raise CycleError(
             "plate_cycle: begins in motion, allowed with a calibration: a cycle that begins at rest"
         )
-    if before is None or not cycle.follows(before):
-        end = np.zeros((3, 3)) if before is None else before.state(-1)
+    running = next((one for one in reversed(before) if cycle.follows(one)), None)
+    if running is None:
+        end = before[-1].state(-1) if before else np.zeros((3, 3))
         pose, twist, accel = np.max(np.abs(cycle.state(0) - end), axis=1)
-        where = "rest" if before is None else "the state in which the last table ends its cycle"
+        where = "the state in which the last table ends its cycle" if before else "rest"
         raise CycleError(
             f"plate_cycle: begins in motion, {pose:.3g} m or rad, {twist:.3g} m/s or rad/s and "
             f"{accel:.3g} m/s2 or rad/s2 from {where}, allowed: in that state, or at rest"
         )
+    return running
+
+
+def _following(cycle: PlateCycle, running: PlateCycle) -> PlateCycle:
+    """Return a cycle with its first state replaced by the end state of `running`."""
     times, *states = cycle.knots
     exact = [
         np.concatenate([end[None], state[1:]])
-        for end, state in zip(before.state(-1), states, strict=True)
+        for end, state in zip(running.state(-1), states, strict=True)
     ]
     return PlateCycle.from_knots(times, *exact)
 
