@@ -4,6 +4,7 @@ the result of the task for result.json and for the terminal."""
 from __future__ import annotations
 
 import os
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,10 @@ acceleration."""
 
 SHARES = ("stroke", "speed", "accel", "force")
 """Names of the values of `limit_shares`."""
+
+EARLIER = 4
+"""Number of earlier tables of which a table in motion may continue one. The device does not play a
+table that arrives too late, so the next one continues an earlier table."""
 
 ROUNDING = 1e-6
 """Fraction of a limit that rounding may add."""
@@ -65,7 +70,7 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
     """
     faults: list[str] = []
     most, heat, hottest = np.zeros(4), np.zeros(len(rig.motors)), 0.0
-    before: PlateCycle | None = None
+    before: deque[PlateCycle] = deque(maxlen=EARLIER)
     for number, data in enumerate(record.tables):
         try:
             cycle = msg_to_motors(rig, deserialize_message(data, JointTrajectory))
@@ -84,11 +89,11 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
             )
         if hottest > 1 + ROUNDING:
             faults.append(f"motor table {number}: heat {hottest:.4f} of the limit")
-        if before is not None and not (cycle.starts_at_rest or cycle.follows(before)):
-            faults.append(f"motor table {number}: begins neither at rest nor in the last one's end")
+        if before and not (cycle.starts_at_rest or any(map(cycle.follows, before))):
+            faults.append(f"motor table {number}: begins neither at rest nor in the end of another")
         if not is_rest(cycle.parts[-1].state(-1)):
             faults.append(f"motor table {number}: does not end at rest at home")
-        before = cycle
+        before.append(cycle)
     shares = {**dict(zip(SHARES, most.tolist(), strict=True)), "heat": hottest}
     return LimitCheck(len(record.tables), tuple(faults), shares)
 

@@ -21,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PlateError, Rig, load_rig
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
+from plate_core.motion import HOLD_CYCLES
 from plate_core.ros import (
     DATA,
     DIAGNOSTICS_PERIOD_S,
@@ -87,7 +88,10 @@ class Options(NodeOptions):
     )
     streams: bool = parameter(False, "Whether to stream setpoints instead of sending whole cycles.")
     hold_cycles: int = parameter(
-        2, "Number of times that a cycle from rest to rest is played if no new one arrives.", 1, 20
+        HOLD_CYCLES,
+        "Number of plays of a cycle from rest to rest if no new cycle arrives.",
+        1,
+        20,
     )
     repeats: int = parameter(
         1, "Number of times that a cycle which begins in motion is played.", 1, 100, live=True

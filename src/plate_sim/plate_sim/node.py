@@ -110,7 +110,10 @@ class Options(NodeOptions):
         1.0, "True friction divided by that of the rig file.", *WORLD_RANGES["mu_scale"], live=True
     )
     hold_cycles: int = parameter(
-        HOLD_CYCLES, "Repetitions of a table if no new one arrives.", 0, 1000
+        HOLD_CYCLES,
+        "Number of plays of a cycle from rest to rest if no new cycle arrives.",
+        1,
+        1000,
     )
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S, "Time without motion until diagnostics are STALE [s].", 0.1, 3600.0

@@ -16,9 +16,9 @@ HANDOVER_S = 4e-3
 """Time from the publication of a cycle until the device can play it [s]: two messages between nodes
 and the computation of the driver."""
 
-HOLD_CYCLES = 2
-"""Default number of repetitions of a cycle without a tail if no other cycle follows. The plate
-keeps moving during one or two late results of the solver and then stops."""
+HOLD_CYCLES = 1
+"""Default number of plays of a cycle without a tail if no other cycle follows. A cycle moves each
+part to a target. A second play would move it further, possibly over the edge."""
 
 IDLE_S = 0.1
 """Default length of a cycle at rest [s]: a typical cycle of the solver."""
@@ -31,7 +31,7 @@ def in_time(arrival: float, begin: float) -> bool:
 
 
 def next_cycle(
-    running: PlateCycle, sent: Sequence[PlateCycle], repeat: bool = True, idle_s: float = IDLE_S
+    running: PlateCycle, sent: Sequence[PlateCycle], repeat: bool = False, idle_s: float = IDLE_S
 ) -> PlateCycle:
     """Return the cycle that the plate runs after another one.
 
@@ -107,12 +107,12 @@ class Timeline:
     def next(self, hold_cycles: int = HOLD_CYCLES, idle_s: float = IDLE_S) -> Timeline:
         """Return the timeline after the end of the running cycle.
 
-        If no other cycle follows, the running one is repeated at most `hold_cycles` times. A
+        If no other cycle follows, the running one is played `hold_cycles` times in total. A
         waiting cycle that begins at rest is kept during a tail. `idle_s` [s] is the length of a
         cycle at rest.
         """
         waiting = () if self.waiting is None else (self.waiting,)
-        repeat = not self.filling and self.repeats < hold_cycles
+        repeat = not self.filling and self.repeats + 1 < hold_cycles
         cycle = next_cycle(self.cycle, waiting, repeat, idle_s)
         if cycle is self.waiting:
             return Timeline(cycle, self.end)

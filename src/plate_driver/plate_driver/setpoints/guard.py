@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from plate_core import PlateCycle, Rig
+from plate_core.motion import HOLD_CYCLES
 
 from .limits import Fit
 from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays, prepare
@@ -126,7 +127,7 @@ class Guard:
     """
 
     rig: Rig
-    hold_cycles: int = 2
+    hold_cycles: int = HOLD_CYCLES
     repeats: int = 1
     correction: Correction | None = None
     hold_s: float = float("inf")
@@ -177,9 +178,8 @@ class Guard:
         thermal = thermal.under(fit.usage.thermal_load)
         sent = (*self.sent, table.cycle)[-SENT_KEPT:]
         guard = replace(self, table=table, sent=sent, sent_at=now, thermal=thermal)
-        lasts_s = guard.plays * table.cycle.period
-        if table.tail is not None:  # the current table is played to its end first
-            lasts_s = table.length + (0.0 if self.table is None else self.table.length)
+        first = 0.0 if self.table is None else self.table.length  # it is played to its end
+        lasts_s = first + (guard.plays * table.cycle.period if table.tail is None else table.length)
         return replace(guard, lasts_s=lasts_s), fit
 
     def lasting(self, until: float) -> Guard:
