@@ -51,13 +51,17 @@ def test_a_cycle_is_in_time_from_the_hand_over_on():
         (LEAVES, [], LEAVES.tail),
         (LEAVES, [SWING, OTHER], LEAVES.tail),
         (LEAVES.tail, [GOES_ON, SWING], SWING),
-        (SWING, [], SWING),
-        (SWING, [GOES_ON], SWING),
-        (SHORT, [], SHORT),
     ],
 )
-def test_the_rule(running, sent, expected):
-    assert next_cycle(running, sent) is expected
+@pytest.mark.parametrize("repeat", [False, True])
+def test_the_rule(running, sent, expected, repeat):
+    assert next_cycle(running, sent, repeat) is expected
+
+
+@pytest.mark.parametrize(("running", "sent"), [(SWING, []), (SWING, [GOES_ON]), (SHORT, [])])
+def test_a_cycle_is_repeated_only_on_request(running, sent):
+    assert next_cycle(running, sent, repeat=True) is running
+    assert not next_cycle(running, sent).moves
 
 
 @pytest.mark.parametrize(
@@ -89,35 +93,32 @@ def test_each_cycle_begins_as_the_one_before_ends():
     assert (timeline.begin, timeline.end) == (3.1, 3.1 + 1e-3)
 
 
-def test_a_cycle_that_was_sent_runs_once_more_than_it_is_held():
-    """It is then an answer, and counts anew."""
-    timeline = player(SWING, BIGGER).next()
+def test_the_repetitions_of_each_cycle_that_was_sent_are_counted_from_zero():
+    timeline = player(SWING, BIGGER).next(2)
     assert timeline == Timeline(BIGGER, 3.1)
-    again = timeline.next()
+    again = timeline.next(2)
     assert again == Timeline(BIGGER, again.begin, repeats=1)
-    assert again.send(BIGGER).next().repeats == 0
+    assert again.send(BIGGER).next(2).repeats == 0
 
 
-@pytest.mark.parametrize("hold", [0, 1, HOLD_CYCLES, 5])
-def test_a_cycle_is_repeated_as_often_as_it_is_held_and_then_the_plate_rests(hold):
+@pytest.mark.parametrize("hold", [1, 2, 5])
+def test_a_cycle_is_played_as_often_as_it_is_held_and_then_the_plate_rests(hold):
     timeline, played = player(SWING), []
-    for _ in range(hold + 2):
+    for _ in range(hold + 1):
         timeline = timeline.next(hold, 0.07)
         played.append(timeline)
-    assert [one.repeats for one in played] == [*range(1, hold + 1), 0, 0]
-    assert all(one.cycle is SWING for one in played[:hold])
-    assert not any(one.filling for one in played[:hold])
-    assert all(one.filling and one.cycle.period == 0.07 for one in played[hold:])
-    assert not any(one.cycle.moves for one in played[hold:])
+    more = hold - 1  # it has been played once
+    assert [one.repeats for one in played] == [*range(1, hold), 0, 0]
+    assert all(one.cycle is SWING for one in played[:more])
+    assert not any(one.filling for one in played[:more])
+    assert all(one.filling and one.cycle.period == 0.07 for one in played[more:])
+    assert not any(one.cycle.moves for one in played[more:])
     assert played[-1].send(SWING).next(hold, 0.07).cycle is SWING
 
 
-def test_the_default_number_of_repetitions():
-    timeline, moved = player(SWING), 0
-    for _ in range(6):
-        timeline = timeline.next()
-        moved += timeline.cycle.moves
-    assert moved == HOLD_CYCLES == 2
+def test_without_another_cycle_the_plate_rests_after_one_play():
+    assert HOLD_CYCLES == 1
+    assert not player(SWING).next().cycle.moves
 
 
 def test_a_tail_runs_once_and_then_what_begins_at_rest():
@@ -133,7 +134,7 @@ def test_a_tail_runs_once_and_then_what_begins_at_rest():
     assert waits.waiting is SWING
     assert waits.next().cycle is SWING
     assert waits.send(BIGGER).next().cycle is BIGGER  # a newer one
-    assert waits.next().next().cycle is SWING  # again: what waited is forgotten
+    assert not waits.next().next().cycle.moves  # the waiting cycle was played
     assert waits.next().waiting is None
 
 
@@ -149,9 +150,9 @@ def test_what_fits_nowhere_is_forgotten():
     tail = player(LEAVES, OTHER).next()
     assert tail.cycle is LEAVES.tail
     assert tail.waiting is None
-    again = player(SWING, GOES_ON).next()
-    assert again.cycle is SWING
-    assert again.waiting is None
+    rest = player(SWING, GOES_ON).next()
+    assert not rest.cycle.moves
+    assert rest.waiting is None
 
 
 def test_the_newest_that_follows_waits_and_only_rest_goes_before_it():

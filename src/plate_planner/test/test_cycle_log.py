@@ -13,7 +13,8 @@ SHORT, LONG = PlateCycle.rest(0.1), PlateCycle.rest(0.2)
 
 
 def names(log):
-    return [(round(begin, 6), "short" if cycle is SHORT else "long") for begin, cycle in log.runs]
+    lengths = {SHORT.period: "short", LONG.period: "long"}
+    return [(round(begin, 6), lengths[cycle.period]) for begin, cycle in log.runs]
 
 
 def test_the_answer_to_an_image_runs_from_the_next_image_on():
@@ -25,7 +26,7 @@ def test_the_answer_to_an_image_runs_from_the_next_image_on():
     assert log.period == pytest.approx(0.2)
 
 
-def test_what_comes_too_late_runs_a_cycle_later_and_the_last_is_repeated():
+def test_a_late_cycle_runs_a_cycle_later_and_the_plate_rests_for_the_time_of_the_last():
     log = CycleLog().record_cycle(SHORT, 0.0).advance(0.1).record_cycle(LONG, 0.1999).advance(0.2)
     assert names(log) == [(0.1, "short"), (0.2, "short")]
     assert names(log.advance(0.3)) == [(0.1, "short"), (0.2, "short"), (0.3, "long")]
@@ -117,7 +118,7 @@ def test_going_back_is_noticed():
 def test_reports_say_what_runs_wherever_images_are():
     log = CycleLog().started(SHORT, 1.0).record_cycle(LONG, 1.05).advance(1.043)
     assert names(log) == [(1.0, "short")]
-    # Until the next report the newest one follows at its end, else the same again.
+    # Until the next report the newest one follows at its end, else rest.
     assert names(log.advance(1.13)) == [(1.0, "short"), (1.1, "long")]
     assert names(log.started(LONG, 1.1004).advance(1.13)) == [(1.0, "short"), (1.1004, "long")]
     assert names(log.advance(1.13).started(SHORT, 1.102)) == [(1.0, "short"), (1.102, "short")]
@@ -163,11 +164,11 @@ def test_how_late_answers_begin_is_learnt(late):
     assert last == pytest.approx([1e-4 * k for k in range(11 - late, 12)])
 
 
-def test_until_those_that_are_sent_come_the_plate_repeats_what_runs():
+def test_the_plate_rests_until_a_delayed_cycle_begins():
     log = replace(played(14, 3), sent=played(14, 3).sent[1:])
     ahead = log.until_answer
     last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-4:]]
-    assert last == pytest.approx([10e-4, 10e-4, 12e-4, 13e-4])
+    assert last == pytest.approx([10e-4, 0.0, 12e-4, 13e-4])
     assert ahead.end == pytest.approx(log.end + 0.3)
 
 
