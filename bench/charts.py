@@ -5,10 +5,10 @@ docs/guide/trust.md.
 
 python bench/charts.py [--quick] [--draw]
 
-Measurements are written to out/bench/*.json. An existing one is not repeated unless its code has
-changed, or it was a quick one and --quick is not given. The measurements of docs/results.md need a
-committed tree, and wait until the machine is idle. --draw draws the existing measurements: a chart
-that was not measured here is drawn from its CSV file in docs/results (of OUT, with --out OUT).
+Measurements are written to out/bench/*.json. An existing one is repeated only if its code has
+changed, or if it was quick and --quick is not given. The measurements of docs/results.md require a
+committed tree, and wait until the computer is idle. --draw draws the existing measurements. A chart
+that was not measured here is then drawn from its CSV file in docs/results (or OUT, with --out OUT).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from plate_core import piped
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     args = arguments()
     if not folder_made(args.out):
         return 2
@@ -66,7 +66,7 @@ def main() -> int:
 
 
 def arguments() -> argparse.Namespace:
-    """Read the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="measure few cases of missing data")
     parser.add_argument("--draw", action="store_true", help="only draw existing data")

@@ -21,12 +21,12 @@ from plate_planner import Planner
 from tasks.runs import summed
 
 MOST_RUNS = 100_000
-"""At one call: weeks."""
+"""Maximum number of runs per call. They would take weeks."""
 
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     args = _arguments()
     try:
         scenario = load_scenario(args.scenario)
@@ -72,7 +72,7 @@ def main() -> int:
 
 
 def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[dict[str, object]]:
-    """Yield a row per run, in the order of the seeds, with one worker or more."""
+    """Yield a row per run, in the order of the seeds, with one or more workers."""
     if args.workers == 1:
         for setup in setups:
             yield summary(setup, rig)
@@ -82,7 +82,7 @@ def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[d
 
 
 def _note(text: str) -> None:
-    """Say on a terminal how far the work is, in a line that the next one overwrites."""
+    """Show the progress on a terminal, in a line that the next one overwrites."""
     if sys.stderr.isatty():
         print(f"\r{text}\x1b[K", end="\r", file=sys.stderr, flush=True)
 

@@ -1,4 +1,4 @@
-"""Measure every stage beside its best peer: out/bench/NAME.json and a short table.
+"""Measure every stage and its best baseline: out/bench/NAME.json and a short table.
 
 python bench/run.py [NAME ...] [--quick]
 """
@@ -16,7 +16,7 @@ from plate_core import did_you_mean, piped
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     args = arguments()
     unknown = [name for name in args.names if name not in MEASUREMENTS]
     if unknown:
@@ -39,7 +39,7 @@ def main() -> int:
 
 
 def arguments() -> argparse.Namespace:
-    """Read the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
     parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in total")

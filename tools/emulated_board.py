@@ -1,5 +1,4 @@
-"""Firmware of firmware/boards/stm32f405 in the emulator QEMU: builds it, starts it, exchanges
-bytes.
+"""Builds the firmware of firmware/boards/stm32f405, and runs it in the emulator QEMU.
 
 QEMU's machine `netduinoplus2` has an STM32F405. With `-icount shift=3` each instruction takes 8 ns
 of virtual time. So the length of a tick, which the firmware measures by its timer, counts

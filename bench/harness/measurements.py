@@ -1,4 +1,4 @@
-"""Every measurement by its name, and how they are run one after the other."""
+"""All measurements by their names, and functions that run them one after the other."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ CHAPTERS = {
         "control", "horizon", "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
     ),
 }  # fmt: skip
-"""Chapter of this folder -> its modules with `measure(quick)`; the first line of each says what it
-is about."""
+"""Modules with `measure(quick)`, by their folder in bench. The first line of a module's docstring
+is printed when it runs."""
 
 MEASUREMENTS = {name: f"{chapter}.{name}" for chapter, names in CHAPTERS.items() for name in names}
-"""Name -> module."""
+"""Module of each measurement, by its name."""
 
 LONG = {"feeding_hour", "sameness", "tasks", "views"}
-"""Hours: measured only by name."""
+"""Measurements that take hours. They run only if they are named."""
 
 PUBLISHED = ROOT / "docs/results/measured.json"
-"""Of the charts that are in docs/results: how long each measurement took, among others."""
+"""File with facts about the measurements in docs/results, such as their duration."""
 
 MOST_CORES = 0.3
-"""That other programs may take while timings are measured."""
+"""Maximum number of CPU cores that other programs may use during timings."""
 
 
 def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> list[str]:
-    """Run measurements one after the other; tells of each how far the work is, and writes it. If
-    `quiet` each waits until other programs rest.
+    """Run measurements one after the other, print the progress, and write the result of each. If
+    `quiet`, each waits until other programs are idle.
 
-    One that fails does not hold up the others; returns the names of those that have failed.
+    If one fails, the others still run. Return the names of the failed ones.
     """
     names = list(names)
     failed: list[str] = []
@@ -70,7 +70,7 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
                 await_quiet()
             start = time.perf_counter()
             result = module.measure(quick)
-        except Exception:  # whatever it is, the others are still measured
+        except Exception:  # after any error, continue with the other measurements
             print("failed", flush=True)
             traceback.print_exc()
             failed.append(name)
@@ -82,14 +82,14 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
 
 
 def told(failed: list[str]) -> int:
-    """Name at the end the measurements that have failed; returns the exit code of the program."""
+    """Print the names of failed measurements. Return the exit code of the program."""
     if failed:
         print(f"error: failed measurements: {', '.join(failed)}", file=sys.stderr)
     return bool(failed)
 
 
 def await_quiet() -> None:
-    """Wait until other programs take less than `MOST_CORES`; says that it does."""
+    """Wait until other programs use at most `MOST_CORES`, and print that it waits."""
     told = False
     while (cores := busy_cores()) > MOST_CORES:
         if not told:
@@ -100,21 +100,21 @@ def await_quiet() -> None:
 
 
 def busy_cores() -> float:
-    """Return how many cores other programs take, for a second in which we rest."""
+    """Sleep for 1 s, and return the number of CPU cores that other programs used meanwhile."""
     before, start = idle_s(), time.monotonic()
     time.sleep(1.0)
     return (os.cpu_count() or 1) - (idle_s() - before) / (time.monotonic() - start)
 
 
 def idle_s() -> float:
-    """Return for how long the cores have had nothing to do, all together [s]."""
+    """Return the idle time of all CPU cores together [s]."""
     cpu = Path("/proc/stat").read_text(encoding="ascii").split(maxsplit=6)
     return (int(cpu[4]) + int(cpu[5])) / os.sysconf("SC_CLK_TCK")
 
 
 def last_seconds(out: Path, name: str, quick: bool) -> float:
-    """Return how long a measurement took the last time [s], if it was as thorough: here, or for
-    docs/results; else 0."""
+    """Return the duration of the last equally thorough measurement [s], on this computer or for
+    docs/results. 0 if there is none."""
     published = json.loads(PUBLISHED.read_text(encoding="utf-8"))["measurements"]
     there = (read(out, [name]) or published).get(name, {"quick": None})
     return float(there["seconds"]) if there["quick"] == quick else 0.0
@@ -126,14 +126,14 @@ def clock(seconds: float) -> str:
 
 
 def is_done(folder: Path, name: str, quick: bool) -> bool:
-    """Whether a measurement is there, at least as thorough as wanted, of the code as it is."""
+    """Whether a result of the current code exists that is at least as thorough as requested."""
     there = read(folder, [name]).get(name)
     code = code_of(MEASUREMENTS[name])
     return there is not None and there["quick"] <= quick and there.get("code") == code
 
 
 def read(folder: Path, names: Iterable[str] = tuple(MEASUREMENTS)) -> dict[str, dict[str, Any]]:
-    """Read measurements that are there, by name."""
+    """Return the existing results of measurements, by name."""
     files = {name: folder / f"{name}.json" for name in names}
     return {
         name: json.loads(path.read_text(encoding="utf-8"))

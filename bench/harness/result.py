@@ -1,4 +1,4 @@
-"""What a measurement gives: tables and sentences, and the file that they end in."""
+"""Result of a measurement: tables and sentences, and the file in which they are written."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 WORDS: dict[str, Any] = yaml.safe_load(
     Path(__file__).with_name("tables.yaml").read_text(encoding="utf-8")
 )
-"""Key of a table -> its `title` and `columns`, and mostly `note`."""
+"""Texts of each table by its key: `title`, `columns`, and for most tables `note`."""
 
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "pymunk", "mujoco")
 
@@ -35,13 +35,13 @@ class Table:
     Attributes
     ----------
     key : str
-        Name by which charts find it.
+        Name by which charts refer to it.
     title, note : str
-        For readers.
+        Texts for readers.
     columns : mapping of str to str
-        Key of a row -> heading with unit.
+        Heading with unit, by key of a row.
     rows : list of dict
-        What has no column is not written.
+        Rows. Values without a column are not written.
     """
 
     key: str
@@ -52,7 +52,7 @@ class Table:
 
     @classmethod
     def of(cls, key: str, rows: list[dict[str, Any]], **facts: Any) -> Table:
-        """Return the table of a key with its words of tables.yaml, facts in their braces."""
+        """Return a table with its texts from tables.yaml, whose braces are replaced by facts."""
         words = WORDS[key]
         title, note = (words.get(name, "").format(**facts) for name in ("title", "note"))
         return cls(key, title, words["columns"], rows, note)
@@ -60,7 +60,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Result:
-    """What a measurement gives: tables, sentences that sum them up, raw samples for charts."""
+    """Result of a measurement: tables, sentences that summarise them, raw samples for charts."""
 
     tables: list[Table]
     summary: list[str] = field(default_factory=list)
@@ -76,14 +76,16 @@ def optional(name: str) -> Any:
 
 
 def missing(*peers: str) -> list[str]:
-    """Say of peers that are not there how to get them."""
+    """Return a sentence for each baseline that is not installed, with the command that installs
+    it."""
     lacking = [name for name in peers if optional(name) is None]
     install = "pip install -r requirements-bench.txt"
     return [f"baseline {n} is not installed: {install}" for n in lacking]
 
 
 def rounded(value: Any, digits: int = 4) -> Any:
-    """Round floats to significant digits, in nested lists and dicts too; NaN becomes None."""
+    """Return a value with all floats rounded to significant digits, also in nested lists and dicts.
+    NaN becomes None."""
     if isinstance(value, Mapping):
         return {key: rounded(item, digits) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -94,7 +96,7 @@ def rounded(value: Any, digits: int = 4) -> Any:
 
 
 def machine() -> dict[str, Any]:
-    """What the figures depend on: processor count, threads, versions."""
+    """Return facts on which the results depend: number of CPU cores, load, threads, versions."""
     versions = {}
     for name in PACKAGES:
         try:
@@ -111,7 +113,7 @@ def machine() -> dict[str, Any]:
 
 
 def commit() -> str:
-    """Return the name of the commit that is checked out; empty without git."""
+    """Return the description of the current commit by git. Empty without git."""
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
@@ -120,7 +122,7 @@ def commit() -> str:
 
 
 def folder_made(path: Path) -> bool:
-    """Make a folder for results; if that cannot be done, say so and return False."""
+    """Create a folder for results. If this fails, print an error and return False."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
@@ -133,7 +135,7 @@ def folder_made(path: Path) -> bool:
 def write(
     path: Path, name: str, about: str, quick: bool, seconds: float, code: str, result: Result
 ) -> None:
-    """Write a measurement's JSON file, whole or not at all; `code` is a digest of what was run."""
+    """Write a measurement's JSON file atomically. `code` is a digest of the measured code."""
     content = {
         "name": name,
         "about": about,
@@ -153,7 +155,7 @@ def write(
 
 
 def shown(value: Any) -> str:
-    """Return a cell's text."""
+    """Return the text of a cell."""
     if value is None:
         return "-"
     if isinstance(value, bool):

@@ -74,7 +74,7 @@ class Port:
 
 
 def opened(emulator: Emulator) -> Port:
-    """Open the port, if it is there."""
+    """Return the driver's port. Raise PlateError if the device is disconnected."""
     if not emulator.connected:
         raise PlateError("port is 'device', which is disconnected, allowed: an open serial port")
     return Port(emulator)
@@ -156,9 +156,9 @@ class SerialLine:
         self._waiting.append((self.emulator.now + ANSWER_S, table))
 
     def play(self, until: float) -> list[PlateMotion]:
-        """Let time pass until an image is due; returns the plate's motions until then.
+        """Simulate until an image is due. Return the plate's motions until then.
 
-        Its images come at the ends of the device's segments: it knows of no others.
+        Images are taken only at the ends of the device's segments.
         """
         if np.isfinite(until):
             raise PlateError("image_rate is given with a serial line, allowed: a triggered camera")

@@ -1,4 +1,4 @@
-"""Judge detectors on the photographs of one half.
+"""Evaluate detectors on the photographs of one half.
 
 cd bench && python -m photographs.evaluate [--held-out]
 """
@@ -22,23 +22,26 @@ from photographs.taught import teach_examples
 from plate_core import piped
 
 REACH = 0.5
-"""A part is found by what is nearer to its centre than so many of its radii, one to one."""
+"""Maximum distance of a detection from the centre of its part [radii of the part]. The assignment
+is one to one."""
 
 ALIKE = 2.5
-"""What is ignored is only what has its size, up to this factor."""
+"""Maximum ratio of the sizes of a detection and an ignored object, for the detection to be
+ignored."""
 
 TAUGHT = "ours, taught"
 
 MISSING = "cd bench && python -m photographs.fetch"
 
 Score = dict[str, list[Any]]
-"""What one detector found in some pictures.
+"""Results of one detector in several pictures.
 
-`hit`: of each part whether it was found; `touching`, `fresh`: the same of parts that touch others,
-and of those that were not shown as examples. `true`: of each thing found that counts whether it is
-a part. `right`: of each found part that got a class whether that is its own. `centre_px` and
-`angle_deg`: errors of centres, and of angles, modulo symmetry, apart from one zero for each class
-of a picture.
+hit: Whether each part was detected.
+touching, fresh: The same for parts that touch others, and for parts that were not examples.
+true: Whether each counted detection is a part.
+right: Whether the class of each detected part with a class is correct.
+centre_px: Errors of centres.
+angle_deg: Errors of angles, modulo symmetry, relative to the mean error of a class in a picture.
 """
 
 COLUMNS = {
@@ -48,11 +51,11 @@ COLUMNS = {
     "angle_deg": "angle, median [deg]",
     "right": "class right [%]", "fresh": "recall, not shown [%]",
 }  # fmt: skip
-"""Keys of rows and their headings."""
+"""Headings of the columns, by key of a row."""
 
 
 def percent(kept: list[bool]) -> float | None:
-    """Return how many hold [%], None of nothing."""
+    """Return the percentage of true values. None if there are no values."""
     return 100 * sum(kept) / len(kept) if kept else None
 
 
@@ -70,7 +73,8 @@ def row_of(score: Score) -> dict[str, float | int | None]:
 
 
 def counts(found: np.ndarray, photograph: Photograph) -> np.ndarray:
-    """Tell (n,) of what was found whether it counts: not outside the plate, not to be ignored."""
+    """Return whether each detection (n,) counts. Those outside the plate, and those of ignored
+    objects, do not."""
     kept = np.ones(len(found), bool)
     if photograph.plate is not None:
         corners = photograph.plate.astype(np.float32)
@@ -87,7 +91,8 @@ def counts(found: np.ndarray, photograph: Photograph) -> np.ndarray:
 
 
 def score(found: np.ndarray, photograph: Photograph, shown: np.ndarray | None = None) -> Score:
-    """Judge what was found (n,) FOUND in a photograph; `shown` (m,) bool are taught examples."""
+    """Evaluate the detections (n,) FOUND in a photograph. `shown` (m,) bool are the parts used as
+    examples."""
     parts = photograph.parts
     i, j, gap = paired(places(found), places(parts), REACH * parts["radius_px"])
     hit = np.isin(np.arange(len(parts)), j)
@@ -105,11 +110,11 @@ def score(found: np.ndarray, photograph: Photograph, shown: np.ndarray | None = 
 
 
 def angle_errors(found: np.ndarray, parts: np.ndarray, directed: bool) -> list[float]:
-    """Return errors of the angles [deg] of parts (k,) that were found (k,).
+    """Return the errors of the angles of detected parts (k,) [deg].
 
-    Nobody says where a class has its zero: for each class that is found twice or more, the mean
-    difference is taken off. Where ends are not told apart (`directed` is False), half a turn is
-    none.
+    The zero of a class's angle is arbitrary. So the mean error of each class with at least two
+    detected parts is subtracted. If the detector does not distinguish the two ends of a part
+    (`directed` is False), errors are modulo 180 degrees.
     """
     errors: list[float] = []
     for label in set(parts["label"]):
@@ -126,8 +131,7 @@ def angle_errors(found: np.ndarray, parts: np.ndarray, directed: bool) -> list[f
 
 
 def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Run all detectors on photographs that are there; returns rows of totals, and what was refused
-    when teaching."""
+    """Run all detectors on photographs. Return rows of totals, and the refusals during teaching."""
     total: dict[str, Score] = {}
     pictures: Counter[str] = Counter()
     refused: list[str] = []
@@ -146,7 +150,7 @@ def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], l
 
 
 def of_half(half: str) -> tuple[list[Photograph], int]:
-    """Return the photographs of a half whose files are there, and how many are not."""
+    """Return the photographs of a half whose files exist, and the number of missing ones."""
     wanted = [p for p in load_photographs() if p.half == half]
     there = [p for p in wanted if is_there(p)]
     return there, len(wanted) - len(there)
@@ -154,7 +158,7 @@ def of_half(half: str) -> tuple[list[Photograph], int]:
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
         "--held-out",

@@ -1,4 +1,4 @@
-"""Fetch the photographs of photographs.yaml into out/photographs/files, and check them.
+"""Download the photographs of photographs.yaml to out/photographs/files, and check them.
 
 cd bench && python -m photographs.fetch
 """
@@ -18,10 +18,10 @@ from photographs.pictures import Photograph, load_photographs
 from plate_core import piped
 
 RAW = "https://raw.githubusercontent.com"
-"""Where files of public GitHub repositories are, by commit."""
+"""Base address of files of public GitHub repositories."""
 
 TIMEOUT_S = 30.0
-"""For one answer."""
+"""Timeout of a request [s]."""
 
 
 @piped()
@@ -40,7 +40,7 @@ def main() -> int:
 
 
 def fetch(photograph: Photograph) -> str:
-    """Bring one file if it is not there; returns what went wrong, empty if nothing did."""
+    """Download one file if it is missing. Return an error text, empty if there was no error."""
     path = photograph.file
     if is_there(photograph):
         return ""
@@ -59,7 +59,7 @@ def fetch(photograph: Photograph) -> str:
 
 
 def is_there(photograph: Photograph) -> bool:
-    """Whether a photograph's file is there and is the right one."""
+    """Whether a photograph's file exists and has the right digest."""
     path = photograph.file
     return path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() == photograph.sha256
 

@@ -1,6 +1,6 @@
 """Charts of the measurements: as a page, as pictures and in `docs/results.md`.
 
-`CHARTS` names every chart; `made` draws them, `write_report` and `write_results` write them down.
+`CHARTS` lists all charts. `made` draws them, and `write_report` and `write_results` write them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ __all__ = [
 
 
 class Entry(NamedTuple):
-    """A chart: how it is drawn from its rows, and these from measurements."""
+    """Definition of a chart: key, function that draws it from rows, function that takes the rows
+    from measurements, and names of these measurements."""
 
     key: str
     draw: Callable[[list[Row]], Drawn]
@@ -45,8 +46,8 @@ class Entry(NamedTuple):
 def of_table(
     draw: Callable[[list[Row]], Drawn], key: str, measurement: str = "", name: str = ""
 ) -> Entry:
-    """Return the entry of a chart whose rows are one table of a measurement; both are called as the
-    chart is, if not told."""
+    """Return the entry of a chart whose rows are one table of a measurement. By default,
+    measurement and table have the same name as the chart."""
     source = measurement or key
     return Entry(key, draw, lambda data: table(data, source, name or key), (source,))
 
@@ -77,28 +78,29 @@ CHARTS: tuple[Entry, ...] = (
         for key, m in MAPS.items()
     ),
 )
-"""Every chart."""
+"""Definitions of all charts."""
 
 WORDS: dict[str, dict[str, str]] = {
     **yaml.safe_load(Path(__file__).with_name("charts.yaml").read_text(encoding="utf-8")),
     **{f"stability_{key}": words_of(one) for key, one in MAPS.items()},
 }
-"""Key of a chart -> its `title`, `reading`, and mostly `letter` and `default`."""
+"""Texts of each chart by its key: `title`, `reading`, and for most charts `letter` and
+`default`."""
 
 
 def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> list[Chart]:
-    """Draw all charts: from measurements, or where they are missing from CSV files.
+    """Draw all charts from measurements. If these are missing, draw them from CSV files.
 
-    Those for which there is neither are told.
+    A chart with neither is omitted, with a message on stderr.
 
     Parameters
     ----------
     data : mapping
         Measurements by name, as in their JSON files.
     folder : path
-        Of CSV files that were written before.
+        Folder of the CSV files of earlier measurements.
     columns : mapping
-        Key of a chart -> headings of its CSV file, by column.
+        Headings of each chart's CSV file by column, by the key of the chart.
     """
     charts, old = [], []
     for one in CHARTS:

@@ -1,4 +1,4 @@
-"""Axes: their ends, and where there is a number."""
+"""Axes of charts: their ends, and the positions of their numbers."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ import numpy as np
 GRID = "#e4e4e4"
 
 PAD = 0.08
-"""Room beyond the outermost marks [length of the axis]."""
+"""Margin beyond the outermost points [length of the axis]."""
 
 LEAST_TICKS, MOST_TICKS = 3, 8
-"""Of a log axis: one number alone tells no scale."""
+"""Minimum and maximum number of ticks of a logarithmic axis. A single number does not show the
+scale."""
 
 STEPS = ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7))
-"""Numbers within a decade, from few to many."""
+"""Sets of numbers within a decade, from few to many."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis: its label with the unit, and how it is divided.
+    """One axis: its label with the unit, and its divisions.
 
     Attributes
     ----------
     names : tuple of str
-        Kinds instead of numbers: the axis of a bar chart, from below.
+        Names instead of numbers, for the axis of a bar chart, from bottom to top.
     ticks : tuple of float
-        Where there is a number; anywhere if empty.
+        Positions of numbers. If empty, they are chosen automatically.
     limits : (low, high), optional
     least : float, optional
-        Numbers below this are rounding, and drawn here.
+        Minimum number. Smaller ones are rounding errors, and are drawn at this number.
     """
 
     label: str
@@ -45,15 +46,15 @@ class Axis:
     least: float | None = None
 
     def drawn(self, value: Any) -> Any:
-        """Return where a number, or a name of the axis, is drawn; None: nowhere."""
+        """Return the position of a number, or of a name of the axis. None if it is not drawn."""
         return value if None in (value, self.least) else max(value, self.least)
 
     def place(self, value: float) -> float:
-        """Return where plotly puts ends of ranges: at the exponent, on a log axis."""
+        """Return the coordinate of a range's end in plotly, the exponent on a logarithmic axis."""
         return log10(value) if self.log else value
 
     def ends(self, values: Sequence[float]) -> tuple[float, float]:
-        """Return the places where the axis begins and ends with these numbers on it."""
+        """Return the coordinates of the axis's ends for these numbers."""
         if self.limits:
             return self.place(self.limits[0]), self.place(self.limits[1])
         at = [self.place(value) for value in values if not self.log or value > 0] or [0.0]
@@ -62,7 +63,7 @@ class Axis:
         return low - pad, high + pad
 
     def settings(self, values: Sequence[float]) -> dict[str, Any]:
-        """Return plotly's settings of the axis with these numbers on it."""
+        """Return plotly's settings of the axis for these numbers."""
         found: dict[str, Any] = {
             "title": {"text": self.label, "standoff": 6, "font": {"size": 14}},
             "gridcolor": GRID, "zeroline": False, "tickangle": 0,
@@ -86,7 +87,7 @@ class Axis:
 
 
 def log_ticks(low: float, high: float) -> list[float]:
-    """Return where a log axis from 10^low to 10^high has numbers: few, but not fewer than three."""
+    """Return the ticks of a logarithmic axis from 10^low to 10^high: few, but at least three."""
     decades = range(floor(low), ceil(high) + 1)
     every = ceil((high - low) / MOST_TICKS)
     for steps in STEPS:
@@ -103,7 +104,7 @@ def log_ticks(low: float, high: float) -> list[float]:
 
 
 def numbers(ticks: Iterable[float]) -> list[str]:
-    """Return the words for numbers on an axis: as powers of ten where zeros would be counted."""
+    """Return the texts for numbers on an axis. Very large and very small ones are powers of ten."""
     ticks = list(ticks)
     if all(tick == 0 or 9e-5 < abs(tick) < 2e5 for tick in ticks):
         return [f"{tick:g}" for tick in ticks]
@@ -116,7 +117,7 @@ def numbers(ticks: Iterable[float]) -> list[str]:
 
 
 def edges(middles: Sequence[float], log: bool) -> list[float]:
-    """Return the edges between cells of a field whose middles are given, two at least."""
+    """Return the edges of cells from their middles, at least two."""
     at = np.log10(middles) if log else np.asarray(middles, float)
     inner = [(a + b) / 2 for a, b in pairwise(at)]
     found = np.array([2 * at[0] - inner[0], *inner, 2 * at[-1] - inner[-1]])

@@ -1,4 +1,4 @@
-"""What a chart is: panels, the rows that they are drawn from, and what they say."""
+"""Data of a chart: its panels, the rows from which they are drawn, and its texts."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ Data = Mapping[str, Mapping[str, Any]]
 
 
 class Drawn(NamedTuple):
-    """What is drawn of rows.
+    """Result of drawing rows.
 
     Attributes
     ----------
     panels : Panels
     finding : str
-        What comes out, with numbers.
+        Conclusion, with numbers.
     default : str
-        What we take and why, where that depends on them.
+        The project's choice and its reason, if it depends on the rows.
     """
 
     panels: Panels
@@ -38,25 +38,25 @@ class Drawn(NamedTuple):
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure that answers one question, the rows behind it, and what they say.
+    """A figure that answers one question, with its rows and texts.
 
     Attributes
     ----------
     key : str
-        Name of files and of the place in the page.
+        Name of its files, and of its section in the page.
     letter : str
-        Of the list of charts; may be empty.
+        Letter in the list of charts. May be empty.
     title, reading : str
-        The question; how to read the figure.
+        The question, and an explanation of the figure.
     finding : str
-        What comes out, with numbers.
+        Conclusion, with numbers.
     default : str
-        What we take and why; empty where nothing is to be chosen.
+        The project's choice and its reason. Empty if there is no choice.
     panels : Panels
     sheet : Sheet
-        The rows that it is drawn from.
+        Rows from which it is drawn.
     sources : tuple of str
-        The measurements that these are from.
+        Measurements of these rows.
     """
 
     key: str
@@ -76,7 +76,7 @@ class Chart:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """The rows, under their headings."""
+        """The rows as a table with headings."""
         rows, columns = self.sheet.rows, self.sheet.columns
         heads = {key: columns.get(key, key.replace("_", " ")) for key in rows[0]}
         return pd.DataFrame(rows, dtype=object).rename(columns=heads)
@@ -84,13 +84,13 @@ class Chart:
 
 @dataclass(frozen=True)
 class Sheet:
-    """The rows that a chart is drawn from, all with the same keys: its table and its CSV file.
+    """Rows from which a chart is drawn, all with the same keys. They are its table and CSV file.
 
     Attributes
     ----------
     rows : list of dict
     columns : mapping of str to str
-        Key of a row -> heading with its unit.
+        Heading with unit, by key of a row.
     """
 
     rows: list[Row]
@@ -98,7 +98,7 @@ class Sheet:
 
     @classmethod
     def of(cls, rows: Sequence[Row], columns: dict[str, str]) -> Sheet:
-        """Give all rows the same keys, those that have headings first; None where one had none."""
+        """Return rows with the same keys, first those with headings. Missing values are None."""
         there = {key for row in rows for key in row}
         keys = [key for key in columns if key in there]
         keys += [key for row in rows for key in row if key not in columns]
@@ -106,12 +106,12 @@ class Sheet:
 
     @classmethod
     def read(cls, path: Path, columns: dict[str, str]) -> Sheet:
-        """Read a CSV file that `write` made.
+        """Read a CSV file with the text of `csv`.
 
         Raises
         ------
         PlateError
-            If it is not there, or empty.
+            If it does not exist, or is empty.
         """
         if not path.exists():
             raise PlateError(f"not measured, and {path} does not exist")
@@ -123,7 +123,7 @@ class Sheet:
 
     @property
     def csv(self) -> str:
-        """The rows as text, under their keys."""
+        """The rows as CSV text, with their keys in the first line."""
         file = StringIO()
         writer = DictWriter(file, list(self.rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -132,7 +132,7 @@ class Sheet:
 
 
 def value_of(cell: str) -> str | bool | float | None:
-    """Return what a cell of a CSV file was: nothing, a truth, a number or a word."""
+    """Return the value of a CSV cell: None, a bool, a number or a text."""
     words = {"": None, "True": True, "False": False}
     if cell in words:
         return words[cell]
@@ -148,7 +148,7 @@ def table(data: Data, name: str, key: str) -> Sheet:
     Raises
     ------
     PlateError
-        If it is not there: the measurement is of older code.
+        If it does not exist, because the measurement is from older code.
     """
     found = [t for t in data[name]["tables"] if t["key"] == key] if name in data else []
     if not found:
@@ -162,5 +162,5 @@ def column(rows: Sequence[Row], key: str) -> list[Any]:
 
 
 def parts(count: Any) -> str:
-    """Return a number of parts in words."""
+    """Return a text such as "1 part" or "2 parts"."""
     return f"{count} part{'s' * (count > 1)}"

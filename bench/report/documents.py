@@ -1,5 +1,7 @@
-"""Tables of measurements in texts that are written by hand: between `<!-- measured: NAME TABLE -->`
-and `<!-- end -->`. `summary` in place of a table's key stands for the measurement's sentences."""
+"""Tables of measurements in handwritten pages.
+
+A table is written between `<!-- measured: NAME TABLE -->` and `<!-- end -->`. If the key of the
+table is `summary`, the sentences of the measurement are written instead."""
 
 from __future__ import annotations
 
@@ -22,14 +24,14 @@ BLOCK = re.compile(r"(<!-- measured: (\w+) (\w+) -->\n).*?(<!-- end -->)", re.DO
 
 
 def names() -> Iterable[str]:
-    """Yield the measurements of which tables are in the documents."""
+    """Yield the names of the measurements whose tables are in the documents."""
     for name in DOCUMENTS:
         for block in BLOCK.finditer((ROOT / name).read_text(encoding="utf-8")):
             yield block[2]
 
 
 def fill_documents(data: Data, facts: Data, root: Path = ROOT) -> None:
-    """Put the tables of the measurements that are there into the documents below a folder."""
+    """Write the tables of the available measurements into the documents below a folder."""
     commit = common_commit(facts)
 
     def filled(block: re.Match[str]) -> str:
@@ -47,7 +49,7 @@ def fill_documents(data: Data, facts: Data, root: Path = ROOT) -> None:
 
 
 def text(name: str, item: Mapping[str, Any], key: str, facts: Data, commit: str) -> str:
-    """Return what stands in the place of a table, or of the sentences."""
+    """Return the text of a table, or of the sentences."""
     if key == "summary":
         return "".join(f"- {line}\n" for line in item["summary"])
     one = next(each for each in item["tables"] if each["key"] == key)

@@ -1,4 +1,4 @@
-"""The chart of the feeder: speed against accuracy of the pose, and waiting, beside its peers."""
+"""The chart of the feeder and its baselines: speed against accuracy of the pose, and waiting."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ CHANGED = {
     "clearance_mm": ("gripper's clearance [mm]", (3, 6, 12)),
     "cycle_s": ("robot's cycle [s]", (1, 2, 4)),
 }
-"""Column that is changed -> label and values of its axis."""
+"""Label and values of the axis, by the varied column."""
 
 ROBOT_S, GOAL = 2.0, 2.0
-"""The robot's cycle [s] of most cases, and what waiting is wanted with it at most [%]."""
+"""The robot's cycle in most cases [s], and the maximum fraction of waiting that is wanted with it
+[%]."""
 
 
 def feeding(rows: list[Row]) -> Drawn:
-    """Return parts a minute against accuracy, and waiting against what is changed."""
+    """Return the chart of parts per minute against accuracy, and of waiting against the varied
+    value."""
     panels, cases = Panels(), [r | {"case": case(r)} for r in rows]
     speed = panels.add(
         "Speed and accuracy, robot of 2 s", Axis("parts a minute"),
@@ -57,7 +59,7 @@ def feeding(rows: list[Row]) -> Drawn:
 
 
 def case(row: Row) -> str:
-    """Return a row's case in words."""
+    """Return a text on the case of a row."""
     window = f", window of {row['window_mm']:g} mm" if row["window_mm"] else ""
     return (
         f"{row['fill']} {row['kind']}, clearance {row['clearance_mm']:g} mm, "

@@ -1,4 +1,4 @@
-"""The charts of what solvers rest on: force map, guaranteed forces, what can be inverted."""
+"""Charts of the solvers' basis: force map, guaranteed forces, inversion, learning."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from report.chart import Drawn, column
 from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
 LEAST_ERROR = 1e-11
-"""Errors below this [mu mg] are rounding, and drawn here."""
+"""Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
 WANTED = 1e-6
-"""Error of the force map that is wanted in the worst 1 % [mu mg]."""
+"""Required error of the force map at the 99th percentile [mu mg]."""
 
 
 COLOURS = (PEER, SECOND, THIRD, "#8a6d00", LIMIT)
-"""Of peers."""
+"""Colours of the baselines."""
 
 
 def force_map(rows: list[Row]) -> Drawn:
-    """Return time and error of every way to the averaged force."""
+    """Return the chart of time and error of every method for the averaged force."""
     panels, groups = Panels(), by(rows, "case")
     for case, title, name in (
         ("many", "Many motions in one call, N = 2", "forces"),
@@ -54,7 +54,7 @@ def force_map(rows: list[Row]) -> Drawn:
 
 
 def rotations(rows: list[Row]) -> Drawn:
-    """Return forces and times of Method A, with its peers."""
+    """Return the chart of forces and times of Method A and its baselines."""
     panels = Panels()
     for case, title, unit in (
         ("force", "Force at 10 parts, 10 % quantile", "force [mu mg]"),
@@ -78,7 +78,7 @@ def rotations(rows: list[Row]) -> Drawn:
 
 
 def inversion(rows: list[Row]) -> Drawn:
-    """Return what becomes of requests, and the time that it takes."""
+    """Return the chart of the results of requests, and of the solving time."""
     names = [f"{r['parts']} parts, N = {r['harmonics']}" for r in rows]
     y = Axis("", names=tuple(names[::-1]))
     panels = Panels()
@@ -106,7 +106,7 @@ def inversion(rows: list[Row]) -> Drawn:
 
 
 def learning(rows: list[Row]) -> Drawn:
-    """Return the error of realised harmonics against the number of experiments."""
+    """Return the chart of the error of realised harmonics against the number of experiments."""
     panels, ticks = Panels(), tuple(column(rows, "iteration"))
     panel = panels.add(
         "Error of realised harmonics", Axis("experiments", ticks=ticks), Axis("error [%]", log=True)

@@ -1,4 +1,4 @@
-"""The charts of the closed loop: tracking, what control time buys, and what a rig must be."""
+"""Charts of the closed loop: tracking, control time, cameras, drives, rigs, bounds, crowds."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ COUNT_COLOURS = ("#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#8a6d00", "#b02a37
 SPEEDS = (2, 5, 10, 20, 40, 80, 160, 320, 1000)
 
 ENDED = "{succeeded} ended well"
-"""Shown under the pointer."""
+"""Text shown at the pointer."""
 
 
 def tracking(rows: list[Row]) -> Drawn:
-    """Return tracking error against speed, and the fastest speed by parts, with the bound."""
+    """Return the chart of tracking error against speed, and of the maximum speed by number of parts
+    with its bound."""
     counts, groups = sorted(by(rows, "parts")), by(rows, "method")
     looks = {
         count: Look(parts(count), colour, "o", "-")
@@ -58,22 +59,22 @@ def tracking(rows: list[Row]) -> Drawn:
 
 
 def is_lost(row: Row) -> bool:
-    """Whether a speed was not kept."""
+    """Whether the speed of a row was not kept."""
     return not row["kept"]
 
 
 def fastest(rows: list[Row], count: int) -> float:
-    """Return the fastest speed kept with so many parts [mm/s], 0 where there is none."""
+    """Return the maximum speed kept with a number of parts [mm/s]. 0 if there is none."""
     return max((r["speed_mm_s"] for r in rows if r["kept"] and r["parts"] == count), default=0)
 
 
 def failed(row: Row) -> bool:
-    """Whether a run of a row did not end well."""
+    """Whether a run of a row failed."""
     return bool(row["good"] < row["runs"])
 
 
 def control(rows: list[Row]) -> Drawn:
-    """Return what the closed loop reaches against the time that the controller takes."""
+    """Return the chart of the closed loop's results against the controller's time."""
     panels = Panels()
     for scenario, these in by(rows, "scenario").items():
         tracks = these[0]["rms_mm"] is not None
@@ -109,15 +110,15 @@ CAMERAS = {
     "latency": ("Latency", "latency [ms]", 1e3, False),
     "stamp_jitter": ("Scatter of stamps", "standard deviation of the stamps [ms]", 1e3, False),
 }
-"""What is changed of a camera -> title, label, unit, and whether the axis is logarithmic."""
+"""Title, label, unit, and whether the axis is logarithmic, by varied parameter of a camera."""
 
 
 RATES = (5, 7.5, 10, 15, 30, 60, 120)
-"""Of images [1/s], that are written at the axis."""
+"""Image rates with a number at the axis [1/s]."""
 
 
 def cameras(rows: list[Row]) -> Drawn:
-    """Return the tracking error against what a camera that runs free is like."""
+    """Return the chart of the tracking error against the parameters of a free-running camera."""
     panels, borders = Panels(), []
     triggered = next(r for r in rows if r["changed"] == "triggered")
     for changed, (title, label, unit, log) in CAMERAS.items():
@@ -149,11 +150,11 @@ ON_A_BUS = {
     "jitter_ms": ("Jitter", "jitter, up to [ms]"),
     "loop_hz": ("The drives' loop", "bandwidth [Hz]"),
 }
-"""What is changed of drives on a bus -> title and label."""
+"""Title and label, by varied parameter of drives on a bus."""
 
 
 def drives(rows: list[Row]) -> Drawn:
-    """Return the tracking error against what bus and drives are like."""
+    """Return the chart of the tracking error against the parameters of bus and drives."""
     panels, bridges = Panels(), next(r for r in rows if not r["changed"])
     names = by([r for r in rows if r["changed"]], "drive")
     looks = {name: Look(name, c, "o", "-") for name, c in zip(names, COUNT_COLOURS, strict=False)}
@@ -178,7 +179,8 @@ def drives(rows: list[Row]) -> Drawn:
 
 
 def rigs(rows: list[Row]) -> Drawn:
-    """Return success, time and error on small and weak rigs, and what `feasible` said of them."""
+    """Return the chart of success, time and error on small and weak rigs, and of the predictions of
+    `feasible`."""
     names, panels = tuple(by(rows, "rig"))[::-1], Panels()
     y = Axis("", names=names)
     share = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
@@ -209,7 +211,7 @@ def rigs(rows: list[Row]) -> Drawn:
 
 
 def bound(rows: list[Row]) -> Drawn:
-    """Return how fast parts can be moved: bounds, what a search finds, what the loop reaches."""
+    """Return the chart of the parts' speed: bounds, result of a search, closed loop."""
     panels, counts = Panels(), by(rows, "parts")
     one = [r | {"period": 1e3 * r["period_s"]} for r in counts[1]]
     first = panels.add("One part", Axis("cycle [ms]"), Axis("mean speed [mm/s]", log=True))
@@ -242,7 +244,8 @@ def bound(rows: list[Row]) -> Drawn:
 
 
 def horizon(rows: list[Row]) -> Drawn:
-    """Return what trials beyond the greedy step change in time and computing."""
+    """Return the chart of the changes of task time and computing time by trials beyond the greedy
+    step."""
     panels, trials = Panels(), [r for r in rows if r["trial"] != "once"]
     trials = [r | {"name": f"{r['trial']}, {r['scenario']}"} for r in trials]
     y = Axis("", names=tuple(by(trials, "name"))[::-1])
@@ -273,12 +276,12 @@ def changed(row: Row) -> str:
 
 
 def listed(rows: Iterable[Row], key: str) -> str:
-    """Return a column's values by numbers of parts in a line."""
+    """Return a text with a column's values, by number of parts."""
     return ", ".join(f"{r[key]:.0f} by {parts(r['parts'])}" for r in rows)
 
 
 def crowds(rows: list[Row]) -> Drawn:
-    """Return how long a sort takes, and how many parts it loses, against their number."""
+    """Return the chart of a sort's time and lost parts against the number of parts."""
     panels = Panels()
     panel = panels.add(
         "Sorting", Axis("parts", log=True, ticks=tuple(by(rows, "parts"))),
@@ -295,16 +298,16 @@ def crowds(rows: list[Row]) -> Drawn:
 
 
 def not_all(row: Row) -> bool:
-    """Whether some run of a row did not end well: it says how many of how many did."""
+    """Whether not all runs of a row succeeded. The row contains a text such as "9 of 10"."""
     return percent(row) < 100
 
 
 def percent(row: Row) -> float:
-    """How many of a row's runs ended well [%]."""
+    """Return the percentage of a row's runs that succeeded."""
     good, runs = map(int, row["succeeded"].split(" of "))
     return 100 * good / runs
 
 
 def medians(rows: list[Row], key: str) -> str:
-    """Return a column's values in a line, with how many runs they are of where some failed."""
+    """Return a text with a column's values, and with the number of runs if some failed."""
     return " / ".join(shown(r[key]) + (f" ({r['succeeded']})" if not_all(r) else "") for r in rows)

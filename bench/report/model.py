@@ -1,4 +1,4 @@
-"""The chart of the simulator's one model: no more is computed than a scene needs."""
+"""The chart of the simulator's model of parts, which computes only what a scene needs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from report.chart import Drawn
 from report.panels import OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
 COLOURS = (OURS, PEER, SECOND, THIRD, "#8a6d00")
-"""Of scenes."""
+"""Colours of scenes."""
 
 LOOKS = {
     name: Look(name, colour, marker, "-")
@@ -16,14 +16,14 @@ LOOKS = {
         ("one model", OURS, "o"), ("by events", SECOND, "s"), ("pymunk", PEER, "D"),
     )
 }  # fmt: skip
-"""Of methods."""
+"""Appearance of methods."""
 
 LEAST_UM = 1e-4
-"""Errors below this [um] are rounding, and drawn here."""
+"""Minimum drawn error [um]. Smaller errors are rounding errors, and are drawn at this value."""
 
 
 def model(rows: list[Row]) -> Drawn:
-    """Return what a cycle of the plate costs by scene and number of parts, and its error."""
+    """Return the chart of the CPU time and the error of a cycle, by scene and number of parts."""
     panels, ours = Panels(), by([r for r in rows if r["method"] == "one model"], "scene")
     parts, time = Axis("parts", log=True), Axis("core time of a cycle [ms]", log=True)
     for scene, mine in by(rows, "scene").items():

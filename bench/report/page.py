@@ -1,4 +1,4 @@
-"""One page with all charts and their rows. It needs nothing else, no network and no other file."""
+"""One page with all charts and their rows. It needs no network and no other file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     path : path
         The HTML file.
     facts : mapping
-        Name of a measurement -> what it was made on, as far as that is known.
+        Facts about each measurement, such as computer and commit, by its name.
     charts : sequence of Chart
     """
     links = "".join(
@@ -52,14 +52,14 @@ def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
 
 
 def warning(facts: Data) -> str:
-    """Warn of quick measurements."""
+    """Return a warning if there are quick measurements."""
     quick = ", ".join(name for name, item in facts.items() if item["quick"])
     text = f'<p class="warning">Quick measurements with few cases: {quick}.</p>'
     return text if quick else ""
 
 
 def machines(facts: Data) -> dict[str, list[str]]:
-    """Return what figures were measured on, and which."""
+    """Return the names of the measurements by a text on their computer."""
     found: dict[str, list[str]] = {}
     for name, item in facts.items():
         told = [f"{key} {value}" for key, value in item["machine"].items() if key != "load"]
@@ -68,7 +68,7 @@ def machines(facts: Data) -> dict[str, list[str]]:
 
 
 def section(chart: Chart, facts: Data) -> str:
-    """Return one chart: what it says, its figure, and the table behind it."""
+    """Return the section of one chart: its texts, its figure, and its table."""
     figure = chart.panels.draw().to_html(
         full_html=False,
         include_plotlyjs=False,
@@ -90,7 +90,7 @@ def section(chart: Chart, facts: Data) -> str:
 
 
 def repeat(sources: Iterable[str], facts: Data) -> str:
-    """Tell how to measure again."""
+    """Return a text with the commands that repeat measurements."""
     told = [
         f"<code>make bench ARGS={name}</code>{escape(measured(facts.get(name)))}"
         for name in sources
@@ -99,8 +99,8 @@ def repeat(sources: Iterable[str], facts: Data) -> str:
 
 
 def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
-    """Tell how long a measurement took, its load, and its commit if that is not the `common` one
-    of all, as far as that is known."""
+    """Return a text on the duration, the load and the commit of a measurement, as far as they are
+    known. The commit is omitted if it is the `common` one."""
     if facts is None:
         return ""
     commit, load = facts.get("commit") or "unknown", facts["machine"]["load"]
@@ -109,13 +109,13 @@ def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
 
 
 def usual_commit(facts: Data) -> str:
-    """Return the commit of most measurements; empty if there are none."""
+    """Return the commit of most measurements. Empty if there are none."""
     commits = Counter(item.get("commit") or "unknown" for item in facts.values())
     return commits.most_common(1)[0][0] if commits else ""
 
 
 def common_commit(facts: Data) -> str:
-    """Return the commit of all measurements; empty if they are of several."""
+    """Return the commit of all measurements. Empty if it is not the same for all."""
     commits = {item.get("commit") or "" for item in facts.values()}
     return commits.pop() if len(commits) == 1 else ""
 

@@ -1,4 +1,4 @@
-"""Panels of one plotly figure: the same in the page, to point at and to zoom, and as a picture."""
+"""Panels of one plotly figure, used interactively in the page and as a picture."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ Row = dict[str, Any]
 OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
     "#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#767676", "#b02a37",
 )  # fmt: skip
-"""Colours: our default, the peers, our second and third, notes, limits."""
+"""Colours: the project's default, the baselines, the project's second and third variants, notes,
+limits."""
 
 INK = "#222222"
 
 FIELD = ("#ffffd9", "#7fcdbb", "#2c7fb8")
-"""Colours of a field from low to high: black and coloured lines are seen on all of them."""
+"""Colours of a field from low to high. Black and coloured lines are visible on all of them."""
 
 SYMBOLS = {
     "o": "circle", "s": "square", "D": "diamond", "^": "triangle-up", "v": "triangle-down",
@@ -32,33 +33,34 @@ DASHES = {"-": "solid", "--": "dash", ":": "dot"}
 FRONT, DEFAULT = "Pareto front", "our default"
 
 ACROSS = 2
-"""Most panels beside each other: pictures are shown about 700 px wide."""
+"""Maximum number of panels in a row. Pages show pictures with a width of about 700 px."""
 
 PANEL_PX, BAR_PX = (440, 350), 26
 """Width and height of a panel, and height of one line of a bar chart."""
 
 LABEL_PX, TITLE_PX, LINE_PX = 95, 36, 28
-"""For an axis' numbers and its label; for a panel's title; for a line of the key."""
+"""Space for the numbers and the label of an axis, for a panel's title, and for a line of the
+key."""
 
 WORDS_PX = 13
-"""Size of words; others are one larger."""
+"""Size of small text. Other texts are 1 px larger."""
 
 LETTER = 0.6
-"""Width of a letter [its size]."""
+"""Mean width of a letter [size of the text]."""
 
 
 class Look(NamedTuple):
-    """How points of one kind are told from others.
+    """Appearance of the points of one kind.
 
     Attributes
     ----------
     name : str
-        In the key.
+        Name in the key.
     colour : str
     marker : str
-        A key of `SYMBOLS`; empty: a line only.
+        A key of `SYMBOLS`. Empty: only a line.
     line : str
-        A key of `DASHES`; empty: points only.
+        A key of `DASHES`. Empty: only points.
     """
 
     name: str
@@ -68,7 +70,7 @@ class Look(NamedTuple):
 
 
 def by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
-    """Return groups of rows with the same value, or values, in the order in which they come."""
+    """Return groups of rows with equal values of one or more columns, in the order of the rows."""
     found: dict[Any, list[Row]] = {}
     for row in rows:
         values = tuple(row[key] for key in keys)
@@ -77,17 +79,17 @@ def by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
 
 
 def nowhere(_: Row) -> bool:
-    """Hold of no row."""
+    """Return False for every row."""
     return False
 
 
 class Panels:
-    """Panels of one figure with one key, each added by `add` and then drawn into.
+    """Panels of one figure with a common key. `add` adds a panel, whose methods then draw into it.
 
     Attributes
     ----------
     list : list of Panel
-        In the order in which they stand, row by row.
+        Panels in the order of the figure, row by row.
     """
 
     def __init__(self) -> None:
@@ -99,19 +101,19 @@ class Panels:
         Parameters
         ----------
         better : str
-            Where the Pareto front is: `less less`, `more less`, ... for x and y; empty: nowhere.
+            Better directions of x and y for the Pareto front, such as `less less`. Empty: no front.
         """
         self.list.append(Panel(title, x, y, better))
         return self.list[-1]
 
     @property
     def across(self) -> int:
-        """How many are beside each other."""
+        """Number of panels in a row."""
         return min(len(self.list), ACROSS)
 
     @property
     def down(self) -> int:
-        """How many are below each other."""
+        """Number of rows of panels."""
         return -(-len(self.list) // self.across)
 
     @property
@@ -123,13 +125,13 @@ class Panels:
 
     @property
     def _names_px(self) -> int:
-        """Width of what stands left of a panel."""
+        """Width of the texts to the left of a panel [px]."""
         names = [name for panel in self.list for name in panel.y.names]
         return max([LABEL_PX, *(round(LETTER * 14 * len(name)) + 20 for name in names)])
 
     @property
     def _key_px(self) -> int:
-        """Height of the key."""
+        """Height of the key [px]."""
         names = dict.fromkeys(name for panel in self.list for name in panel.names)
         lines, x = 1, 0.0
         for name in names:
@@ -184,7 +186,7 @@ class Panels:
 
 
 class Rule(NamedTuple):
-    """A straight line across a panel, at one x or one y, and what it means."""
+    """Straight line across a panel at one x or one y, with its meaning."""
 
     name: str
     x: float | None
@@ -193,7 +195,7 @@ class Rule(NamedTuple):
 
 
 class Panel:
-    """One pair of axes and what is in it."""
+    """One pair of axes with its content."""
 
     def __init__(self, title: str, x: Axis, y: Axis, better: str) -> None:
         self.title, self.x, self.y, self.better = title, x, y, better
@@ -211,11 +213,12 @@ class Panel:
         Parameters
         ----------
         x, y : str
-            Columns of numbers, or of names of the axis. None: no point there.
+            Columns with numbers, or with names of the axis. A row with None has no point.
         hollow : callable
-            Tells rows that do not count (parts missed, speed not kept): no front touches them.
+            Whether a row does not count, for example because parts were missed. The front ignores
+            it.
         note : str
-            What the page shows of each point under the pointer: text with columns in braces.
+            Text that the page shows at the pointer for each point, with columns in braces.
         in_front : bool
             Whether the points take part in the Pareto front.
         """
@@ -247,7 +250,7 @@ class Panel:
     def kinds(
         self, rows: Sequence[Row], key: str, x: str, y: str, looks: Mapping[Any, Look], **more: Any
     ) -> None:
-        """Draw the points of every kind, which a column tells; `more` is as of `points`."""
+        """Draw the points of every kind, by the values of a column. `more` is as in `points`."""
         for kind, mine in by(rows, key).items():
             self.points(mine, x, y, looks[kind], **more)
 
@@ -255,7 +258,7 @@ class Panel:
         self, name: str, length: Sequence[float], names: Sequence[str], colour: str = OURS,
         labels: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        """Draw bars from the left, stacked on those that are there."""
+        """Draw bars from the left, stacked on the existing ones."""
         self.traces.append(
             go.Bar(
                 x=list(length), y=list(names), name=name, orientation="h", cliponaxis=False,
@@ -268,7 +271,7 @@ class Panel:
         self, x: Sequence[float], y: Sequence[float], z: Sequence[Sequence[float | None]],
         label: str, limits: tuple[float, float],
     ) -> None:  # fmt: skip
-        """Draw values z (m, n) over a grid as colours; x (n,) and y (m,) are cells' middles."""
+        """Draw values z (m, n) as colours of a grid. x (n,) and y (m,) are the middles of cells."""
         self.field = label, limits
         self.traces.append(
             go.Heatmap(
@@ -280,7 +283,7 @@ class Panel:
         )  # fmt: skip
 
     def mark(self, x: float, y: float) -> None:
-        """Draw a ring round our default."""
+        """Draw a ring around the project's default."""
         self.traces.append(
             go.Scatter(
                 x=[x], y=[self.y.drawn(y)], name=DEFAULT, mode="markers", hoverinfo="skip",
@@ -291,17 +294,17 @@ class Panel:
     def rule(
         self, text: str, x: float | None = None, y: float | None = None, colour: str = FAINT
     ) -> None:
-        """Draw a straight line across, at one x or one y."""
+        """Draw a straight line across the panel, at one x or one y."""
         self.rules.append(Rule(text, x, y, colour))
 
     @property
     def names(self) -> list[str]:
-        """What stands in the key."""
+        """Entries of the key."""
         return [each.name for each in [*self.all, *self.rules] if each.name]
 
     @property
     def all(self) -> list[Any]:
-        """All that is drawn: what was added, and the Pareto front."""
+        """All drawn elements: the added ones, and the Pareto front."""
         return [*self.traces, *self.front()]
 
     def front(self) -> list[go.Scatter]:
@@ -321,9 +324,9 @@ class Panel:
 
 
 def pareto_front(places: Sequence[tuple[float, float]], better: str) -> list[tuple[float, float]]:
-    """Return the corners of the Pareto front as a staircase; empty if nothing is better.
+    """Return the corners of the Pareto front as a staircase. Empty if there is no better direction.
 
-    Beyond the staircase no point is better in both.
+    No point beyond the staircase is better in both x and y.
     """
     if not better:
         return []

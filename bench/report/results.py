@@ -1,4 +1,4 @@
-"""docs/results.md: every chart with its figures, how to repeat it, and the demos in pictures."""
+"""docs/results.md: every chart with its data and its command, and pictures of the demos."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from report.chart import Chart, Data
 from report.page import machines, measured, usual_commit
 
 FOLDER = "results"
-"""Beside the text: pictures and CSV files."""
+"""Folder of the pictures and CSV files, next to the page."""
 
 FACTS = "measured.json"
-"""There too: when and on what machine the CSV files were measured, and their headings."""
+"""File in this folder with the times, computers and headings of the CSV files."""
 
 AS_USUAL = re.compile(
     r"^Success: | and \d+ cycles|, none dropped|"
     r"; all \d+ motor tables within limits( \(\d+ % used\))?"
 )
-"""Parts of the outcome of a demo that `demos` states once for all."""
+"""Parts of a demo's result that `demos` states only once for all demos."""
 
 ABOUT = """# Results: speed against accuracy
 
@@ -36,9 +36,9 @@ given) they are up to twice as long. Each section ends with the name of its meas
 
 
 def read_facts(folder: Path, data: Data) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what is known of measurements, and the headings of CSV files, by chart.
+    """Return the facts about measurements, and the headings of CSV files by chart.
 
-    Measurements that are not in `data` (as in their JSON files) are those of which the CSV files
+    Measurements that are not in `data` (as in their JSON files) are those from which the CSV files
     in the folder were made.
     """
     path = folder / FACTS
@@ -49,7 +49,7 @@ def read_facts(folder: Path, data: Data) -> tuple[dict[str, Any], dict[str, Any]
 
 
 def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
-    """Write the text, and beside it pictures, CSV files and what is known of them."""
+    """Write the page, and next to it the pictures, the CSV files and the facts about them."""
     folder = path.parent / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for one in charts:
@@ -80,7 +80,7 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
 
 
 def section(chart: Chart, facts: Data, commit: str) -> str:
-    """Return one chart in words and figures."""
+    """Return the section of one chart."""
     lines = [
         f"## {chart.full_title}\n",
         f"{chart.finding}\n",
@@ -96,7 +96,7 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
 
 
 def demos(folder: Path) -> str:
-    """Return the demos that were made, with what became of them."""
+    """Return the section of the demos, with their results."""
     path = folder / "demos.json"
     if not path.exists():
         return ""

@@ -1,4 +1,4 @@
-"""The charts of the solvers: both methods, their options and limits."""
+"""Charts of the solvers: both methods, their options and limits."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from report.chart import Data, Drawn, Sheet, column, parts
 from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
 LEAST_ERROR = 1e-11
-"""Errors below this [mu mg] are rounding, and drawn here."""
+"""Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
 WANTED = 1e-4
-"""Error of a force that counts as met [mu mg]."""
+"""Maximum error of a force that counts as met [mu mg]."""
 
 METHODS = {"sinusoids": Look("B: sinusoids", OURS), "rotations": Look("A: rotations", SECOND)}
-"""Both methods."""
+"""Appearance of both methods."""
 
 
 def solver_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name: single requests."""
+    """Return the rows of the chart `solver`, for single requests."""
     heads = {"parts": "parts", "method": "method", "ms": "time [ms]", "error": "error [mu mg]"}
     return Sheet.of(data["solver"]["samples"], heads)
 
 
 def solver(rows: list[Row]) -> Drawn:
-    """Return error against time of single requests on the averaged map, with peers."""
+    """Return the chart of error against time for single requests on the averaged map, with
+    baselines."""
     looks = {
         "RotationSolver": Look("A: RotationSolver", SECOND, "s"),
         "scipy lm": Look("scipy least_squares (lm)", PEER, "x"),
@@ -63,7 +64,8 @@ def solver(rows: list[Row]) -> Drawn:
 
 
 def options(rows: list[Row]) -> Drawn:
-    """Return what the simulator misses against the time of a solve, for all options and scipy."""
+    """Return the chart of the simulated error against the time of a solution, for all options and
+    scipy."""
     looks = {
         ("B", "restarts"): Look("B: sinusoids, more and more restarts", OURS, "o", "-"),
         ("A", "restarts"): Look("A: rotations, more and more restarts", SECOND, "s", "-"),
@@ -99,7 +101,7 @@ def options(rows: list[Row]) -> Drawn:
 
 
 def steering(rows: list[Row]) -> Drawn:
-    """Return time and missed displacement against the number of parts."""
+    """Return the chart of time and displacement error against the number of parts."""
     groups = by(rows, "method")
     counts = tuple(sorted(by(rows, "parts")))
     panels = Panels()

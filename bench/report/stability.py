@@ -1,4 +1,5 @@
-"""The charts of where methods fail: a field of colours, the border in it, and the theory's line."""
+"""Charts of the stability maps: a field of colours, the measured border, and the border by
+theory."""
 
 from __future__ import annotations
 
@@ -13,11 +14,11 @@ from report.chart import Data, Drawn, Sheet
 from report.panels import PEER, Look, Panels, Row, by
 
 MOST_NAMED = 14
-"""As many whole numbers on an axis are all named."""
+"""Maximum number of whole numbers on an axis that are all labelled."""
 
 
 def rows_of(data: Data, one: StabilityMap) -> Sheet:
-    """Return the cells of one map's grids, and the points of theory's line."""
+    """Return the cells of one map's grids, and the points of the borders by theory."""
     heads = {
         "panel": "panel", "case": "case", "x": one.x_label, "y": one.y_label, "z": one.z_label,
     }  # fmt: skip
@@ -26,7 +27,7 @@ def rows_of(data: Data, one: StabilityMap) -> Sheet:
 
 
 def words_of(one: StabilityMap) -> dict[str, str]:
-    """Return the words of one map's chart."""
+    """Return the texts of one map's chart."""
     reading = f"Colour: {one.z_label}. Black: border at {one.level:g}. "
     return {"title": one.title, "reading": f"{reading}Dashed: {one.line_label}. {one.note}"}
 
@@ -40,7 +41,7 @@ def chart_of(rows: list[Row], one: StabilityMap) -> Drawn:
 
 
 def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
-    """Add one grid with its lines."""
+    """Add a panel for one grid with its lines."""
     x, y = axis(one, "x", one.x_label, grid.x), axis(one, "y", one.y_label, grid.y)
     panel = panels.add(grid.title, x, y)
     panel.heat(
@@ -67,6 +68,6 @@ def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> A
 
 
 def steps(line: list[Row], x: Sequence[float], log: bool) -> list[Row]:
-    """Return the line as steps, level across each cell."""
+    """Return a line as steps, constant within each cell."""
     ends = edges(x, log)
     return [r | {"x": ends[x.index(r["x"]) + side]} for r in line for side in (0, 1)]

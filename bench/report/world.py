@@ -1,4 +1,4 @@
-"""The charts of simulator, vision and the closed loop's cost."""
+"""Charts of the simulator, of vision, and of the closed loop's computing time."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from report.chart import Data, Drawn, Sheet, column, table
 from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
 LEAST_MM = 1e-12
-"""Errors below this [mm] are rounding, and drawn here."""
+"""Minimum drawn error [mm]. Smaller errors are rounding errors, and are drawn at this value."""
 
 DEFAULT_TOLERANCE = f"{TOLERANCE:g} m"
-"""Setting of the simulator that is our default."""
+"""Default setting of the simulator."""
 
 SIMULATORS = {
     "by events": Look("points, by events", OURS), "in steps": Look("points, in steps", SECOND, "s"),
@@ -21,7 +21,7 @@ SIMULATORS = {
     "pymunk": Look("pymunk", PEER, "D"), "MuJoCo": Look("MuJoCo", THIRD, "^"),
     "scipy RK45": Look("scipy", FAINT, "x"),
 }  # fmt: skip
-"""Our integrators and the peers."""
+"""Appearance of the project's integrators and the baselines."""
 
 SIMULATED = (
     ("travel", "gamma", "1 part, shaken at {} mu g", "error of the travel after 1 s [mm]",
@@ -30,11 +30,12 @@ SIMULATED = (
     ("body", "case", "1 {} that slides and turns, 0.2 s", "error of centre or rim [mm]",
      "error_mm", None, "-"),
 )  # fmt: skip
-"""Case, what tells its panels apart, their title, label, column, least number, and line."""
+"""Case, column that distinguishes its panels, their title, label, column, minimum number, and
+line."""
 
 
 def sim_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name, by case: travel, discs, body, lead."""
+    """Return the rows of the chart `sim`, by case: travel, discs, body, lead."""
     error, discs = table(data, "sim", "error"), table(data, "sim", "discs")
     rows: list[Row] = [{"case": "travel"} | r for r in error.rows]
     rows += [
@@ -53,7 +54,8 @@ def sim_rows(data: Data) -> Sheet:
 
 
 def sim(rows: list[Row]) -> Drawn:
-    """Return error against speed of the simulator: parts alone, and parts that collide."""
+    """Return the chart of the simulator's error against speed, for separate and for colliding
+    parts."""
     panels, cases = Panels(), by(rows, "case")
     speed = Axis("simulated time per core time [s/s]", log=True)
     for case, key, title, label, error, least, line in SIMULATED:
@@ -76,7 +78,7 @@ def sim(rows: list[Row]) -> Drawn:
 
 
 def is_default(row: Row) -> bool:
-    """Whether a setting of the simulator is our default."""
+    """Whether a setting of the simulator is its default."""
     if row["case"] == "discs":
         return bool(row["method"] == "plate_sim" and row["step_ms"] <= 1.01e3 * STEP)
     return row["setting"] == (
@@ -85,7 +87,7 @@ def is_default(row: Row) -> bool:
 
 
 def cost_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name: stages [ms], and models of parts [s of 1 s]."""
+    """Return the rows of the chart `cost`: stages [ms], and models of parts [s per simulated s]."""
     stages, models = table(data, "stages", "stages"), table(data, "sim", "cost")
     seconds = [
         {key: value if key == "parts" else value and 1 / value for key, value in r.items()}
@@ -98,7 +100,8 @@ def cost_rows(data: Data) -> Sheet:
 
 
 def cost(rows: list[Row]) -> Drawn:
-    """Return the cost of every stage, and of every model of the simulator, by parts."""
+    """Return the chart of the computing time of every stage and of every model of the simulator, by
+    number of parts."""
     stages, models = by(rows, "case")["stages"], by(rows, "case")["simulator"]
     counts = column(stages, "parts")
     panels = Panels()
@@ -134,12 +137,12 @@ def cost(rows: list[Row]) -> Drawn:
 
 
 def span(rows: list[Row], key: str) -> str:
-    """Return the least and greatest value of a column."""
+    """Return the minimum and maximum of a column."""
     return f"{min(column(rows, key)):.2g} to {max(column(rows, key)):.2g}"
 
 
 def vision(rows: list[Row]) -> Drawn:
-    """Return error against time of finding discs, a panel for each scene."""
+    """Return the chart of error against time for finding discs, with a panel for each scene."""
     colours, methods = (OURS, PEER, SECOND, THIRD, "#8a6d00", LIMIT), list(by(rows, "method"))
     looks = {
         name: Look(name, *look) for name, *look in zip(methods, colours, "osD^vx", strict=False)
@@ -164,5 +167,5 @@ def vision(rows: list[Row]) -> Drawn:
 
 
 def is_wrong(row: Row) -> bool:
-    """Whether a method missed or invented parts."""
+    """Whether a method missed parts, or found parts that do not exist."""
     return row["missed_percent"] + row["false_percent"] > 0

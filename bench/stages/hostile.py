@@ -1,5 +1,6 @@
-"""Difficult scenes of parts of any outline: drawn at sub-pixels, with light, shadows, blur and
-noise.
+"""Difficult scenes of parts of any outline, drawn at sub-pixels.
+
+The scenes have uneven light, shadows, blur and noise.
 
 The parts are those of config/parts.yaml at the scale of the default rig. The detector gets images
 of the bare plate before.

@@ -1,5 +1,4 @@
-"""Latency from the call of emergency_stop to the Stop on the serial line, under floods of
-messages."""
+"""Latency from the call of emergency_stop to the Stop on the serial line, during floods."""
 
 from __future__ import annotations
 
