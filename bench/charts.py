@@ -36,7 +36,7 @@ def main() -> int:
 
     folder = args.out / "bench"
     failed: list[str] = []
-    # The project's own text shows thorough measurements only.
+    # The project's own pages contain only complete measurements, not quick ones.
     own = args.out == ROOT / "out" and not args.quick
     if not args.draw:
         needed = dict.fromkeys(name for one in report.CHARTS for name in one.sources)
@@ -49,7 +49,7 @@ def main() -> int:
         failed = run_all(lacking, args.quick, folder, quiet=own)
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
-    for name in data:  # of every commit with that code
+    for name in data:  # the current commit has the same code
         if is_done(folder, name, args.quick):
             data[name]["commit"] = commit()
     facts, columns = report.read_facts(results, data)

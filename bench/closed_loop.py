@@ -42,7 +42,7 @@ def main() -> int:
             load_planner(args.planner, rig)
         if args.json:
             args.json.parent.mkdir(parents=True, exist_ok=True)
-            args.json.open("a").close()  # if that cannot be, better before the first run
+            args.json.open("a").close()  # fail before the first run if the file cannot be written
         setups = [
             with_settings(Setup(args.scenario, seed, own_planner=args.planner), settings)
             for seed in args.seeds

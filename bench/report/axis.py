@@ -97,7 +97,7 @@ def log_ticks(low: float, high: float) -> list[float]:
         ]  # fmt: skip
         if len(found) > LEAST_TICKS:
             return found
-    first, last = 10**low, 10**high  # where the axis is short it is nearly linear
+    first, last = 10**low, 10**high  # a short axis is nearly linear
     power = 10.0 ** floor(log10((last - first) / LEAST_TICKS))
     step = max(k * power for k in (1, 2, 5) if k * power <= (last - first) / LEAST_TICKS)
     return [step * k for k in range(ceil(first / step), floor(last / step) + 1)]

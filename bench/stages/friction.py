@@ -129,7 +129,7 @@ def measured(
     tracker, now, rest = look(tracker, now)
     measurement, true = FrictionMeasurement.start(rig, rest), []
     start = simulation.state.position
-    row_of = {  # the detector gives names of its own
+    row_of = {  # the detector assigns its own names
         name: int(np.argmin(np.hypot(*(start - place).T))) for name, place in rest.place.items()
     }
     while measurement.push is not None:

@@ -95,11 +95,11 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
         yield EVENTS, f"{tolerance:g} m", [run()[0, 0] - exact], run, SPAN
     for step_ms in steps_ms:
         name, dt = f"{step_ms:g} ms", 1e-3 * step_ms
-        count = max(1, round(1 / FREQUENCY / dt))  # in a cycle, as near as they fit
+        count = max(1, round(1 / FREQUENCY / dt))  # number of steps per cycle nearest to dt
         steps = [1 / FREQUENCY / (count + i) for i in repeats]
         errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
         yield STEPS, name, errors, partial(scene.travel_in_steps, steps[0]), SPAN
-        if optional(PYMUNK):  # it may take the plate's velocity where it serves it best
+        if optional(PYMUNK):  # two times in a step for the plate's velocity
             spans = [SPAN / (CYCLES * count + 3 * i) for i in repeats]
             both = [
                 [peer_travel(scene, span, offset)[0, 0] - exact for span in spans]

@@ -74,7 +74,7 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
             if method == ROTATIONS and index and index % ROTATION_SHARE != 1:
                 continue
             answer, seconds = timed(solver.solve, position, force)
-            if not index:  # the first one warms up
+            if not index:  # the first request is a warm-up
                 continue
             t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES
             if isinstance(answer, np.ndarray):

@@ -48,7 +48,7 @@ def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict
     for _ in range(count + 1):
         found, period = scene(rig, controller, scatter(rig, parts, rng), rng)
         scenes.append(found)
-    ms, miss, own, ask = np.swapaxes(scenes[1:], 0, 1)  # the first one has warmed up
+    ms, miss, own, ask = np.swapaxes(scenes[1:], 0, 1)  # the first scene was a warm-up
 
     def percent(what: np.ndarray, of: np.ndarray) -> float:
         return 100 * float(np.sqrt(np.sum(what**2) / np.sum(of**2)))

@@ -46,11 +46,11 @@ class Driven(Direct):
         self._interpolates, self._fed = drive == DRIVES[0], drive == DRIVES[1]
         self._delay_s, self._rate = 1e-3 * np.array([latency_ms, jitter_ms]), 2 * np.pi * loop_hz
         self._rng, self._steps = np.random.default_rng(seed), 0
-        self._sent: list[tuple[float, np.ndarray, np.ndarray]] = []  # and not yet there
+        self._sent: list[tuple[float, np.ndarray, np.ndarray]] = []  # setpoints on the bus
         self._from, self._goal, self._speed = np.zeros((3, 3))
         self._into, self._state = BUS_STEPS, np.zeros((3, 3))
         self.squares: list[float] = []
-        """Of the plate's distance from where its cycle is [m2]."""
+        """Squared distances of the plate from its commanded position [m2]."""
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
         """Advance the time, while the drives follow the setpoints."""

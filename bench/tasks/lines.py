@@ -71,7 +71,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     enables = operator.enables
     run(play_s, True)
     times = []
-    own = operator.enables - enables  # it had stopped, and the operator enabled again
+    own = operator.enables - enables  # enables after stops that were not requested
     count = len(played)
     for _ in range(stops):
         run(BEGIN_S, True, lambda: emulator.state is State.PLAYING)

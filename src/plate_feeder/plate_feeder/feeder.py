@@ -609,7 +609,7 @@ class Feeder:
     # Orders
 
     def _decide(self) -> None:
-        """Change the order if the previous one is in force."""
+        """Update the order. Its mode changes only after a status has confirmed the previous one."""
         if self._task is not _Task.RUNNING:
             return
         order = FeedOrder(self._mode(), self._picks(), hidden=self._reserved is not None)

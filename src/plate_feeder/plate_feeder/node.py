@@ -116,7 +116,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._inbox: deque[Callable[[], None]] = deque()  # filled by the server's thread
         self._results: dict[bytes, tuple[Reply, Part | None]] = {}  # not yet fetched, by goal
         self._enabled_at: Any = None  # last known time at which the motors were enabled
-        self._stopped = ""  # reason of a stop that was in force at deactivation
+        self._stopped = ""  # reason of a stop that was active at deactivation
         self.report(self._find, self._values)
 
     def configure(self) -> None:

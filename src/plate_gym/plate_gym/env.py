@@ -241,7 +241,8 @@ def check_begun(plates: Sequence[Plate]) -> None:
 
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
-    """Return actions clipped to their bounds. Refuse values beyond them by more than rounding."""
+    """Return actions clipped to their bounds. Refuse values that exceed them by more than
+    `ROUNDING`."""
     if not isinstance(space, gym.spaces.Box):
         cycles = list(actions)
         for action in cycles:

@@ -29,7 +29,8 @@ MOST_THINGS = 10
 """Maximum number of objects used for the fit. More make it slower, and hardly better."""
 
 PIXELS = 3000.0
-"""Maximum total area of the objects used, divided by pi [px^2]. So fewer large objects are used."""
+"""Maximum total area of the objects in the fit, divided by pi [px^2]. It reduces the number of
+large objects."""
 
 SIZE = 1.05, 4.0
 """Range of the area of a part with its shadow, relative to the part's area."""

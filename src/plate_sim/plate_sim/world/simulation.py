@@ -247,9 +247,9 @@ class Simulation:
         Parameters
         ----------
         to : int
-            A `Move`: away; over a place, where its arm hides the plate below; or over a place with
-            a grip of the nearest part, which removes it from the plate. With the probability
-            `pick_failure` the part slips, and may be displaced slightly.
+            A `Move`. AWAY: away from the plate. OVER: over the pose, so that its arm hides the
+            plate below. GRIP: the same with a grip, which removes the nearest part from the plate.
+            With the probability `pick_failure` the part slips, and may be displaced slightly.
         x, y, angle : float
             Pose of the gripper [m, m, rad, plate_home]. Not used for the move away.
 

@@ -27,8 +27,8 @@ DIFFERS = 0.06
 outer corners, relative to the image's width [-]."""
 
 STILL = 0.01
-"""Maximum distance from the board in the previous picture, measured in the same way, at which the
-board counts as at rest and its image is not blurred [-]."""
+"""Maximum distance between the boards in successive pictures, as for `DIFFERS` [-]. Up to this
+distance the board counts as at rest, and its image is not blurred."""
 
 COLUMNS, ROWS = 4, 3
 """Cells of the grid over the image."""

@@ -25,8 +25,8 @@ EROSION = 0.5
 thin dark line of a plate that is displaced a little."""
 
 MIN_CORE = 0.1
-"""Minimum size of an eroded blob, relative to a whole part's. It keeps a part of which hardly half
-is on the plate, a quarter in a corner, or whose radius is 0.8 of the expected one."""
+"""Minimum size of an eroded blob, relative to a whole part's. It accepts a part with almost half of
+its area on the plate, with a quarter in a corner, or with 0.8 of the expected radius."""
 
 MAX_CORE = 1.5
 """Maximum size of an eroded blob that counts as one part, relative to a whole part's."""

@@ -160,7 +160,7 @@ class Source(Protocol):
         """
 
     def state(self) -> Mapping[str, object]:
-        """Return the settings in force, for diagnostics."""
+        """Return the current settings, for diagnostics."""
 
     def close(self) -> None:
         """Close the device."""

@@ -293,7 +293,7 @@ class V4l2Source(Camera):
         return None if value is None else float(EXPOSURE_US * value)
 
     def state(self) -> Mapping[str, object]:
-        """Return format, exposure and gain in force, and the meaning of the stamps."""
+        """Return the current format, exposure and gain, and the meaning of the stamps."""
         device, exposure_us = self._device, self._exposure_us()
         gain = device.get(GAIN) if device else None
         kinds = {True: "start of exposure", False: "end of exposure", None: "arrival"}
