@@ -472,7 +472,7 @@ class FrictionMeasurement:
         if weakest < MIN_SIGNAL * error:
             raise PlateError(
                 f"friction: parts slide {1e3 * weakest:.2f} mm, and the camera's noise is "
-                f"{1e3 * error:.2f} mm, allowed: {MIN_SIGNAL:g} times as much slip as noise"
+                f"{1e3 * error:.2f} mm, allowed: slip of at least {MIN_SIGNAL:g} times the noise"
             )
         return replace(
             self, stage=Stage.DISTANCE, todo=tuple(todo), rest=rest, notes=self.notes + notes
