@@ -1,10 +1,10 @@
-/* A CAN bus on a desk, with the rig's drives at its other end: built with limits_rig.h of the rig
+/* A simulated CAN bus with the rig's drives. It is built with limits_rig.h, which is made from the rig
    file.
 
-     can ID HEX   a frame comes, ID in hex
-     busoff       the bus is lost for a moment
+     can ID HEX   receive a frame, ID in hex
+     busoff       lose the bus for a moment
 
-   Printed: `can ID HEX` of each frame that is sent; of a request ID with 800h, and no HEX. */
+   Output: `can ID HEX` for each frame that is sent. A remote request has 800h in its ID, and no HEX. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

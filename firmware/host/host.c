@@ -1,16 +1,16 @@
-/* The firmware on a desk: orders from stdin, answers to stdout. motors.c is hardware that follows at
-   once, can.c a CAN bus with drives; both have orders of their own.
+/* The firmware without hardware: commands from stdin, replies to stdout. motors.c simulates motors that
+   follow at once, can.c a CAN bus with drives. Both have their own commands.
 
-     rx HEX     bytes come
-     run US     let time pass, in ticks of 1 ms
-     late US    the next tick comes later by so much
-     load X     the longest tick, as a share of its period
-     reset      the board starts anew
+     rx HEX     receive these bytes
+     run US     let this time pass, in ticks of 1 ms
+     late US    delay the next tick by this time
+     load X     set the longest tick, as a fraction of its period
+     reset      restart the board
 
-   Arguments, if not those of the rig: the time constant of the motors' heat [s], their
-   continuous_force and their peak force [N], the following error that is a fault [m].
-   Printed: `trigger US HIGH` when the camera's line changes, `tx HEX`, and after each `run` `state
-   STATE FAULTS REFUSED STOP`. */
+   Optional arguments replace the rig's values: the time constant of the motors' heating [s], their
+   continuous_force and their peak force [N], and the following error that is a fault [m].
+   Output: `trigger US HIGH` when the camera's line changes, `tx HEX` for sent bytes, and `state STATE
+   FAULTS REFUSED STOP` after each `run`. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -52,7 +52,7 @@ void hal_write(const uint8_t *data, size_t size)
     printf("\n");
 }
 
-/* After those that were not read yet. */
+/* Append received bytes to those that were not read yet. */
 static void receive(const char *hex)
 {
     size_t size = strlen(hex) / 2;

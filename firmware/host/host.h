@@ -1,10 +1,10 @@
-/* The two halves of the firmware on a desk: line and time, motors. */
+/* The two halves of the firmware without hardware: line and time (host.c), and motors. */
 #ifndef PLATE_HOST_H
 #define PLATE_HOST_H
 
 #include "../controller.h"
 
-/* Of motors.c or can.c, which also have the hal's functions of motors. */
+/* Defined in motors.c or can.c, which also implement the hal's functions for motors. */
 Limits motors_start(void);
 void motors_begin(void); /* before each tick */
 void motors_end(void);   /* after it */

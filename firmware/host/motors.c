@@ -1,12 +1,12 @@
-/* Motors on a desk that follow at once.
+/* Simulated motors that follow at once.
 
      fault N    the board has faults N
-     search N   a search for home takes N ticks, 1 at first
-     jam N      the motors stand still, whatever is commanded: 1, or 0 again not
-     place X    somebody moves the motors to X [m]
+     search N   a search for home takes N ticks (1 at the start)
+     jam N      1: the motors ignore commands and stand still; 0: they follow again
+     place X    an external force moves the motors to X [m]
 
-   Printed: `at US q1..q4 v1..v4 a1..a4` of each tick that commands, `drive US ON` when current is
-   switched. */
+   Output: `at US q1..q4 v1..v4 a1..a4` in each tick with a setpoint, and `drive US ON` when the current
+   is switched. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -18,7 +18,7 @@ static bool on, jammed;
 static int search = 1, searched;
 static float position[MOTORS], acceleration[MOTORS];
 
-/* Of config/rig.yaml: load is what plate_sim's device computes from plate and motors. */
+/* Limits of config/rig.yaml. plate_sim's device computes `load` from plate and motors. */
 static const Limits LIMITS = {
     .stroke_m = 0.010f, .speed = 1.0f, .accel = 100.0f,
     .force = 200.0f, .continuous_force = 100.0f, .heat_s = 60.0f,

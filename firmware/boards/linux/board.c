@@ -1,11 +1,12 @@
-/* A Linux computer as the board: a timer of the kernel gives the ticks, SocketCAN is the bus of the
-   drives, stdin and stdout are the line to the host. Built with limits_rig.h of the rig file.
+/* A Linux computer as the board. A kernel timer gives the ticks, SocketCAN is the drives' bus, and stdin
+   and stdout are the line to the host. It is built with limits_rig.h, which is made from the rig file.
 
      plate CAN [TICKS]
 
-   CAN is a descriptor that carries a struct can_frame in each datagram. TICKS is one from which eight
-   bytes are read, the number of ticks that have passed: a timerfd if there is none. It ends once its
-   input has ended and the motors are off, or its interface is gone or down. */
+   CAN is a file descriptor that carries a struct can_frame in each datagram. TICKS is a file descriptor
+   from which the program reads the number of ticks that have passed (eight bytes). Default: a timerfd.
+   The program ends when its input has ended and the motors are off, or when the CAN interface is gone
+   or down. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
@@ -29,10 +30,10 @@
 #include "limits_rig.h"
 
 #define TICK_NS 1000000
-#define PRIORITY 50       /* of SCHED_FIFO, where the system allows it */
-#define LAST_TICKS 200u   /* for which it goes on without current, once its input has ended: time to
-                             break off a drive that keeps it */
-#define OLD_TICKS 250u    /* after a tick that is so late, what has come meanwhile is old */
+#define PRIORITY 50       /* of SCHED_FIFO, if the system allows it */
+#define LAST_TICKS 200u   /* ticks without current after the input has ended: time to stop a drive
+                             that keeps its current */
+#define OLD_TICKS 250u    /* after a tick as late as this, discard the input that has arrived */
 
 static int can, ticks;
 static uint64_t now_us;
@@ -44,7 +45,7 @@ uint64_t hal_time_us(void) { return now_us; }
 uint32_t hal_boot(void) { return boot; }
 bool hal_idle(void) { return written; }
 void hal_watchdog(void) {}
-void hal_trigger(bool high) { (void)high; } /* there is no such line */
+void hal_trigger(bool high) { (void)high; } /* this board has no trigger line */
 
 size_t hal_read(uint8_t *data, size_t size)
 {
@@ -55,10 +56,10 @@ size_t hal_read(uint8_t *data, size_t size)
 
 void hal_write(const uint8_t *data, size_t size)
 {
-    written = write(STDOUT_FILENO, data, size) == (ssize_t)size; /* a frame goes whole, or not */
+    written = write(STDOUT_FILENO, data, size) == (ssize_t)size; /* whole frames only, or nothing */
 }
 
-/* By how much a tick has begun too late, at most. */
+/* Maximum delay of a tick since the last call [ticks]. */
 float hal_load(void)
 {
     float most = late;
@@ -66,8 +67,8 @@ float hal_load(void)
     return most;
 }
 
-/* Whether there still is an interface, by what reading or writing a frame has returned. Without one the
-   process ends, so that the host says so, and waits for it. */
+/* Check the result of reading or writing a frame for a lost interface. Without an interface the process
+   ends, so that the host reports it and waits for the interface. */
 static void look(ssize_t size)
 {
     gone = gone || size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR && errno != ENOBUFS);
@@ -97,7 +98,7 @@ void can_write(const CanFrame *frame)
     if (frame->id & CAN_REMOTE)
         out.can_id |= CAN_RTR_FLAG;
     memcpy(out.data, frame->data, sizeof out.data);
-    look(write(can, &out, sizeof out)); /* what does not fit is dropped */
+    look(write(can, &out, sizeof out)); /* a frame that does not fit is dropped */
 }
 
 bool can_off(void)
@@ -107,19 +108,19 @@ bool can_off(void)
     return was;
 }
 
-/* Let a tick pass; false: there are no more. */
+/* Wait for the next tick. Return false if there are no more. */
 static bool tick_passed(void)
 {
     struct itimerspec left = {.it_value = {0, TICK_NS}};
     uint64_t passed;
     if (read(ticks, &passed, sizeof passed) != sizeof passed)
         return false;
-    timerfd_gettime(ticks, &left); /* of a timer: until the next one */
+    timerfd_gettime(ticks, &left); /* with a timer: time until the next tick */
     float own = (float)passed - (float)left.it_value.tv_nsec / TICK_NS;
     late = own > late ? own : late;
     now_us += passed * (TICK_NS / 1000);
     for (uint8_t old[4096]; passed > OLD_TICKS && read(STDIN_FILENO, old, sizeof old) > 0;) {
-    } /* an Enable, above all */
+    } /* discard old input, above all an Enable */
     return true;
 }
 
@@ -139,9 +140,9 @@ int main(int argc, char **argv)
         return 1;
     for (int k = 0; k < 3; k++)
         fcntl((const int[]){STDIN_FILENO, STDOUT_FILENO, can}[k], F_SETFL, O_NONBLOCK);
-    for (int k = 0; k < 4; k++) /* it ends by its input, with the motors off */
+    for (int k = 0; k < 4; k++) /* it ends when its input ends, with the motors off */
         signal((const int[]){SIGPIPE, SIGINT, SIGTERM, SIGHUP}[k], SIG_IGN);
-    mlockall(MCL_CURRENT); /* where the system allows it, as the next one */
+    mlockall(MCL_CURRENT); /* if the system allows it, as the next call */
     sched_setscheduler(0, SCHED_FIFO, &urgent);
     boot = (uint32_t)time(NULL) ^ (uint32_t)getpid() << 16;
     drives_start(DRIVES, &LIMITS);

@@ -1,4 +1,5 @@
-/* The controller on an STM32F405: a tick each ms, the line in between, a watchdog over both. */
+/* The controller on an STM32F405: a tick every ms, the serial line between ticks, and a watchdog that
+   monitors both. */
 #include "../../controller.h"
 
 #include "../../drives/drives.h"
@@ -12,7 +13,7 @@
 Record record;
 
 static Controller controller;
-static uint32_t boot, tick_began, longest; /* [counts]: of the ticks since hal_load was asked */
+static uint32_t boot, tick_began, longest; /* [counts]; longest tick since hal_load was called */
 
 void tick(void);
 void idle(void);
@@ -30,7 +31,7 @@ void pin_function(Gpio *port, unsigned pin, unsigned function)
     pin_mode(port, pin, 2);
 }
 
-/* Called in the tick only, and oftener than TIM2 wraps: 51 s, 4 s in QEMU. */
+/* Called only in the tick, and more often than TIM2 wraps (every 51 s, every 4 s in QEMU). */
 uint64_t hal_time_us(void)
 {
     static uint64_t us;
@@ -43,7 +44,8 @@ uint64_t hal_time_us(void)
 
 uint32_t hal_boot(void) { return boot; }
 
-/* Bijective in `value` (the finaliser of MurmurHash3): another count is another number. */
+/* Hash of `value` (the finaliser of MurmurHash3). It is bijective: different values give different
+   numbers. */
 static uint32_t mixed(uint32_t value)
 {
     value = (value ^ value >> 16) * 0x85EBCA6Bu;
@@ -51,8 +53,8 @@ static uint32_t mixed(uint32_t value)
     return value ^ value >> 16;
 }
 
-/* The count of boots outlives a reset; after the supply was away memory holds anything, so that the
-   chip's own noise is added to its number. */
+/* The boot count survives a reset. After a power failure the memory is undefined, so the chip's
+   unique id and random noise are mixed in. */
 static uint32_t boot_number(void)
 {
     uint32_t own = 0;
@@ -74,7 +76,7 @@ static void watchdog_start(void)
     IWDG_KR = IWDG_UNLOCK;
     IWDG_PR = 0;
     IWDG_RLR = WATCHDOG_COUNTS;
-    for (int polls = 0; polls < 100000 && IWDG_SR; polls++) { /* 5 counts of its oscillator */
+    for (int polls = 0; polls < 100000 && IWDG_SR; polls++) { /* 5 of its oscillator's counts */
     }
     IWDG_KR = IWDG_FEED;
 }
@@ -83,7 +85,7 @@ void hal_trigger(bool high) { GPIOB->BSRR = BIT(high ? PIN_TRIGGER : PIN_TRIGGER
 
 void hal_watchdog(void)
 {
-    if (!(SCB_ICSR & ICSR_PENDSTSET)) /* on time: the next tick is not due yet */
+    if (!(SCB_ICSR & ICSR_PENDSTSET)) /* this tick is on time: the next one is not due yet */
         IWDG_KR = IWDG_FEED;
 }
 
@@ -121,7 +123,7 @@ void tick(void)
     keep(counts() - tick_began);
 }
 
-/* The chip's own supply: below 2.9 V an interrupt that ends in a reset, motors off. */
+/* If the chip's supply falls below 2.9 V, an interrupt switches the motors off and ends in a reset. */
 static void brown_out_start(void)
 {
     RCC_APB1ENR |= APB1_PWR;
@@ -133,8 +135,8 @@ static void brown_out_start(void)
 
 static volatile uint32_t waits[2];
 
-/* Nothing to do until an interrupt comes, also one that is held back. A debugger that stops here
-   stops between ticks; where it watches one of `waits`, after every second one. */
+/* Wait for an interrupt. A masked interrupt also ends the wait. A debugger with a breakpoint here stops
+   between ticks. With a watchpoint on one of `waits` it stops after every second tick. */
 __attribute__((noinline)) void idle(void)
 {
     waits[record.ticks % 2]++;
@@ -156,12 +158,12 @@ int main(void)
     usart_start();
     controller_start(&controller, LIMITS);
     brown_out_start();
-    /* Bytes before the tick, the tick before the rest; faults before all. */
+    /* Priorities: faults first, then received bytes, then the tick, then the main loop. */
     NVIC_IPR(IRQ_USART1) = 0x40;
     SCB_SHPR3 = 0xC0u << 24;
     SYSTICK_RVR = clock.core_hz / TICK_HZ - 1;
     SYSTICK_CVR = 0;
-    SYSTICK_CSR = 7; /* core's clock, interrupt, on */
+    SYSTICK_CSR = 7; /* core clock, interrupt, enabled */
     watchdog_start();
     for (;;) {
         usart_drain();

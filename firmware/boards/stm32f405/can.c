@@ -1,11 +1,11 @@
-/* CAN bus at 1 Mbit/s, for drives in place of the bridges: CAN1. Frames come and go by interrupt, before
-   the tick. */
+/* CAN bus (CAN1) at 1 Mbit/s, for drives instead of bridges. Frames are received and sent by interrupts
+   with higher priority than the tick. */
 #include "../../drives/can.h"
 #include "board.h"
 
-#define ROOM 64u        /* frames each way, a power of two */
+#define ROOM 64u        /* frames in each direction, a power of two */
 #define POLLS 100000u   /* 11 recessive bits last 11 us */
-#define BIT_TIMING (2u | 9u << 16 | 2u << 20) /* 42 MHz by 3, 14 quanta: 1 + 10 + 3, sampled at 79 % */
+#define BIT_TIMING (2u | 9u << 16 | 2u << 20) /* 42 MHz / 3, 14 quanta: 1 + 10 + 3, sampled at 79 % */
 
 typedef struct {
     volatile uint32_t in, out; /* frames so far */
@@ -18,7 +18,7 @@ static bool was_off;
 void can_sent(void);
 void can_came(void);
 
-/* A mailbox is free, or there is more to send. */
+/* Interrupt: a mailbox is free, or a new frame waits. */
 void can_sent(void)
 {
     CAN1->TSR = TSR_RQCP;
@@ -43,7 +43,7 @@ void can_came(void)
         uint8_t size = box->DTR & 15u;
         CAN1->RFR[0] = RFR_RFOM;
         if (identifier & IR_RTR_OR_IDE || received.in - received.out == ROOM)
-            continue; /* nobody reads that fast: what does not fit is lost */
+            continue; /* the queue is full: the frame is lost */
         CanFrame *frame = &received.frames[received.in % ROOM];
         frame->id = (uint16_t)(identifier >> 21);
         frame->size = size < 8 ? size : 8;
@@ -79,14 +79,14 @@ bool can_off(void)
 {
     bool off = CAN1->ESR & ESR_BOFF, left = off && !was_off;
     was_off = off;
-    if (left) { /* old setpoints must not be sent once it is back */
-        waiting.out = waiting.in; /* first: each mailbox that is empty takes the next */
+    if (left) { /* old setpoints must not be sent when the bus returns */
+        waiting.out = waiting.in; /* before the abort: each free mailbox would take the next frame */
         CAN1->TSR = TSR_ABRQ;
     }
     return left;
 }
 
-/* Without the crystal the bit rate is wrong: the bus stays alone, and the drives silent. */
+/* Without the crystal the bit rate would be wrong, so CAN1 stays off and the drives get no frames. */
 void can_start(void)
 {
     pin_mode(GPIOB, PIN_ENABLE, 1);
@@ -100,13 +100,13 @@ void can_start(void)
     for (uint32_t polls = 0; polls < POLLS && !(CAN1->MSR & MSR_INAK); polls++) {
     }
     CAN1->BTR = BIT_TIMING;
-    CAN1->FMR |= FMR_FINIT; /* filter 0 takes all, into the first queue */
+    CAN1->FMR |= FMR_FINIT; /* filter 0 accepts all frames into the first queue */
     CAN1->FS1R = 1;
     CAN1->FR[0] = CAN1->FR[1] = 0;
     CAN1->FA1R = 1;
     CAN1->FMR &= ~FMR_FINIT;
     CAN1->IER = IER_TMEIE | IER_FMPIE0;
-    CAN1->MCR = MCR_TXFP | MCR_ABOM; /* on the bus once it has been quiet for 11 bits */
+    CAN1->MCR = MCR_TXFP | MCR_ABOM; /* joins the bus after 11 idle bits */
     NVIC_IPR(IRQ_CAN1_TX) = NVIC_IPR(IRQ_CAN1_RX0) = 0x40;
     NVIC_ISER(IRQ_CAN1_TX / 32) = BIT(IRQ_CAN1_TX % 32) | BIT(IRQ_CAN1_RX0 % 32);
 }

@@ -1,7 +1,8 @@
-/* 168 MHz from a crystal. Where it does not come the chip goes on with its own 16 MHz, and says so. */
+/* 168 MHz from a crystal. If the crystal or the PLL does not start, the chip runs on its internal 16 MHz
+   and reports it. */
 #include "board.h"
 
-/* 25 ms and more at 16 MHz; a crystal needs 2 ms, the PLL 0.3 ms. */
+/* At least 25 ms at 16 MHz. A crystal needs 2 ms, the PLL 0.3 ms. */
 #define POLLS 100000u
 
 #define CORE_HZ 168000000u
@@ -27,7 +28,7 @@ static bool fast(void)
     if (!comes(&RCC_CR, CR_HSERDY, CR_HSERDY))
         return false;
     FLASH_ACR = ACR_5_WAITS_AND_CACHES;
-    /* 1 MHz by 336 is 336 MHz, by 2 the core's and by 7 the random numbers' 48 MHz. */
+    /* 1 MHz times 336 is 336 MHz. Divided by 2 it clocks the core, by 7 (48 MHz) the random numbers. */
     RCC_PLLCFGR = CRYSTAL_MHZ | 336u << 6 | 0u << 16 | PLLCFGR_HSE | 7u << 24;
     RCC_CR |= CR_PLLON;
     if (!comes(&RCC_CR, CR_PLLRDY, CR_PLLRDY))
@@ -38,19 +39,19 @@ static bool fast(void)
         RCC_CFGR = 0;
         return false;
     }
-    RCC_CR |= CR_CSSON; /* a crystal that stops later ends in a crash: motors off, reset */
+    RCC_CR |= CR_CSSON; /* if the crystal stops later, crash() switches the motors off and resets */
     return true;
 }
 
 void clock_start(void)
 {
-    /* Real chips begin with their own oscillator on and ready: 0 is nobody there. */
+    /* Real chips start with the internal oscillator on and ready. 0 means that no RCC exists: QEMU. */
     clock.emulated = RCC_CR == 0;
     clock.locked = clock.emulated || fast();
     clock.core_hz = clock.locked ? CORE_HZ : OWN_HZ;
     clock.line_hz = clock.locked ? CORE_HZ / 2 : OWN_HZ;
     clock.pwm_hz = clock.core_hz;
-    /* QEMU's timers count nanoseconds, whatever the clock. */
+    /* QEMU's timers always count nanoseconds. */
     clock.counts_per_us = clock.emulated ? 1000 : clock.locked ? CORE_HZ / 2000000u : OWN_HZ / 1000000u;
     RCC_APB1ENR |= APB1_TIM2;
     TIM2->ARR = 0xFFFFFFFFu;

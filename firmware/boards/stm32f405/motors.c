@@ -1,4 +1,4 @@
-/* Four voice coils behind H-bridges, four position sensors: PWM, force loop, finding home, faults. */
+/* Four voice coils on H-bridges and four position sensors: PWM, force loop, home search, faults. */
 #include <math.h>
 #include <string.h>
 
@@ -11,30 +11,30 @@
 
 static const Limits *limits;
 
-/* Where a motor is, by an observer that follows the sensor: travel [m], speed [m/s], acceleration
-   [m/s2]; and what the sensor says at home [m from its middle]. */
+/* State of a motor, estimated by an observer from the sensor: travel [m], speed [m/s], acceleration
+   [m/s2]. `home` is the sensor's reading at home [m from its middle]. */
 typedef struct {
     float position, velocity, acceleration, home;
 } Seen;
 
 static Seen seen[MOTORS];
 static float supply; /* [V] */
-static int supply_bad;    /* ticks on end */
+static int supply_bad;    /* consecutive ticks */
 static bool sensors_lost, sensors_met, driving;
 
-/* Home search of each motor: its setpoint [m], and whether its edge was there. */
+/* Home search of each motor: its setpoint [m], and whether its flag's edge was found. */
 static struct {
     bool begun, found[MOTORS];
-    bool beyond[MOTORS]; /* the side on which it began */
+    bool beyond[MOTORS]; /* side of home on which the search began */
     float told[MOTORS];
 } search;
 
-/* Counts of all conversions: one tick's work, 8 us, of which nobody waits longer than SENSOR_POLLS. */
+/* Convert all sensors to counts: 8 us per tick. Return false if it takes more than SENSOR_POLLS polls. */
 static bool convert(uint32_t raw[MOTORS])
 {
     ADC1->SR = ~ADC_JEOC;
     ADC1->CR2 |= ADC_JSWSTART;
-    /* QEMU's converter never says that it is done. */
+    /* QEMU's converter never reports completion. */
     for (int polls = 0; !clock.emulated && !(ADC1->SR & ADC_JEOC); polls++)
         if (polls == SENSOR_POLLS)
             return false;
@@ -45,8 +45,8 @@ static bool convert(uint32_t raw[MOTORS])
 
 static float travel(uint32_t raw) { return ((float)raw - SENSOR_MIDDLE) * SENSOR_M_PER_COUNT; }
 
-/* Fading-memory filter of second order (Brookner 1998, 1.3.2): three poles at r, so that neither
-   speed nor acceleration needs a difference of raw counts. */
+/* Second-order fading-memory filter (Brookner 1998, 1.3.2) with three poles at r. Speed and
+   acceleration need no differences of raw counts. */
 static void observe(Seen *s, float measured)
 {
     const float r = SENSOR_MEMORY, left = 1 - r;
@@ -77,14 +77,14 @@ void motors_measure(void)
     supply_bad = good || clock.emulated ? 0 : supply_bad + (supply_bad < SUPPLY_TICKS);
 }
 
-/* A force [N] by the voltage that drives its current against winding and back-EMF. */
+/* Apply a force [N]: set the voltage that drives its current against resistance and back-EMF. */
 static void push(int motor, float force)
 {
     float volts = MOTOR_OHM / MOTOR_NEWTON_PER_AMPERE * force +
                   MOTOR_NEWTON_PER_AMPERE * seen[motor].velocity;
     float duty = fabsf(volts) / fmaxf(supply, SUPPLY_LEAST_V);
     unsigned pin = PIN_DIRECTION + (unsigned)motor;
-    if (!(duty <= DUTY_MOST)) /* what is not finite, too */
+    if (!(duty <= DUTY_MOST)) /* also catches NaN */
         duty = duty > DUTY_MOST ? DUTY_MOST : 0;
     GPIOB->BSRR = BIT(volts < 0 ? pin + 16 : pin);
     TIM8->CCR[motor] = (uint32_t)(duty * (float)PERIOD_COUNTS);
@@ -92,7 +92,7 @@ static void push(int motor, float force)
 
 static float clamped(float force, float most) { return fmaxf(fminf(force, most), -most); }
 
-/* Towards a setpoint; `most` is the force that it may take [N]. */
+/* Move a motor towards its setpoint; `most` is the maximum force [N]. */
 static void pull(int m, float position, float velocity, float ahead, float most)
 {
     float force = ahead + STIFFNESS_N_PER_M * (position - seen[m].position) +
@@ -146,14 +146,14 @@ void hal_drive(bool on)
     if (!on)
         return;
     TIM8->SR = ~TIM_BIF;
-    TIM8->BDTR = BDTR_OFF | BDTR_MOE; /* does not take while the bridges' fault lasts */
+    TIM8->BDTR = BDTR_OFF | BDTR_MOE; /* has no effect while the bridges report a fault */
     GPIOB->BSRR = BIT(PIN_ENABLE);
     driving = true;
 }
 
 bool hal_ready(void) { return true; }
 
-/* Bridges have no words. */
+/* Bridges report no trouble in detail. */
 bool hal_trouble(Trouble *trouble)
 {
     (void)trouble;
@@ -173,8 +173,8 @@ static void search_begin(void)
     }
 }
 
-/* Each motor creeps to the edge of its home flag, and waits there for the others. One that does not
-   meet it within twice its sensor's reach stays where it is: the controller's time is over then. */
+/* Each motor creeps to the edge of its home flag and waits there for the others. A motor that finds no
+   edge within twice the sensor's reach stops, and the controller's home search times out. */
 bool hal_home(void)
 {
     bool found = true;
@@ -199,13 +199,13 @@ bool hal_home(void)
     return true;
 }
 
-void hal_forget(void) {} /* it is searched for at the next enable */
+void hal_forget(void) {} /* the next enable searches for home */
 
 uint8_t hal_faults(void)
 {
     uint8_t faults = supply_bad >= SUPPLY_TICKS ? FAULT_SUPPLY : 0;
     bool bridges = !clock.emulated && !(GPIOA->IDR & BIT(PIN_BRIDGE_FAULT));
-    bool broken = driving && !clock.emulated && TIM8->SR & TIM_BIF; /* however short it was */
+    bool broken = driving && !clock.emulated && TIM8->SR & TIM_BIF; /* latched, so also a short fault */
     if (!clock.locked || sensors_lost || bridges || broken || limits->stroke_m > SENSOR_REACH_M)
         faults |= FAULT_HARDWARE;
     return faults;
@@ -216,7 +216,7 @@ static void bridges_start(void)
     RCC_APB2ENR |= APB2_TIM8;
     motors_cut();
     pin_mode(GPIOB, PIN_ENABLE, 1);
-    GPIOA->PUPDR |= 2u << 2 * PIN_BRIDGE_FAULT; /* down: a broken wire is a fault */
+    GPIOA->PUPDR |= 2u << 2 * PIN_BRIDGE_FAULT; /* pull-down: a broken wire is a fault */
     pin_function(GPIOA, PIN_BRIDGE_FAULT, 3);
     for (unsigned m = 0; m < MOTORS; m++) {
         pin_mode(GPIOB, PIN_DIRECTION + m, 1);
@@ -242,12 +242,12 @@ static void sensors_start(void)
     ADC1->CR1 = ADC_SCAN;
     /* 28 cycles for the sensors, 480 for the supply with its slow divider. */
     ADC1->SMPR2 = 2u | 2u << 3 | 2u << 6 | 2u << 9 | 7u << 3 * PIN_SUPPLY;
-    ADC1->JSQR = 3u << 20 | 0u | 1u << 5 | 2u << 10 | 3u << 15; /* four, channels 0 to 3 */
+    ADC1->JSQR = 3u << 20 | 0u | 1u << 5 | 2u << 10 | 3u << 15; /* four conversions, channels 0 to 3 */
     ADC1->SQR3 = PIN_SUPPLY;
     ADC1->CR2 = ADC_ADON | ADC_CONT;
     for (uint32_t begun = counts(); counts() - begun < 3 * clock.counts_per_us;) { /* it wakes up */
     }
-    ADC1->CR2 |= ADC_SWSTART; /* the supply, again and again; sensors go before */
+    ADC1->CR2 |= ADC_SWSTART; /* converts the supply continuously; the sensors have priority */
 }
 
 void motors_start(const Limits *of)

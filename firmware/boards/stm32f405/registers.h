@@ -12,7 +12,7 @@
 #define SCB_ICSR REGISTER(0xE000ED04u)
 #define SCB_SHPR3 REGISTER(0xE000ED20u)
 #define SCB_CPACR REGISTER(0xE000ED88u)
-#define ICSR_PENDSTSET BIT(26) /* the next tick is due already */
+#define ICSR_PENDSTSET BIT(26) /* the next tick is already due */
 #define NVIC_ISER(n) REGISTER(0xE000E100u + 4u * (n))
 #define NVIC_IPR(irq) (*(volatile uint8_t *)(uintptr_t)(0xE000E400u + (irq)))
 #define SYSTICK_CSR REGISTER(0xE000E010u)

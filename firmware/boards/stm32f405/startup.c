@@ -1,4 +1,4 @@
-/* From reset to main, the vector table, and what happens when something goes wrong. */
+/* Startup from reset to main, vector table, and fault handling. */
 #include "board.h"
 
 extern uint32_t stack_top, data_start, data_end, data_load, bss_start, bss_end;
@@ -13,8 +13,8 @@ void can_came(void) __attribute__((weak, alias("crash")));
 
 volatile Survivor survivor __attribute__((section(".noinit")));
 
-/* No memory is sound, no clock is sure: first the motors' current goes, then the watchdog, which is
-   fed no more, resets the chip. */
+/* Memory and clocks cannot be trusted here. First cut the motors' current. The watchdog is no longer
+   fed, so it then resets the chip. */
 __attribute__((noreturn, used)) static void end(const uint32_t *stacked)
 {
     motors_cut();
@@ -25,8 +25,8 @@ __attribute__((noreturn, used)) static void end(const uint32_t *stacked)
         motors_cut();
 }
 
-/* Every fault and every interrupt that nobody asked for: a stack of its own, since the one that was
-   may be what went wrong. */
+/* Handler of every fault and every unexpected interrupt. It starts a fresh stack, because the old one
+   may be the cause. */
 __attribute__((naked)) void crash(void)
 {
     __asm__ volatile("mov r0, sp\n"
@@ -39,7 +39,7 @@ __attribute__((naked)) void crash(void)
 
 void reset(void)
 {
-    SCB_CPACR |= 0xFu << 20; /* floating point on, before any is used */
+    SCB_CPACR |= 0xFu << 20; /* enable floating point before its first use */
     __asm__ volatile("dsb\nisb" ::: "memory");
     const uint32_t *from = &data_load;
     for (uint32_t *to = &data_start; to < &data_end;)
@@ -64,7 +64,7 @@ __attribute__((section(".vectors"), used)) static const struct {
     },
     .irq = {
         [0] = crash,
-        [IRQ_PVD] = crash, /* the chip's own supply falls: while it can, it lets go of the motors */
+        [IRQ_PVD] = crash, /* the chip's supply falls: switch the motors off while the chip still runs */
         [2 ... IRQ_CAN1_TX - 1] = crash,
         [IRQ_CAN1_TX] = can_sent,
         [IRQ_CAN1_RX0] = can_came,

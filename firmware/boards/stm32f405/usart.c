@@ -1,14 +1,14 @@
-/* The line: USART1, 8 data bits, no parity, one stop bit. Bytes come by interrupt, before the tick;
-   they go from the main loop, so the tick never waits for them. */
+/* The serial line: USART1, 8 data bits, no parity, one stop bit. Bytes are received by an interrupt with
+   higher priority than the tick. They are sent by the main loop, so the tick never waits for them. */
 #include "../../hal.h"
 #include "board.h"
 
-#define ROOM 4096u /* bytes each way, a power of two: 44 ms of line at 921,600 baud */
+#define ROOM 4096u /* bytes in each direction, a power of two: 44 ms at 921,600 baud */
 
-#define DEAF (CR1_UE | CR1_TE | CR1_RE) /* without interrupts of bytes that come */
+#define DEAF (CR1_UE | CR1_TE | CR1_RE) /* without receive interrupts */
 
 typedef struct {
-    volatile uint32_t in, out; /* bytes so far: what is between them is held */
+    volatile uint32_t in, out; /* bytes so far; the buffer holds those between `out` and `in` */
     uint8_t bytes[ROOM];
 } Ring;
 
@@ -27,8 +27,8 @@ void usart(void)
     record.received++;
     if (status & SR_ORE)
         record.overruns++;
-    /* Until the tick has read: what a full buffer cannot take is lost. One place is left for the
-       byte that comes before this is written: its interrupt is pending then. */
+    /* Stop receiving until the tick has read: bytes that do not fit are lost. One place is kept for a
+       byte that arrives before this write: its interrupt is then already pending. */
     if (in + 1 - received.out >= ROOM - 1)
         USART1->CR1 = DEAF;
 }
@@ -70,7 +70,7 @@ void usart_drain(void)
 void usart_start(void)
 {
     RCC_APB2ENR |= APB2_USART1;
-    GPIOA->PUPDR |= 1u << 2 * PIN_RX; /* a line that is not there is quiet */
+    GPIOA->PUPDR |= 1u << 2 * PIN_RX; /* an unconnected line stays idle */
     pin_function(GPIOA, PIN_TX, 7);
     pin_function(GPIOA, PIN_RX, 7);
     USART1->BRR = (clock.line_hz + BAUD / 2) / BAUD;
