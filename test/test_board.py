@@ -174,7 +174,7 @@ def _bench(tmp_path):
     return Bench(tmp_path)
 
 
-STANDARD = "limits of config/rig.yaml as it came (no RIG is named)"
+STANDARD = "limits of the original config/rig.yaml (RIG is not set)"
 
 
 @emulated
@@ -193,7 +193,7 @@ def test_flash_takes_what_was_built_as_told_and_says_what_that_is(bench):
     assert f"limits of {bench.rig}; CRYSTAL_MHZ 8, BAUD 921600" in told
     for limit in (
         "stroke 0.0071 m", "speed 1.0 m/s", "acceleration 100.0 m/s2", "force 12.5 N",
-        "following error not watched",
+        "following error not monitored",
     ):  # fmt: skip
         assert limit in told
     assert bench.image() == image
