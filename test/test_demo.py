@@ -144,6 +144,7 @@ def tell(event, arguments):
         with open(os.environ["LOADED"], "a") as file:
             file.write(f"{time.monotonic()} {os.getpid()} {arguments[0]}\\n")
 sys.addaudithook(tell)
+os.register_at_fork(after_in_child=lambda: tell("import", ["fork"]))
 """
 
 
@@ -213,7 +214,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
 def check_that_no_node_has_loaded_code_since(moves, loaded, demo):
     """An answer would be late by that."""
     loaded = [line.split() for line in loaded.read_text().splitlines()]
-    assert len({pid for _, pid, _ in loaded}) > 6  # we heard of the nodes
+    assert len({pid for _, pid, _ in loaded}) > 6  # we heard of the nodes: forks are told too
     late = [(pid, name) for at, pid, name in loaded if float(at) > moves]
     assert [name for pid, name in late if pid != str(demo)] == []
 
