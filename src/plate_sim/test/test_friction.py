@@ -180,6 +180,19 @@ def test_a_plate_that_moves_nowhere_finite_is_refused(how):
         simulate(motion, [[0, 0]], [[0, 0]], MU, **how)
 
 
+def test_a_cycle_that_ends_in_motion_is_not_repeated():
+    moving = np.zeros((3, 3))
+    moving[1] = 0.01, 0.0, 0.2
+    cycle = PlateCycle.stopping(moving, 0.1)  # starts in motion, ends at rest
+    simulate(cycle, [[0, 0]], [[0, 0]], MU)
+    message = (
+        r"cycles is 2, allowed: 1, as the cycle does not close: .* 0 m or rad in pose, 0\.2 in "
+        r"twist, 0 in acceleration, allowed: 1e-06 m and 1e-05 rad"
+    )
+    with pytest.raises(PlateError, match=message):
+        simulate(cycle, [[0, 0]], [[0, 0]], MU, cycles=2)
+
+
 def test_a_cycle_that_does_not_close_is_refused():
     states = np.zeros((3, 3, 3))
     states[0, 2, 0] = 1e-3

@@ -7,6 +7,7 @@ cycle runs and which one follows.
 
 from .cycle import (
     PIECES,
+    REST_TOLERANCE,
     PlateCycle,
     control_points,
     evaluate_pieces,
@@ -22,6 +23,7 @@ __all__ = [
     "HOLD_CYCLES",
     "IDLE_S",
     "PIECES",
+    "REST_TOLERANCE",
     "CycleUsage",
     "PlateCycle",
     "Timeline",

@@ -8,6 +8,7 @@ from numbers import Integral
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
+from plate_core.motion import REST_TOLERANCE
 
 from ..plate.motion import PlateMotion
 
@@ -23,10 +24,19 @@ def whole(name: str, value: int) -> int:
 
 
 def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
-    """Refuse an invalid motion of the plate, and repetitions of a PlateMotion."""
+    """Refuse an invalid motion of the plate, and repetitions of a motion that does not close."""
     if not isinstance(cycle, PlateCycle | PlateMotion):
         raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle or PlateMotion")
     if isinstance(cycle, PlateCycle):
+        if cycles > 1 and not cycle.closes:
+            pose, twist, accel = np.abs(cycle.state(-1) - cycle.state(0)).max(axis=1)
+            most, most_angle = REST_TOLERANCE[0], REST_TOLERANCE[2]
+            raise PlateError(
+                f"cycles is {cycles}, allowed: 1, as the cycle does not close: end and start "
+                f"differ by {pose:.3g} m or rad in pose, {twist:.3g} in twist, {accel:.3g} in "
+                f"acceleration, allowed: {most:g} m and {most_angle:g} rad, 100 times that per s, "
+                "10 000 times that per s2"
+            )
         return
     if cycles > 1:
         raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion")

@@ -75,7 +75,7 @@ def simulate(
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
-        Motion of the plate. A PlateCycle is repeated; a PlateMotion runs once.
+        Motion of the plate. A PlateCycle that closes can be repeated; other motions run once.
     position, velocity : (M, 2)
         Parts at the start of the first cycle [m], [m/s], plate_home.
     friction : float or (M,)
@@ -99,7 +99,8 @@ def simulate(
     Raises
     ------
     PlateError
-        If shapes disagree, a value is not finite, or a count or coefficient is out of range.
+        If shapes disagree, a value is not finite, a count or coefficient is out of range, or a
+        motion that does not close is repeated.
     """
     cycles = whole("cycles", cycles)
     check_motion(cycle, cycles)

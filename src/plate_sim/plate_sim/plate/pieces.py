@@ -39,7 +39,6 @@ def tabulate(
     gravity along the plate (2,) [m/s2].
     """
     table, scales = np.empty((len(cycle.coefficients), WIDTH)), np.empty(8)
-    _kernels.tabulate(
-        cycle.times, cycle.coefficients, *gravity, isinstance(cycle, PlateCycle), table, scales
-    )
+    closed = isinstance(cycle, PlateCycle) and cycle.closes
+    _kernels.tabulate(cycle.times, cycle.coefficients, *gravity, closed, table, scales)
     return table, scales
