@@ -1,12 +1,11 @@
 """A feeder: dispenses parts to a robot one by one, while the planner gets the next ones ready."""
 
-from .codes import MEANINGS, Code
+from .codes import Code
 from .feeder import Feeder
 from .hand_eye import HandEye, HandEyeError, fit_hand_eye, load_hand_eye
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 __all__ = [
-    "MEANINGS",
     "Code",
     "FeedStatus",
     "Feeder",

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from plate_vision import CalibrationError, Lens
-from plate_vision.camera import Board, draw_board, find_corners, fit_lens
-from plate_vision.camera.boards import choose, find_board
+from plate_vision.camera import Board, draw_board, find_board, fit_lens
+from plate_vision.camera.boards import choose
 
 MATRIX = np.array([[620.0, 0, 331.0], [0, 610.0, 236.0], [0, 0, 1]])
 BENT = [-0.22, 0.06, 0.0008, -0.0006, 0.0]
@@ -42,7 +42,7 @@ def test_lens_is_found(board, make_scene, rng):
     """Where it matters: rays through the image are seen within 0.1 px of where they are."""
     found = []
     for image, turn, move in sights(board, make_scene, rng):
-        sight = find_corners(image, board)
+        sight = find_board(image, board)[1]
         if sight is None:
             continue
         found.append(sight)
@@ -99,7 +99,7 @@ def test_lenses_of_other_models_are_found(model, bend, make_scene, rng):
         size = np.array(picture.shape[::-1]) / SQUARE_PX * CHARUCO.square_m
         scene = make_scene(picture, size, WIDE, bend, fisheye)
         move = move * [1.3, 1.3, 0.5 if k % 2 else 0.65]
-        sight = find_corners(scene.take(turn, move, rng, blur=0.6, noise=2.0), CHARUCO)
+        sight = find_board(scene.take(turn, move, rng, blur=0.6, noise=2.0), CHARUCO)[1]
         if sight is not None:
             found.append(sight)
     assert len(found) >= 12
@@ -127,7 +127,7 @@ def test_a_rational_lens_has_as_many_values_as_the_pictures_tell(make_scene):
     scene = make_scene(picture, size, WIDE, bend)
     sights = []
     for turn, move in poses(9, rng):
-        sight = find_corners(scene.take(turn, move * [1, 1, 0.65], rng), CHARUCO)
+        sight = find_board(scene.take(turn, move * [1, 1, 0.65], rng), CHARUCO)[1]
         sights += [] if sight is None else [sight]
     fit = fit_lens(CHARUCO, sights, (640, 480), "rational_polynomial")
     corners = np.array([[0, 0], [639, 0], [639, 479], [0, 479.0]])
@@ -171,7 +171,7 @@ def test_boards_that_begin_white_are_recognised(columns, rows, legacy, make_scen
     assert len(which) > 0.9 * len(board.corners)
     assert find_board(np.full_like(image, 200), printed) == (printed, None)  # as the one before
     with pytest.raises(CalibrationError, match=f"they fit {columns}x{rows}.*allowed: "):
-        find_corners(image, Board(rows, columns, 0.03, 0.022))
+        find_board(image, Board(rows, columns, 0.03, 0.022))
 
 
 def test_pictures_that_differ_most_are_chosen(rng):
@@ -204,9 +204,9 @@ def test_boards_are_those_of_opencv():
 
 def test_corners_of_half_covered_boards(make_scene, rng):
     image, _, _ = next(sights(CHARUCO, make_scene, rng, 1))
-    which, place = find_corners(image, CHARUCO)
+    which, place = find_board(image, CHARUCO)[1]
     image[:, :320] = 128
-    part, seen = find_corners(image, CHARUCO)
+    part, seen = find_board(image, CHARUCO)[1]
     assert 6 <= len(part) < len(which)
     same = dict(zip(which.tolist(), place, strict=True))
     assert all(
@@ -214,8 +214,8 @@ def test_corners_of_half_covered_boards(make_scene, rng):
         for k, p in zip(part.tolist(), seen, strict=True)
         if p[0] > 340
     )
-    assert find_corners(np.full_like(image, 200), CHARUCO) is None
-    assert find_corners(np.full_like(image, 200), CHESS) is None
+    assert find_board(np.full_like(image, 200), CHARUCO)[1] is None
+    assert find_board(np.full_like(image, 200), CHESS)[1] is None
 
 
 def test_what_tells_no_lens_is_refused(rng):

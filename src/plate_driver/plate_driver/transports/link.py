@@ -199,11 +199,6 @@ class Link:
         """Whether a command is not sent or not answered yet."""
         return bool(self.queue or self.next_table)
 
-    @property
-    def movable(self) -> bool:
-        """Whether the device accepts tables."""
-        return self.telemetry is not None and self.telemetry.state in MOVABLE
-
     # Requests of the host
 
     def uploading(

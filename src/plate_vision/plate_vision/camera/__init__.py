@@ -3,7 +3,7 @@
 Other packages use the names below. `calibrate_camera` is the program `calibrate`.
 """
 
-from .boards import Board, LensFit, draw_board, find_corners, fit_lens
+from .boards import Board, LensFit, draw_board, find_board, fit_lens
 from .encodings import bits_hint, decode, decode_file, grey_levels, is_wide, is_wide_file
 from .files import Pictures, load_lens, read_pictures, rig_of_picture, save_lens, write_picture
 from .lens import (
@@ -31,7 +31,7 @@ __all__ = [
     "decode_file",
     "draw_board",
     "draw_marker",
-    "find_corners",
+    "find_board",
     "find_markers",
     "fit_lens",
     "grey_levels",

@@ -1,6 +1,6 @@
 """Chessboards and ChArUco boards: draw them, find them in pictures, and fit a camera's lens.
 
-`find_corners` finds the inner corners of a board to sub-pixels. `fit_lens` takes the corners from
+`find_board` finds the inner corners of a board to sub-pixels. `fit_lens` takes the corners from
 at least five pictures and fits K and the distortion: OpenCV's calibrateCamera for plumb_bob and
 rational_polynomial, Levenberg-Marquardt for an equidistant lens.
 """
@@ -180,26 +180,21 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
     return np.pad(picture, square_px // 2, constant_values=255)
 
 
-def find_corners(grey: np.ndarray, board: Board) -> Corners | None:
+def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Board, Corners | None]:
     """Find a board's inner corners in an image (H, W) uint8; None if fewer than `LEAST_CORNERS`.
+    Also return the board as printed: the given one, unless the markers show that its first square
+    has the other colour.
 
     All corners of a chessboard must be visible. On a ChArUco board, the corners next to visible
-    markers are found. Its first square may be black or white.
+    markers are found.
+
+    If `fast`, a picture without a chessboard takes 0.1 s instead of 2 s, but a few chessboards are
+    missed.
 
     Raises
     ------
     CalibrationError
         If markers are visible, but not at the places where this board has them.
-    """
-    return find_board(grey, board)[1]
-
-
-def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Board, Corners | None]:
-    """Find the corners as `find_corners` does. Also return the board as printed: the given one,
-    unless the markers show that its first square has the other colour.
-
-    If `fast`, a picture without a chessboard takes 0.1 s instead of 2 s, but a few chessboards are
-    missed.
     """
     grey = np.ascontiguousarray(grey)
     if board.marker_m == 0:
