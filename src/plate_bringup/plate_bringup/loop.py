@@ -415,23 +415,6 @@ def load_planner(path: str, rig: Rig) -> ControlLaw:
     return law
 
 
-def _checked(wanted: object, path: str) -> Wanted:
-    """Return the request of a user's planner. Raise an error if it is invalid."""
-    if not isinstance(wanted, Wanted):
-        raise PlateError(
-            f"planner {path}: plan returned {type(wanted).__name__}, allowed: a plate_core.Wanted"
-        )
-    for name in ("force", "tolerance", "torque"):
-        values = getattr(wanted.forces, name)
-        if not np.all(np.isfinite(values)) or (name == "tolerance" and np.any(values < 0)):
-            allowed = "finite, at least 0" if name == "tolerance" else "finite"
-            raise PlateError(
-                f"planner {path}: {name} of {', '.join(wanted.parts.ids)} is {values.tolist()}, "
-                f"allowed: {allowed}"
-            )
-    return wanted
-
-
 class Direct:
     """Immediate transport to the simulator. A cycle that is sent during another one runs after
     it."""
@@ -521,7 +504,12 @@ def run(
             expected = predicted(wanted, state)
             # While the task is held, the plate must rest for the image, also with a user's planner.
             if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
-                wanted = _checked(own.plan(parts, began), setup.own_planner)
+                wanted = own.plan(parts, began)
+                if not isinstance(wanted, Wanted):
+                    raise PlateError(
+                        f"planner {setup.own_planner}: plan returned {type(wanted).__name__}, "
+                        "allowed: a plate_core.Wanted"
+                    )
             solving = cpu_time()
             answer = controller.answer(wanted, line.running)
             solve_s = cpu_time() - solving
