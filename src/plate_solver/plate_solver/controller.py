@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted
+from plate_core.motion import IDLE_S
 
 from .cycle_map import finely_sampled
 from .goal import Goal, Solution, Status
@@ -30,9 +31,6 @@ from .start import Memory, part_types, predict_start
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
 """Names of the methods: the letters of the paper and the names in this project."""
-
-IDLE_PERIOD = 0.1
-"""Length of a cycle at rest [s]."""
 
 DRIFT_TOLERANCE = 5e-5
 """Error per second of the cycle below which a search for forces stops [m/s]."""
@@ -151,7 +149,7 @@ class Controller:
     def warm_up(self) -> None:
         """Solve test requests with each method, so that the first real request finds all tables and
         libraries loaded. Forgets all parts and solutions."""
-        rest = PlateCycle.rest(IDLE_PERIOD)
+        rest = PlateCycle.rest(IDLE_S)
         rotated = Parts.make(("part_0",), np.zeros((1, 2)))
         requests = [Wanted.make(rotated, torque=np.array([1e-6]))]
         for count in (2, 4, 6):
@@ -188,18 +186,18 @@ class Controller:
     ) -> Answer:
         if not len(wanted.parts):
             self._memory = Memory()
-            return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
+            return Answer(PlateCycle.rest(IDLE_S), None, "no parts, plate at rest", 0.0, 0.0)
         rig, solver, facts = self._rig, self._solvers[method], RequestFacts.of(self._rig, wanted)
         certain = wanted.plate is not None and wanted.start is not None
-        goes_on = method == "sinusoids" and facts.far and certain
+        free_end = method == "sinusoids" and facts.far and certain
         period = solver.steering_period(
-            len(wanted.parts), facts.rotating or 0, facts.lasting, goes_on
+            len(wanted.parts), facts.rotating or 0, facts.lasting, free_end
         )
         start = predict_start(
             rig, wanted, self._memory, running, facts.rotating is not None, method == "rotations"
         )
         self._memory = start.memory
-        goal = form_goal(rig, wanted, start, period, COAST_S if facts.far else 0.0, goes_on)
+        goal = form_goal(rig, wanted, start, period, COAST_S if facts.far else 0.0, free_end)
         rest = PlateCycle.rest(period)
         if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
             return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)

@@ -99,10 +99,10 @@ class MotionSolver(ABC):
 
     @abstractmethod
     def steering_period(
-        self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
+        self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
     ) -> float:
         """Return the period [s] of the cycles of `steer` for `count` parts.
 
-        `turns` is the number of parts with a requested rotation. `lasting` is as in `Goal`.
-        `goes_on` is True if cycles start from a given plate state and may end in motion.
+        `turns` is the number of parts with a requested rotation. `lasting` and `free_end` are as in
+        `Goal`. They have no effect on sequences of rotations, which end at rest.
         """

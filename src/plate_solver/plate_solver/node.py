@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateCycle, PlateError, Wanted, load_rig
-from plate_core.motion import in_time, is_rest
+from plate_core.motion import IDLE_S, in_time, is_rest
 from plate_core.rig import doubts
 from plate_core.ros import (
     DATA,
@@ -35,7 +35,7 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 from plate_interfaces.msg import PartForces
 
-from .controller import IDLE_PERIOD, METHODS, Answer, Controller
+from .controller import METHODS, Answer, Controller
 from .library import Library, condition_number
 
 RESTART_NS = 1_000_000_000
@@ -200,7 +200,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         began, running = time.monotonic(), self._running(stamp_ns)
         self._adapt(wanted.plate)
         if not start_ns:
-            start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_PERIOD))
+            start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_S))
         left_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), LONGEST_S) - self._handover_s
         try:
             until = began + left_s if self._handover_s else math.inf
@@ -230,7 +230,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._tally.failed = why
         self._count["no_solution"] += 1
         self.get_logger().error(f"no solution, plate rests: {why}", throttle_duration_sec=WARN_S)
-        return PlateCycle.rest(IDLE_PERIOD)
+        return PlateCycle.rest(IDLE_S)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:
         """Return the cycle that began when the image was taken: the last one that was sent in

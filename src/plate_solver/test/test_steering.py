@@ -390,4 +390,4 @@ def test_a_plate_that_shakes_little_goes_on_in_longer_cycles(rig):
     weak = replace(rig, limits=replace(rig.limits, accel=5 * rig.friction.accel))
     for one, period in ((rig, 0.1), (weak, 0.2)):
         solver = SinusoidSolver(one)
-        assert solver.steering_period(4, lasting=True, goes_on=True) == period
+        assert solver.steering_period(4, lasting=True, free_end=True) == period

@@ -133,7 +133,7 @@ class RotationCycles(MotionSolver):
         self._warm = self._basis = None
 
     def steering_period(
-        self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
+        self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
     ) -> float:
         return self.options.period * (0.5 if count <= FEW[0] else 0.75 if count <= FEW[1] else 1.0)
 
@@ -195,7 +195,9 @@ class RotationCycles(MotionSolver):
         slack = 0.0 if goal.lasting else 0.5 * goal.tolerance
         force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
-        if goal.turns is not None:  # rotate a disc from rest by the request
+        if goal.turns is not None:
+            # A disc in a field with this curl has the angular acceleration mu g curl/2. From rest
+            # it rotates by mu g curl T^2/4.
             turns = goal.turns
             curl = turns.middle * 4 / (goal.friction_accel * period**2)
             curl = np.where(turns.weight > 0, curl, np.nan)

@@ -109,13 +109,13 @@ class SinusoidCycles(MotionSolver):
         return goal_solution(goal, cycle, good_enough, iterations, condition)
 
     def steering_period(
-        self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
+        self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
     ) -> float:
-        return self._steering_key(2 * count + turns, lasting, goes_on)[1]
+        return self._steering_key(2 * count + turns, lasting, free_end)[1]
 
-    def _steering_key(self, constraints: int, lasting: bool, goes_on: bool) -> tuple[int, float]:
+    def _steering_key(self, constraints: int, lasting: bool, free_end: bool) -> tuple[int, float]:
         """Return harmonics and period of the cycles of `steer`."""
-        if lasting and goes_on and not self.options.harmonics:
+        if lasting and free_end and not self.options.harmonics:
             return next((n, s) for most, n, s in GOING_ON if self._gamma <= most)
         return self._rest_key(constraints, lasting)
 
