@@ -287,7 +287,8 @@ def kalman_update(
     weighted = np.einsum("aki,akij->akj", velocity, inverse)
     information = np.einsum("aki,aki->ak", weighted, velocity)
     lateness = np.einsum("aki,aki->ak", weighted, innovation)
-    # Ignore pushed parts when the error of the stamp is estimated.
+    # Ignore pushed parts when the error of the stamp is estimated. For each part alone,
+    # z' (S + s^2 v v')^-1 z follows from S^-1 by Sherman and Morrison (1950).
     usual = np.maximum(square - jitter**2 * lateness**2 / (1 + jitter**2 * information), 0)
     known = usual <= PUSHED_SIGMA**2
     information, lateness = (np.sum(x * known, axis=1) for x in (information, lateness))
@@ -308,6 +309,8 @@ def kalman_update(
     rest[row, part] = np.diag(FIRST_SEEN**2)
     rest[row, part, 4, 4] = covariance[row, part, 4, 4]
     square = np.minimum(square, PUSHED_SIGMA**2)
+    # For all parts together the same formula gives sum left' S^-1 left + late^2/s^2, and the
+    # determinant has the additional factor 1 + s^2 sum v' S^-1 v.
     likelihood = -0.5 * (
         np.sum(square + np.log(np.linalg.det(spread)), axis=1)
         + (late / jitter) ** 2

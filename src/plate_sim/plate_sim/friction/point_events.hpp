@@ -130,6 +130,8 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
     const double root = std::sqrt(std::max(0.0, b * b - 3 * c * down));
     const double s = b + root > 0 ? -down / (b + root) : 0.5;
     const double least = r + s * (down + s * (b + s * c)), turn = bounds.rate * h;
+    // The error of the cubic is at most h^4/384 times the slip's fourth derivative, which is about
+    // accel rate^3 (Hermite interpolation). 0.01 is four times that.
     return least < 0.01 * bounds.accel * h * (turn * (turn * turn));
 }
 
@@ -170,6 +172,8 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
             h = hint = 0.5 * h;
             continue;
         }
+        // The error is of the order h^5. The factor for the next step is at most 6: an error near 0,
+        // which a straight motion has, tells nothing about longer steps.
         const double grown =
             error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);
         const bool as_wanted = h == first && first == hint;

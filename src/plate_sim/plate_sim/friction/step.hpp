@@ -205,7 +205,9 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
                        end.vx - end.spin * qy, end.vy + end.spin * qx, end.spin};
     const Slip gain{after.vx - m.vx, after.vy - m.vy, after.spin - m.spin}, pull{fall.x, fall.y, 0};
     if (!holds(gain - pull, m.angle, static_dv, body, mesh)) return {false, after};
-    // Check also the rate at the end, where it may come loose: 3 gain - 4 half by a parabola.
+    // Check also the rate at the end, where it may come loose. The parabola a s + b s^2 through 0,
+    // half at s = 1/2 and gain at s = 1 has a = 4 half - gain and b = 2 gain - 4 half. Its rate at
+    // s = 1 is a + 2 b = 3 gain - 4 half.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);
@@ -241,7 +243,7 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     Motion after = moved(m, h, m.vx + fall.x + push.x, m.vy + fall.y + push.y, m.spin + push.turn);
     const Slip end = slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin);
     bool loose = true;
-    if (stuck) {  // the slip grows from 0 as a parabola: its initial rate
+    if (stuck) {  // the slip grows from 0 as a parabola: its initial rate, a in `ride`
         start = 4 * half - end;
         loose = static_dv <= dv || !holds(4 * middle - end - push, m.angle, static_dv, body, mesh);
     }

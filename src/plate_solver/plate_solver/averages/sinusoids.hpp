@@ -20,8 +20,10 @@ namespace plate::averages {
 using namespace sinusoids;
 
 // Damping options for a fresh start, and for a start near a solution.
-constexpr Damping AFRESH{1.25e-3, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
-constexpr Damping NEAR{1.25e-5, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
+constexpr Damping AFRESH{.first = 1.25e-3, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
+                         .stall_steps = 6, .stall_fraction = 0.7};
+constexpr Damping NEAR{.first = 1.25e-5, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
+                       .stall_steps = 6, .stall_fraction = 0.7};
 
 constexpr int FIRST = 0;  // number of the first start
 

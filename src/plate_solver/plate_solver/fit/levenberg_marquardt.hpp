@@ -17,7 +17,8 @@ struct Damping {
 };
 
 // Options for expensive evaluations: more damping is tried, and the search never counts as stalled.
-constexpr Damping DAMPING{1e-2, 1e-6, 1e3, 3.0, 4.0, 1'000'000, 1.0};
+constexpr Damping DAMPING{.first = 1e-2, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
+                          .stall_steps = 1'000'000, .stall_fraction = 1.0};
 
 // Parameters (P,), errors (R,), their negative Jacobian (R, P), and number of steps.
 template <class Number>

@@ -179,8 +179,8 @@ class Goal:
         """Return a reduced goal.
 
         If the goal is lasting, its weights are multiplied by the square of the fraction, so that
-        errors at edges and between parts dominate. Otherwise displacements and rotations are
-        multiplied by the fraction.
+        errors at edges and between parts dominate: half a goal has 1/16 of the squared errors.
+        Otherwise displacements and rotations are multiplied by the fraction.
         """
         turns = self.turns
         if self.lasting:

@@ -46,8 +46,10 @@ TAIL_PERIOD_S = 0.1
 the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
-"""Final pose [m], velocity [m/s] and acceleration [m/s2] for which the quintic has a maximum speed
-of 1 m/s."""
+"""Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. They only
+determine the relative size of its steps. The quintic that leads to one unit has a maximum speed of
+1, 1 and 0.34 m/s (15/8 pose/TAIL_S, velocity, 0.068 acceleration TAIL_S), and a maximum
+acceleration of 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
 
 LOOKS_PER_HARMONIC = 8
 """Instants per period of the highest harmonic at which the limits are checked."""

@@ -20,7 +20,8 @@ using namespace sinusoids;
 // Options of the Levenberg-Marquardt method. If the distances to go are much longer than one cycle
 // allows, each step covers a small fraction of them. With an initial damping of 1e-2, most of the
 // first five steps are rejected.
-constexpr Damping DAMPING{1.0, 1e-6, 1e3, 3.0, 4.0, 6, 0.9999};
+constexpr Damping DAMPING{.first = 1.0, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
+                          .stall_steps = 6, .stall_fraction = 0.9999};
 
 // A basis of h sinusoidal motions, and the rig's limits. The matrices that move parts have single
 // precision.
