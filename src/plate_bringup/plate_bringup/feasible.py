@@ -25,6 +25,7 @@ from plate_core.tasks import (
     edge_doubts,
     load_scenario,
 )
+from plate_planner.supervision import weak_plate_text
 
 from .bounds import rest_to_rest_s, speed_bounds
 from .rehearsal import STILL, Verdict, judge_task
@@ -126,7 +127,7 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
         lines.append("a part leaves the plate: move starts and goals away from the edges")
     lines += [f"warning: {doubt}" for doubt in edge_doubts(scenario, rig)]
     if not likely:
-        lines.append(remedy(rig, verdict))
+        lines.append(advice_for(rig, verdict))
     return lines, likely
 
 
@@ -177,15 +178,12 @@ def _used(verdict: Verdict) -> str:
     return f"used fractions of the rig's limits: {used}; {KEYS[share.binds]} is used most"
 
 
-def remedy(rig: Rig, verdict: Verdict) -> str:
+def advice_for(rig: Rig, verdict: Verdict) -> str:
     """Return advice about changes that would help."""
     binds = verdict.share.binds
     advice = f"the most used limit is {binds} ({KEYS[binds]}); fewer parts may help"
     if rig.gamma < LEAST_GAMMA:
-        advice = (
-            f"the plate shakes too little: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; "
-            f"advised: {LEAST_GAMMA:g} or more, or fewer parts"
-        )
+        advice = f"{weak_plate_text(rig)}, or fewer parts"
     if np.isfinite(verdict.time_s) and not any(each.lost for each in verdict.rehearsals):
         advice += f"; or a time_limit_s of {1.2 * verdict.time_s:.0f} s"
     return advice

@@ -5,7 +5,7 @@ and `InputMonitor` decides whether a task can continue with them.
 """
 
 from .bystanders import Overlooked, bystanders_text, is_bystander, without_surplus
-from .failure import LastSeen, loss_of, outlook, shortfall_text
+from .failure import LastSeen, loss_of, outlook, shortfall_text, weak_plate_text
 from .inputs import Inputs
 from .monitor import InputMonitor
 from .phase import (
@@ -47,5 +47,6 @@ __all__ = [
     "shortfall_text",
     "started",
     "stopped",
+    "weak_plate_text",
     "without_surplus",
 ]

@@ -113,13 +113,18 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
 def remedy(rig: Rig, count: int) -> str:
     """Return a remedy for parts that do not move as requested."""
     if rig.gamma < LEAST_GAMMA:
-        return (
-            f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "
-            f"{rig.reach.limit}, advised: {LEAST_GAMMA:g} or more (see check_rig)"
-        )
+        return weak_plate_text(rig)
     if count > FEW:
         return f"{count} parts at once are hard to control: use fewer parts or more space"
     return (
         "friction.mu or the motors may differ from the rig file, or an obstacle blocks it "
         "(calibrate the rig)"
+    )
+
+
+def weak_plate_text(rig: Rig) -> str:
+    """Return a text on a shaking ratio below `LEAST_GAMMA`."""
+    return (
+        f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "
+        f"{rig.reach.limit}, advised: {LEAST_GAMMA:g} or more (see check_rig)"
     )
