@@ -152,7 +152,11 @@ class Dialogue:
         if home not in ("here", "absolute"):
             raise PlateError(f"home is {home!r}, allowed: here, absolute")
         if home == "absolute" and abs(place) > limits.stroke_m:
-            raise PlateError("home is absolute and beyond stroke_m, allowed: here, or set its zero")
+            raise PlateError(
+                f"home is absolute, and the motor is {1e3 * abs(place):.3g} mm from its drive's "
+                f"zero, allowed: at most stroke_m ({1e3 * limits.stroke_m:g} mm); choose here, or "
+                "set the drive's zero"
+            )
         return motor.name, replace(
             drive, counts_per_m=abs(axis.scale), sign=1 if axis.scale > 0 else -1,
             absolute=home == "absolute", serial=self._serial(drive),

@@ -201,8 +201,8 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
         if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
             raise RigError(
                 f"{fields.where}: type {name!r}, allowed: small letters and digits, at most "
-                f"{LONGEST}, such as nut or nut_m4, no number alone after the last _, and not "
-                f"{', '.join(TAKEN)}, the classes of parts without a type"
+                f"{LONGEST}, such as nut or nut_m4, with a letter in each word; reserved: "
+                f"{', '.join(TAKEN)} (classes of parts without a type)"
             )
         types[name] = _part_type(name, fields.child(name))
     return types

@@ -121,7 +121,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
     if not all(group.count for group in parts) and not (feeds and any(g.count for g in parts)):
         raise ScenarioError(
             f"{fields.where}: parts: count is 0, allowed: a whole number from 1 to {MOST_PARTS} "
-            "(for a task of feed 0 is allowed too, but not for all groups)"
+            "(a feed task also allows 0, but not for all groups)"
         )
     scenario = Scenario(
         name=name,

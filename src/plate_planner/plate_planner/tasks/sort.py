@@ -75,7 +75,7 @@ class Sorter(TaskRules):
             if group.count > room:
                 raise ScenarioError(
                     f"{scenario.where}: task: regions: {group.label} has {group.count} parts, "
-                    f"allowed in its region: at most {room}, {hint}"
+                    f"allowed: at most {room} in its region ({hint})"
                 )
         radius = self.rig.parts.radius_m
         for (one, (_, a)), (other, (_, b)) in combinations(self._bins.items(), 2):

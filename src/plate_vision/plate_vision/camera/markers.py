@@ -124,8 +124,8 @@ def draw_marker(dictionary: str, number: int, side_px: int) -> np.ndarray:
 def _dictionary(name: str) -> Any:
     if not hasattr(cv2, "aruco"):
         raise CalibrationError(
-            f"OpenCV {cv2.__version__} was built without markers, allowed: 4.7 or newer, or "
-            "opencv-contrib"
+            f"OpenCV {cv2.__version__} was built without markers, allowed: OpenCV 4.7 or "
+            "newer, or opencv-contrib"
         )
     if name not in DICTIONARIES:
         raise CalibrationError(f"dictionary is {name!r}, allowed: {', '.join(DICTIONARIES)}")
