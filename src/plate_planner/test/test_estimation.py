@@ -410,8 +410,8 @@ def test_it_says_when_answers_begin_late():
     estimator = Estimator.of(RIG, T, 0.0)
     for late, problem in (
         (0, ""),
-        (1, "answers begin a cycle late"),
-        (2, "answers begin 2 cycles"),
+        (1, "results start a cycle late"),
+        (2, "results start 2 cycles late"),
     ):
         told = replace(estimator, log=replace(estimator.log, delays=(late,) * 7)).answer_problem
         assert told.startswith(problem)

@@ -311,7 +311,7 @@ def test_orders_change_what_is_done_and_wrong_ones_are_refused():
     for wrong, why in (
         (replace(pick, label="nut"), "class is 'nut', allowed: black, grey"),
         (replace(pick, high=(0.4, 0.1)), "window of grey"),
-        (replace(pick, angle=1.0, tolerance_rad=0.1), "it is round"),
+        (replace(pick, angle=1.0, tolerance_rad=0.1), "angle of grey .* is round"),
         (replace(pick, ready=0), "ready of grey is 0, allowed: 1 to 100"),
         (replace(pick, low=(np.nan, 0.0)), "window of grey"),
     ):
