@@ -204,7 +204,7 @@ def test_a_bin_too_small_for_its_parts_is_refused():
     room = len(slots(small, "black", RIG))
     assert room == 4  # two by two, 28 mm apart in 50 mm less 10 mm at each side
     scenario = replace(scenario, parts=(PartGroup("black", room + 1), PartGroup("grey", 2)))
-    with pytest.raises(ScenarioError, match=rf"that of black is for {room + 1} parts, .*{room},"):
+    with pytest.raises(ScenarioError, match=rf"black has {room + 1} parts, .* at most {room} "):
         Sorter(scenario.task, RIG).check(scenario)
 
 
@@ -245,7 +245,7 @@ def test_a_corner_too_small_for_its_parts_is_refused():
         if fits:
             Sorter(task, RIG).check(crowded)
             continue
-        with pytest.raises(ScenarioError, match=r"black has 16 parts, allowed .*: at most 15,"):
+        with pytest.raises(ScenarioError, match=r"black has 16 parts, allowed: at most 15 "):
             Sorter(task, RIG).check(crowded)
 
 

@@ -156,7 +156,7 @@ class Mover(TaskRules):
             on = away < reach + reach[k]
             on[k] = False
             name = parts.ids[k]
-            texts += [f"{parts.ids[j]} lies on the target of {name}" for j in np.flatnonzero(on)]
+            texts += [f"{parts.ids[j]} is on the target of {name}" for j in np.flatnonzero(on)]
         return texts
 
     def _types(self, parts: Parts) -> list[PartType]:
