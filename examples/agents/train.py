@@ -8,7 +8,15 @@ environment (pip install ../../src/plate_gym -r requirements.txt):
     python train.py
 
 It writes weights.npz, and curve.csv with the network's results on plates of plate_gym during the
-training. It takes about 20 minutes on one core.
+training. It takes about 20 minutes on one core:
+
+    updates                     400   800  1200  2000  4000  8000
+    done [%]                     42    86   100   100   100   100
+    plate time, median [s]     20.7  13.9  10.1   8.4   7.7   7.2
+
+This is twice the plate time of Method B, and 0.1 ms per decision instead of 30. In the disturbed
+worlds, which it has not seen in training, it takes at most 5 % longer. With ten parts (`--task
+Sort10-v1`) it sorted none after 1,000 updates; longer was not tried.
 """
 
 from __future__ import annotations

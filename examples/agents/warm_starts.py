@@ -1,7 +1,20 @@
 """Measures whether proposed start motions make the project's solver faster, in the closed loop.
 
 Proposals come from a network that imitates the solver, or from the nearest goals that it has solved
-before: `python warm_starts.py --task Sort4-v1`.
+before: `python warm_starts.py --task Sort4-v1` (half an hour; needs scikit-learn). Method B solves
+300 episodes, which give 36,000 goals with their mirror images. In 100 other episodes its search
+also starts from proposals: those of a network (two layers of 512), or the motions of the three most
+similar goals. Medians of plate time [s] and time per decision [ms]; all episodes were done:
+
+    further starts    without      network      nearest goals
+    40 (default)      3.73, 29     3.73, 31     3.60, 29
+    12                4.28, 14     4.07, 14     3.67, 15
+    4                 5.03,  9     4.62, 10     3.90, 11
+
+Plate times on `Sort10-v1` (120 episodes to learn from, 30 others) were 7.0, 6.35 and 6.6 s with 40
+further starts, 8.4, 7.15 and 7.2 s with 12, and 10.85, 9.0 and 8.2 s with 4. So solved goals halve
+the computing time of a known task. The network must predict one motion where many are equally good,
+and helps less with four parts. The solver uses neither.
 """
 
 from __future__ import annotations
@@ -130,7 +143,7 @@ def taught(solved: Solved) -> dict[str, Propose]:
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--task", default="Sort4-v1")
     parser.add_argument("--teach", type=int, default=300, help="episodes to learn from")
     parser.add_argument("--seeds", type=seed_range, default=range(100), help="to judge by")
