@@ -51,8 +51,8 @@ test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
 	    $(ENTER) unset PYTHONDONTWRITEBYTECODE && export ROS_PYTHON_CHECK_FIELDS=1 && \
 	    python tools/needs.py && exec python -m pytest -n $(WORKERS) $(ARGS)
 
-lint: checks ## Check style and types
-	@$(ENTER) ruff check . && ruff format --check . && exec mypy $(TYPED)
+lint: checks ## Check style, sentences and types
+	@$(ENTER) ruff check . && ruff format --check . && python tools/english.py && exec mypy $(TYPED)
 
 format: checks ## Put the code into the project's format
 	@$(ENTER) ruff check --fix . && exec ruff format .

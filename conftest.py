@@ -57,14 +57,14 @@ def clock(monkeypatch):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item):
-    """What a test of real nodes leaves open is reported by that test, not by a later one."""
+    """Report unclosed resources of a test of real nodes with that test, not with a later one."""
     yield
     if time.monotonic() - item.stash[SETUP] > REAL_S:
         gc.collect()
 
 
 def pytest_collection_finish():
-    """What is loaded by now stays: no collection need look at it again."""
+    """Exclude all modules loaded so far from garbage collection: they are never unloaded."""
     gc.collect()
     gc.freeze()
 

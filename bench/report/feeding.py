@@ -8,8 +8,8 @@ from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
 LOOKS = {
     "ours": Look("ours, part by part", OURS, "o"),
-    "vibrated": Look("peer: shakes in the plane, looks", PEER, "s"),
-    "thrown": Look("idealised peer: all parts lie anew", SECOND, "D"),
+    "vibrated": Look("baseline: shakes in the plane, detects", PEER, "s"),
+    "thrown": Look("idealised baseline: all parts thrown again", SECOND, "D"),
 }
 LINES = {method: look._replace(line="-") for method, look in LOOKS.items()}
 

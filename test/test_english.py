@@ -1,0 +1,54 @@
+"""The check of sentences finds each pattern of the private dialect, and no plain sentence."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
+
+from english import PATTERNS, findings, main
+
+BAD = (
+    "What is missed is missed.",
+    "By how much an answer is given sooner.",
+    "So many openings that brought nothing.",
+    "It is a good one but for rounding.",
+    "The plate begins anew.",
+    "The hopper is to be open.",
+    "The forces are as asked.",
+    "A module cannot be had here.",
+)
+GOOD = (
+    "Number of openings without a new part.",
+    "What if a drive fails?",
+    "How far does the part move?",
+    "The plate must rest, except during calibration.",
+)
+
+
+@pytest.mark.parametrize(("advice", "sentence"), list(zip(PATTERNS, BAD, strict=True)))
+def test_each_pattern_is_found_with_its_line(tmp_path, advice, sentence):
+    places = {
+        "page.md": f"# Page\n\n{sentence}\n",
+        "module.py": f'"""Module."""\n\nNAME = 1  # {sentence}\n',
+        "kernel.hpp": f"#pragma once\n\n// {sentence}\n",
+    }
+    for name, text in places.items():
+        file = tmp_path / name
+        file.write_text(text)
+        assert [(line, found) for line, found, _ in findings(file)] == [(3, advice)], name
+
+
+def test_docstrings_and_messages_are_checked(tmp_path, capsys):
+    file = tmp_path / "module.py"
+    file.write_text(f'"""{BAD[0]}"""\n\n\ndef check():\n    raise ValueError("{BAD[3]}")\n')
+    assert main([str(file)]) == 1
+    assert [line.split(":")[1] for line in capsys.readouterr().out.splitlines()] == ["1", "5"]
+
+
+@pytest.mark.parametrize("sentence", GOOD)
+def test_plain_sentences_pass(tmp_path, sentence):
+    file = tmp_path / "page.md"
+    file.write_text(f"{sentence}\n\n```\n{BAD[0]}\n```\n\n| {BAD[1]} |\n")
+    assert main([str(file)]) == 0
