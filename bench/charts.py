@@ -1,7 +1,6 @@
 """Measure and draw docs/results.md, out/report/index.html and tables of other pages.
 
-The tables are in README, docs/graph.md, docs/hardware.md, docs/guide/rig.md and
-docs/guide/trust.md.
+The tables are in README, docs/graph.md, docs/guide/rig.md and docs/guide/trust.md.
 
 python bench/charts.py [--quick] [--draw]
 

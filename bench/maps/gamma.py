@@ -111,7 +111,7 @@ MAP = StabilityMap(
     title="Averages fail: shaking ratio and number of parts",
     x_label="parts",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
-    z_label="missed force over wanted force [-]",
+    z_label="force error over requested force [-]",
     line_label="theory, first order in 1/Γ: the velocity that parts gain within a cycle",
     level=LEVEL,
     measure=measure,

@@ -175,9 +175,9 @@ def measure(quick: bool) -> list[Grid]:
 MAP = StabilityMap(
     key="latency",
     title="Late images: latency and error of the assumed friction, plain PD loop",
-    x_label="true friction over the friction believed [-]",
+    x_label="true over assumed friction [-]",
     y_label="latency of the image [cycles]",
-    z_label="RMS error of a part to be held [mm]",
+    z_label="RMS error of a held part [mm]",
     line_label="theory: the delay margin of the linear loop",
     level=LEVEL_MM,
     measure=measure,

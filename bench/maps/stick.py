@@ -98,7 +98,7 @@ MAP = StabilityMap(
     title="Parts at rest: request and shaking ratio, one part on a line",
     x_label="request: average force on a part at rest [mu mg]",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
-    z_label="share of a cycle at rest [-]",
+    z_label="fraction of a cycle at rest [-]",
     line_label="theory: above it a part never rests",
     level=LEVEL,
     measure=measure,
@@ -106,5 +106,5 @@ MAP = StabilityMap(
     log="y",
     finding="The average force is exact if the part never rests. Larger requests need a higher "
     "shaking ratio.",
-    note=f"Periodic state, after {CYCLES} cycles; border: {100 * LEVEL:g} % of the cycle.",
+    note=f"Periodic state, after {CYCLES} cycles.",
 )

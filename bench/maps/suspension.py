@@ -109,14 +109,14 @@ MAP = StabilityMap(
     x_label="parts",
     y_label="natural frequency [Hz]",
     z_label="velocity error over velocity [-]",
-    line_label="where |H - 1| over the motion's harmonics predicts that error",
+    line_label="theory: |H - 1| over the motion's harmonics",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 2.0),
     log="y",
     steps=True,
-    finding="A plate with a lower natural frequency than the line must be learned first. Because "
-    "of their fast ramps, rotations need a frequency 1.6 to 3.3 times that of sinusoids.",
+    finding="A plate below the line needs a calibration. Because of their fast ramps, rotations "
+    "need a natural frequency 1.6 to 3.3 times that of sinusoids.",
     note=f"Root mean squares; median of {REQUESTS} random requests, periodic state; "
     f"damping {100 * DAMPING:g} %, motors 15 % apart, with a lag of 200 Hz.",
 )

@@ -16,9 +16,7 @@ from harness import ROOT
 from report.chart import Data
 from report.page import cells, common_commit, measured
 
-DOCUMENTS = (
-    "README.md", "docs/graph.md", "docs/hardware.md", "docs/guide/rig.md", "docs/guide/trust.md",
-)  # fmt: skip
+DOCUMENTS = ("README.md", "docs/graph.md", "docs/guide/rig.md", "docs/guide/trust.md")
 
 BLOCK = re.compile(r"(<!-- measured: (\w+) (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

@@ -174,7 +174,7 @@ def drives(rows: list[Row]) -> Drawn:
     found = ", ".join(f"{word} {told[case]} mm" for case, word in words.items())
     return Drawn(
         panels,
-        f"Bridges {shown(bridges['rms_mm'])} mm; {found}.",
+        f"Median error: bridges {shown(bridges['rms_mm'])} mm; {found}.",
     )
 
 

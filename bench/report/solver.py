@@ -117,11 +117,12 @@ def steering(rows: list[Row]) -> Drawn:
                 panel.points(groups[method], "parts", key, Look(name, look.colour, marker, line))
     panel.rule("good enough", y=15)
     missed = {(r["method"], r["parts"]): r["missed_percent"] for r in rows}
-    less = ", ".join(str(n) for n in counts if missed["sinusoids", n] < missed["rotations", n])
+    less = [n for n in counts if missed["sinusoids", n] < missed["rotations", n]]
+    where = "in all cases" if less == list(counts) else f"with {', '.join(map(str, less))} parts"
     cold = {r["parts"]: r["cold_percent"] for r in groups["sinusoids"]}
     return Drawn(
         panels,
         f"Error of Method B from a cold start: {' / '.join(f'{cold[n]:.1f}' for n in counts)} % "
         f"with {' / '.join(str(n) for n in counts)} parts.",
-        f"Method B has the smaller error with {less} parts.",
+        f"Method B has the smaller error {where}.",
     )
