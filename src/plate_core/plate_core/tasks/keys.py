@@ -274,7 +274,7 @@ FEED = Section(
         ),
         Key(
             "chute", Choice(("left", "right", "bottom", "top")), "Side over which unwanted "
-            "parts leave.", None, "none: they stay",
+            "parts leave.", None, "none, they stay",
         ),
         Key("hopper", Table(), "Source of new parts.", None, "none"),
         Key("timeout_s", Number(0.1, 3600), "Maximum wait for a part.", 30.0),
