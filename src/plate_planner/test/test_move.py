@@ -163,7 +163,7 @@ def test_a_target_of_a_part_that_never_was_ends_it():
     planner = Planner(RIG, scenario(PartTarget("black_9", (0.0, 0.0))))
     state, _, progress = run(planner, Plant(SORT_4))
     assert (progress.phase, state.task.reason) == (Phase.LOST, Reason.PART_UNSEEN)
-    assert "black_9 not detected" in progress.text
+    assert "black_9 was not detected" in progress.text
 
 
 def test_a_new_part_stays_where_it_is_seen_first():
