@@ -47,7 +47,7 @@ def tracking(rows: list[Row]) -> Drawn:
     leads = all(
         fastest(groups["sinusoids"], n) >= fastest(groups.get("rotations", []), n) for n in counts
     )
-    most = ", ".join(f"{fastest(rows, n)} by {parts(n)}" for n in counts)
+    most = ", ".join(f"{fastest(rows, n)} with {parts(n)}" for n in counts)
     return Drawn(
         panels,
         f"Maximum speed [mm/s]: {most}. The bound aT/16 is {min(column(rows, 'bound_mm_s')):.0f} "
@@ -235,7 +235,9 @@ def bound(rows: list[Row]) -> Drawn:
     own = [r for r in rows if r["solver"]]
     second.points(own, "parts", "rest_mm_s", Look("found, the solver's cycle", FAINT, "s", ":"))
     second.points(own, "parts", "loop_mm_s", Look("closed loop", PEER, "D", "--"))
-    gain = ", ".join(f"{r['free_mm_s'] / r['rest_mm_s']:.1f} by {parts(r['parts'])}" for r in best)
+    gain = ", ".join(
+        f"{r['free_mm_s'] / r['rest_mm_s']:.1f} with {parts(r['parts'])}" for r in best
+    )
     return Drawn(
         panels,
         f"Best cycle with rest [mm/s]: {listed(best, 'rest_mm_s')}; closed loop: "
@@ -277,7 +279,7 @@ def changed(row: Row) -> str:
 
 def listed(rows: Iterable[Row], key: str) -> str:
     """Return a text with a column's values, by number of parts."""
-    return ", ".join(f"{r[key]:.0f} by {parts(r['parts'])}" for r in rows)
+    return ", ".join(f"{r[key]:.0f} with {parts(r['parts'])}" for r in rows)
 
 
 def crowds(rows: list[Row]) -> Drawn:
