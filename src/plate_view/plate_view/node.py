@@ -11,7 +11,7 @@ from pathlib import Path
 from plate_core import PlateError, config_path, load_rig
 from plate_core.ros import DATA, NodeOptions, SafeLifecycleNode, parameter, run_node
 from plate_core.status import Finding, Level
-from plate_core.tasks import check_scenario, load_scenario, scenario_names
+from plate_core.tasks import check_scenario, load_scenario, read_scenario, scenario_names
 from plate_core.yaml_fields import read_yaml
 from plate_interfaces.msg import Targets
 
@@ -140,10 +140,11 @@ class PageNode(SafeLifecycleNode[Options]):
         )
         for name in [*own, *scenario_names()]:
             with contextlib.suppress(PlateError):
-                scenario = load_scenario(name)
-                check_scenario(scenario, self._rig)
                 path = Path(name) if name in own else config_path("scenarios") / f"{name}.yaml"
-                found[scenario.name] = read_yaml(path, PlateError).data
+                fields = read_yaml(path, PlateError)
+                scenario = read_scenario(fields, path.stem, path.parent)
+                check_scenario(scenario, self._rig)
+                found[scenario.name] = fields.data
         return found
 
     def _tick(self) -> None:
