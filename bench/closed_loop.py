@@ -54,7 +54,7 @@ def main() -> int:
         return 2
     rows = []
     print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs", flush=True)
-    for doubt in planner.doubts():
+    for doubt in planner.warnings():
         print(f"warning: {doubt}", flush=True)
     try:
         for row in _rows(setups, rig, args):

@@ -177,7 +177,7 @@ def checked(args: argparse.Namespace) -> Plan:
                 "port or camera with a task of kind feed, allowed: neither (the robot is simulated)"
             )
         check_robot(scenario.task, args.robot_cycle)
-    for doubt in Planner(rig, scenario).doubts():  # raises if the task does not fit on the plate
+    for doubt in Planner(rig, scenario).warnings():  # raises if the task does not fit on the plate
         print(f"demo: warning: {doubt}", flush=True)
     # This raises if the parts do not fit on the plate.
     start_positions(scenario, rig, np.random.default_rng(args.seed))

@@ -468,7 +468,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if problem := self._monitor.start_problem(now):
             return Failure(Reason.NOT_READY, f"{scenario.name} was not started: {problem}")
         self._end(PREEMPTED)
-        for warning in planner.doubts():
+        for warning in planner.warnings():
             self.get_logger().warning(warning)
         self._tasks.begin(planner, goal, now)
         self._lockstep.goal_accepted()

@@ -41,8 +41,8 @@ from .supervision import (
     TaskState,
     begin,
     bystanders_text,
+    evaluate,
     is_bystander,
-    judge,
     loss_of,
     missing_parts,
     outlook,
@@ -154,11 +154,11 @@ class Planner:
         """Rules of the task. They are cached, because they contain tables of paths and bins."""
         return rules_for(self.scenario.task, self.rig, self.options)
 
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Return warnings before the start on infeasible requests, with remedies."""
         slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
-        doubts = (*self.rules.doubts(), *edge_doubts(self.scenario, self.rig))
-        return (*doubts, slow) if slow else doubts
+        warnings = (*self.rules.warnings(), *edge_doubts(self.scenario, self.rig))
+        return (*warnings, slow) if slow else warnings
 
     @property
     def limits(self) -> TaskLimits:
@@ -402,7 +402,7 @@ class Planner:
             estimator.at_rest,
             estimator.unanswered,
         )
-        task = judge(task, t, findings, self.limits)
+        task = evaluate(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
         return replace(
             state, task=task, estimator=estimator, memory=memory, known=known

@@ -256,10 +256,10 @@ def test_what_is_too_fast_is_said_with_the_speed_that_would_do(speed, accel, sai
     paths = tuple(replace(path, speed=speed) for path in scenario.task.paths)
     rig = replace(RIG, limits=replace(RIG.limits, accel=accel))
     planner = Planner(rig, replace(scenario, task=replace(scenario.task, paths=paths)))
-    doubts = planner.rules.doubts()
-    assert bool(doubts) == bool(said)
-    assert said in "".join(doubts)
-    assert ("shakes too little" in "".join(planner.doubts())) == (accel == 10.0)
+    warnings = planner.rules.warnings()
+    assert bool(warnings) == bool(said)
+    assert said in "".join(warnings)
+    assert ("shakes too little" in "".join(planner.warnings())) == (accel == 10.0)
 
 
 def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
@@ -280,9 +280,9 @@ def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
 )
 def test_a_plate_that_shakes_too_little_is_said_with_what_to_expect(name, gamma, said):
     rig = replace(RIG, limits=replace(RIG.limits, accel=gamma * RIG.friction.accel))
-    doubts = Planner(rig, load_scenario(name)).doubts()
-    assert bool(doubts) == bool(said)
-    assert said in "".join(doubts)
+    warnings = Planner(rig, load_scenario(name)).warnings()
+    assert bool(warnings) == bool(said)
+    assert said in "".join(warnings)
 
 
 def test_a_part_that_starts_near_its_path_is_not_led():

@@ -13,7 +13,7 @@ from plate_planner.supervision import (
     TaskLimits,
     TaskState,
     begin,
-    judge,
+    evaluate,
     started,
     stopped,
 )
@@ -31,7 +31,7 @@ def run(*images, state=RUNNING):
     """Feed images (t, missing, goal met) and return the last state."""
     for t, missing, met in images:
         state = begin(state, t, missing, True, LIMITS)
-        state = judge(state, t, Findings(missing, met, 0.0), LIMITS)
+        state = evaluate(state, t, Findings(missing, met, 0.0), LIMITS)
     return state
 
 
@@ -77,7 +77,7 @@ def test_a_break_starts_the_hold_time_again():
 
 
 def test_without_a_hold_time_the_first_image_counts():
-    state = judge(RUNNING, 101.0, Findings((), True, 0.0), replace(LIMITS, hold_s=0.0))
+    state = evaluate(RUNNING, 101.0, Findings((), True, 0.0), replace(LIMITS, hold_s=0.0))
     assert state.phase is Phase.DONE
 
 
@@ -87,18 +87,18 @@ def fell(name):
 
 def test_the_end_says_how_it_went_and_what_became_of_a_part():
     limits = replace(LIMITS, hold_s=0.0)
-    done = judge(RUNNING, 101.0, Findings((), True, 0.0, outcome="4 of 4 parts"), limits)
+    done = evaluate(RUNNING, 101.0, Findings((), True, 0.0, outcome="4 of 4 parts"), limits)
     assert done.text == "done after 1.0 s: 4 of 4 parts"
     found = Findings(("black_1", "grey_2"), False, 0.0, loss=fell)
-    state = judge(judge(RUNNING, 101.0, found, LIMITS), 102.1, found, LIMITS)
+    state = evaluate(evaluate(RUNNING, 101.0, found, LIMITS), 102.1, found, LIMITS)
     assert state.text == "lost part after 2.1 s: black_1 fell; grey_2 fell"
     assert state.reason is Reason.PART_LEFT
 
 
 def test_a_time_limit_says_whether_it_was_still_getting_nearer():
-    near = judge(RUNNING, 100.0, Findings((), False, 0.2), LIMITS)
-    near = judge(near, 109.0, Findings((), False, 0.1), LIMITS)
-    state = judge(near, 110.1, Findings((), False, 0.1, detail=lambda: "8 mm to go"), LIMITS)
+    near = evaluate(RUNNING, 100.0, Findings((), False, 0.2), LIMITS)
+    near = evaluate(near, 109.0, Findings((), False, 0.1), LIMITS)
+    state = evaluate(near, 110.1, Findings((), False, 0.1, detail=lambda: "8 mm to go"), LIMITS)
     assert state.text == (
         "stuck after 10.1 s: time limit of 10 s (still getting nearer: increase time_limit_s"
         "); 8 mm to go"
@@ -108,7 +108,7 @@ def test_a_time_limit_says_whether_it_was_still_getting_nearer():
 def test_what_explains_a_failure_is_worked_out_at_the_end_alone():
     called = []
     found = Findings(GONE, False, 0.1, detail=lambda: called.append(1) or "", loss=called.append)
-    state = judge(judge(RUNNING, 101.0, found, LIMITS), 102.0, found, LIMITS)
+    state = evaluate(evaluate(RUNNING, 101.0, found, LIMITS), 102.0, found, LIMITS)
     assert (state.phase, called) == (Phase.RUNNING, [])
 
 
@@ -123,32 +123,32 @@ def test_a_part_may_hide_for_a_while():
 
 def test_nothing_is_done_while_a_part_is_only_predicted():
     """It may have fallen off; once all are seen again the hold has not begun anew."""
-    state = judge(RUNNING, 100.0, Findings((), True, 0.0), LIMITS)
-    hidden = judge(state, 101.0, Findings((), True, 0.0, all_seen=False), LIMITS)
+    state = evaluate(RUNNING, 100.0, Findings((), True, 0.0), LIMITS)
+    hidden = evaluate(state, 101.0, Findings((), True, 0.0, all_seen=False), LIMITS)
     assert hidden.phase is Phase.RUNNING
-    assert judge(hidden, 101.1, Findings((), True, 0.0), LIMITS).phase is Phase.DONE
+    assert evaluate(hidden, 101.1, Findings((), True, 0.0), LIMITS).phase is Phase.DONE
 
 
 def test_nothing_is_done_before_the_plate_rests():
     """An image of a moving plate shows a part that this cycle leaves behind the edge."""
     swing, still = (Findings((), True, 0.0, at_rest=rest) for rest in (False, True))
-    held = judge(judge(RUNNING, 101.0, swing, LIMITS), 101.5, swing, LIMITS)
+    held = evaluate(evaluate(RUNNING, 101.0, swing, LIMITS), 101.5, swing, LIMITS)
     assert held.phase is Phase.RUNNING
     assert held.held(101.5, LIMITS)
-    assert judge(held, 101.8, still, LIMITS).text == "done after 1.8 s"
-    slid = judge(held, 101.8, replace(still, goal_met=False), LIMITS)
+    assert evaluate(held, 101.8, still, LIMITS).text == "done after 1.8 s"
+    slid = evaluate(held, 101.8, replace(still, goal_met=False), LIMITS)
     assert (slid.phase, slid.held(101.8, LIMITS)) == (Phase.RUNNING, False)
     gone = replace(still, missing=GONE, loss=fell)
-    end = judge(judge(held, 101.8, gone, LIMITS), 102.8 + EPS, gone, LIMITS)
+    end = evaluate(evaluate(held, 101.8, gone, LIMITS), 102.8 + EPS, gone, LIMITS)
     assert (end.phase, end.reason) == (Phase.LOST, Reason.PART_LEFT)
 
 
 def test_what_was_held_in_time_has_time_to_come_to_rest():
     swing, still = (Findings((), True, 0.0, at_rest=rest) for rest in (False, True))
-    held = judge(judge(RUNNING, 109.5, swing, LIMITS), 110.0, swing, LIMITS)
-    assert judge(held, 110.3, still, LIMITS).phase is Phase.DONE
-    assert judge(held, 111.0, swing, LIMITS).phase is Phase.RUNNING
-    assert judge(held, 111.0 + EPS, swing, LIMITS).reason is Reason.TIME_LIMIT
+    held = evaluate(evaluate(RUNNING, 109.5, swing, LIMITS), 110.0, swing, LIMITS)
+    assert evaluate(held, 110.3, still, LIMITS).phase is Phase.DONE
+    assert evaluate(held, 111.0, swing, LIMITS).phase is Phase.RUNNING
+    assert evaluate(held, 111.0 + EPS, swing, LIMITS).reason is Reason.TIME_LIMIT
 
 
 def test_the_time_limit():
@@ -163,7 +163,7 @@ def test_done_at_the_last_moment_is_done():
 
 
 def test_a_problem_ends_the_task_with_its_reason():
-    state = judge(RUNNING, 101.0, Findings((), True, 0.0, "black_1 is off"), LIMITS)
+    state = evaluate(RUNNING, 101.0, Findings((), True, 0.0, "black_1 is off"), LIMITS)
     assert (state.phase, state.text) == (Phase.STUCK, "stuck after 1.0 s: black_1 is off")
 
 
@@ -172,7 +172,7 @@ def at_distances(*to_go, missing=(), met=False, stuck_timeout_s=3.0):
     state, limits = RUNNING, replace(LIMITS, stuck_timeout_s=stuck_timeout_s, unseen_timeout_s=50.0)
     for k, distance in enumerate(to_go):
         found = Findings(missing, met, distance, detail=lambda: "grey_2 is 8.0 mm short")
-        state = judge(state, 100.0 + k, found, limits)
+        state = evaluate(state, 100.0 + k, found, limits)
     return state
 
 
@@ -188,8 +188,8 @@ def test_unseen_parts_are_no_progress_and_a_goal_that_is_met_is_not_stuck():
     hidden = at_distances(0.1, 0.02, 0.02, missing=GONE)
     assert hidden.nearest_m == math.inf
     limits = replace(LIMITS, stuck_timeout_s=0.2)
-    state = judge(RUNNING, 100.0, Findings((), True, 0.0), limits)
-    assert judge(state, 100.4, Findings((), True, 0.0), limits).phase is Phase.RUNNING
+    state = evaluate(RUNNING, 100.0, Findings((), True, 0.0), limits)
+    assert evaluate(state, 100.4, Findings((), True, 0.0), limits).phase is Phase.RUNNING
 
 
 def test_to_stop_aborts_a_running_task_only():
@@ -238,7 +238,7 @@ def test_an_end_says_how_many_cycles_had_no_answer(found, phase):
     texts = []
     for slow in ("", "9 of 90 cycles were not answered in time"):
         now = replace(found, unanswered=slow)
-        state = judge(judge(RUNNING, 109.0, now, LIMITS), 111.0, now, LIMITS)
+        state = evaluate(evaluate(RUNNING, 109.0, now, LIMITS), 111.0, now, LIMITS)
         assert state.phase is phase
         texts.append(state.text)
     assert slow in texts[1]

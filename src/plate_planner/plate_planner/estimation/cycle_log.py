@@ -248,8 +248,8 @@ class CycleLog:
         return (*self.delays, late)[-DELAYS_KEPT:]
 
     def _goes_on(self, cycle: PlateCycle, before: tuple[tuple[float, PlateCycle], ...]) -> bool:
-        """Whether a cycle moves the plate only because no answer came in time: it is the last run
-        again, or its tail, and rest was not the last answer."""
+        """Whether a cycle moves the plate only because no answer arrived in time: it is the last
+        run again, or its tail, and rest was not the last answer."""
         if not (before and cycle.moves) or (self.sent and not self.sent[-1].cycle.moves):
             return False
         return any(_same(cycle, part) for part in before[-1][1].parts)
@@ -296,11 +296,13 @@ class CycleLog:
 
     def _begin(self, t: float) -> CycleLog:
         """Return the log after the next cycle has begun at time t [s]."""
-        came = [one for one in self.sent if in_time(one.arrival, t)]
+        arrived = [one for one in self.sent if in_time(one.arrival, t)]
         if self.delay:
             turn = self.delay + 1 - SNAP
-            came = [one for one in came if one.requested + turn * one.cycle.period <= t]
-        waiting = [one.cycle for one in came if not any(one.cycle is run for _, run in self.runs)]
+            arrived = [one for one in arrived if one.requested + turn * one.cycle.period <= t]
+        waiting = [
+            one.cycle for one in arrived if not any(one.cycle is run for _, run in self.runs)
+        ]
         if not (self.runs or waiting):
             return self
         cycle = self.next(waiting) if self.runs else waiting[-1]

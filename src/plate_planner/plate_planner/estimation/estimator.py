@@ -570,7 +570,7 @@ class Estimator:
     @property
     def latency_known(self) -> bool:
         """Whether the image latency is known to within a few milliseconds."""
-        return self.latency.found
+        return self.latency.estimated
 
     @property
     def _known_latency(self) -> float | None:

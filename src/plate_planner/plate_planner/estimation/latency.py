@@ -131,7 +131,7 @@ class LatencyHypotheses:
         return float(self.latencies[self.best])
 
     @property
-    def found(self) -> bool:
+    def estimated(self) -> bool:
         """Whether the latency is known to within a few milliseconds."""
         return bool(np.ptp(self.latencies) < COARSE_S)
 
@@ -175,7 +175,7 @@ class LatencyHypotheses:
         )
         if len(self.latencies) == 1 and not self.trusting:
             return seen
-        if self.found and seen.misfit > MISFIT:
+        if self.estimated and seen.misfit > MISFIT:
             anew = replace(LatencyHypotheses.of(None), jitter=self.jitter, trusting=False)
             return anew.update(log, parts, t, unsure, delay, friction_accel, most, friction)
         if len(self.latencies) == 1:
@@ -209,7 +209,7 @@ class LatencyHypotheses:
 
     def _jitter(self, fit: Fit) -> Jitter:
         """Return the jitter updated with an image. It is unchanged until the latency is known."""
-        if not self.found:
+        if not self.estimated:
             return self.jitter
         return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))
 

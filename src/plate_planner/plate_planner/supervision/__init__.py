@@ -1,6 +1,6 @@
 """Supervision of a task: its phase, the reason of its end, its progress, and the planner's inputs.
 
-`begin`, `judge` and `stopped` change the phase. `Inputs` is the state of the planner's inputs,
+`begin`, `evaluate` and `stopped` change the phase. `Inputs` is the state of the planner's inputs,
 and `InputMonitor` decides whether a task can continue with them.
 """
 
@@ -17,7 +17,7 @@ from .phase import (
     TaskLimits,
     TaskState,
     begin,
-    judge,
+    evaluate,
     missing_parts,
     started,
     stopped,
@@ -39,8 +39,8 @@ __all__ = [
     "TaskState",
     "begin",
     "bystanders_text",
+    "evaluate",
     "is_bystander",
-    "judge",
     "loss_of",
     "missing_parts",
     "outlook",

@@ -288,31 +288,31 @@ class Findings:
     unanswered: str = ""
 
 
-def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
+def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits) -> TaskState:
     """Return the state of a running task after an image with stamp t [s]."""
     if not state.active:
         return state
     before = dict(state.missing_since)
-    missing_since = tuple((name, before.get(name, t)) for name in found.missing)
+    missing_since = tuple((name, before.get(name, t)) for name in findings.missing)
     met_since = state.met_since
-    if not (found.missing and found.goal_met):  # the goal of a missing part is undecided
-        met_since = _since(met_since, found.goal_met, t)
+    if not (findings.missing and findings.goal_met):  # the goal of a missing part is undecided
+        met_since = _since(met_since, findings.goal_met, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
     # Missing parts have no distance, so a sum without them would look like progress.
-    if not found.missing and found.to_go_m < state.nearest_m - limits.nearer_m:
-        state = replace(state, nearest_m=found.to_go_m, nearest_at=t)
+    if not findings.missing and findings.to_go_m < state.nearest_m - limits.nearer_m:
+        state = replace(state, nearest_m=findings.to_go_m, nearest_at=t)
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
     lost = tuple(name for name, since in missing_since if t - since > timeout)
     if lost:
-        losses = [found.loss(name) for name in lost]
-        text = _joined(found.unanswered, *(loss.text for loss in losses))
+        losses = [findings.loss(name) for name in lost]
+        text = _joined(findings.unanswered, *(loss.text for loss in losses))
         return _end(state, t, Phase.LOST, losses[0].reason, text)
-    if found.problem:
-        text = _joined(found.unanswered, found.problem)
+    if findings.problem:
+        text = _joined(findings.unanswered, findings.problem)
         return _end(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, text)
     held = state.held(t, limits)
-    if held and found.all_seen and found.at_rest and not found.missing:
-        text = _joined(found.outcome, found.unanswered)
+    if held and findings.all_seen and findings.at_rest and not findings.missing:
+        text = _joined(findings.outcome, findings.unanswered)
         return _end(state, t, Phase.DONE, Reason.NONE, text)
     reason, text = Reason.NONE, ""
     # If the goal was held in time, allow more time for an image at rest.
@@ -326,7 +326,9 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
         text = f"no progress for {limits.stuck_timeout_s:g} s"
     if reason is Reason.NONE:
         return state
-    return _end(state, t, Phase.STUCK, reason, _joined(text, found.unanswered, found.detail()))
+    return _end(
+        state, t, Phase.STUCK, reason, _joined(text, findings.unanswered, findings.detail())
+    )
 
 
 def _end(state: TaskState, t: float | None, phase: Phase, reason: Reason, detail: str) -> TaskState:

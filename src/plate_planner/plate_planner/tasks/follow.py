@@ -295,7 +295,7 @@ class Follower(TaskRules):
                 f"allowed: at most time_limit_s, which is {limit:g}"
             )
 
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Return a warning if paths are faster than was reached before, or than any motion of the
         plate allows."""
         count, fastest = len(self.paths), float(np.max(self._speeds))

@@ -188,7 +188,7 @@ class TaskRules(Protocol):
         """Raise a `ScenarioError` if the scenario is infeasible on this rig."""
         return
 
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Return warnings on requests that this rig will probably not achieve, with remedies."""
         return ()
 
