@@ -299,7 +299,8 @@ def test_a_second_planner_of_the_same_name_ends_the_task(graph):
             graph.until(lambda stamp=stamp: stamp in [msg.header.stamp for msg in graph.forces])
         _, task = graph.result(handle)
         assert task.reason == TaskStatus.RIVAL
-        assert "two nodes with the same name publish part_forces (planner), allowed: one" in task.text
+        text = "two nodes with the same name publish part_forces (planner), allowed: one"
+        assert text in task.text
     finally:
         twin.destroy_node()
 
