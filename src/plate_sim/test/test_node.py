@@ -229,12 +229,12 @@ def test_parts_are_put_down_and_taken_off_by_hand():
         assert loop.spin(lambda: len(loop.truths) == 1)
         told = call(loop, PlacePart, "place_part", type="grey", x=0.28, y=0.14)
         assert (told.success, told.id) == (True, "grey_3")
-        assert told.message == "new: grey_3 lies at (0.280, 0.140) m"
+        assert told.message == "new: grey_3 is at (0.280, 0.140) m"
         assert call(loop, PlacePart, "place_part", id="grey_1", x=0.28, y=-0.14, angle=0.1).success
         told = call(loop, PlacePart, "place_part", id="grey_2", x=0.28, y=0.14)
         assert not told.success
         assert "parts grey_2 and grey_3 overlap by 16 mm" in told.message
-        assert call(loop, RemovePart, "remove_part", id="black_1").message == "black_1 is gone"
+        assert call(loop, RemovePart, "remove_part", id="black_1").message == "black_1 was removed"
         assert "id is 'black_1'" in call(loop, RemovePart, "remove_part", id="black_1").message
         loop.answer = still
         assert loop.spin(lambda: len(loop.truths) >= 2)
@@ -360,7 +360,8 @@ def test_time_goes_faster_and_slower_without_a_jump():
 def test_in_real_time_the_rate_stays():
     with Loop(good, scenario="sort_4") as loop:
         reason = set_parameters(loop, rate=0.5)
-        assert "rate is 0.5 in real time, by which other nodes go, allowed: 1" in reason
+        assert "rate is 0.5 in real time" in reason
+        assert "allowed: 1" in reason
         assert loop.simulator.options.rate == 1.0
 
 
