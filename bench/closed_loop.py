@@ -20,7 +20,7 @@ from plate_core.tasks import load_scenario
 from plate_planner import Planner
 from tasks.runs import summed
 
-MOST_RUNS = 100_000
+MAX_RUNS = 100_000
 """Maximum number of runs per call. They would take weeks."""
 
 
@@ -133,9 +133,9 @@ def _seeds(text: str) -> range:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
     except ValueError:
         seeds = range(0)
-    if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MOST_RUNS:
+    if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MAX_RUNS:
         raise argparse.ArgumentTypeError(
-            f"seeds are {text!r}, allowed: A:B with 0 <= A < B, at most {MOST_RUNS} of them, or A"
+            f"seeds are {text!r}, allowed: A:B with 0 <= A < B, at most {MAX_RUNS} of them, or A"
         )
     return seeds
 

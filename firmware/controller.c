@@ -8,13 +8,13 @@
 
 #define WATCHDOG_US 250000u
 #define TELEMETRY_US 10000u
-#define LONGEST_UNTOLD_US 100000u
+#define MAX_UNREPORTED_US 100000u
 #define HOLD_MS 10000u      /* maximum time for which a table is repeated */
 #define TICKS_PER_MS 100000u
 #define WINDOW 8            /* maximum knot messages in flight, which fit into the board's buffer */
 #define BRAKE_ROOM 0.1f     /* allowed relative excess of the acceleration while braking */
 #define ASTRAY_TICKS 3      /* consecutive ticks with a following error that count as a fault */
-#define MOST_HEAT_US 1000000u /* maximum time between two ticks, exact as a float [us] */
+#define MAX_HEAT_US 1000000u /* maximum time between two ticks, exact as a float [us] */
 
 static void send(Controller *c, uint8_t type, const uint8_t *fields, size_t size)
 {
@@ -395,7 +395,7 @@ static bool sound(uint8_t type, const uint8_t *fields, size_t size)
     case ENABLE: return size == 2;
     case HOME: return size == 0;
     case STOP: return size == 1 && fields[0] <= 1;
-    case TRIGGER: return size == 3 && fields[2] <= LONGEST_PULSE_MS;
+    case TRIGGER: return size == 3 && fields[2] <= MAX_PULSE_MS;
     case BEGIN: return size == 12;
     case COMMIT: return size == 4;
     case KNOTS: break;
@@ -509,7 +509,7 @@ void controller_tick(Controller *c)
     int work = TICK_WORK;
     c->now_us = hal_time_us();
     uint64_t passed = c->now_us - before;
-    uint32_t dt_us = passed < MOST_TICK_US ? (uint32_t)passed : MOST_TICK_US;
+    uint32_t dt_us = passed < MAX_TICK_US ? (uint32_t)passed : MAX_TICK_US;
     measure(c);
     watch_board(c);
     listen(c, &work);
@@ -532,11 +532,11 @@ void controller_tick(Controller *c)
     bool plays = c->state == STATE_PLAYING && !table->streams;
     uint32_t into = plays ? motion_into(c) : 0, part = plays ? table_part(table, &into) : 0;
     hal_trigger(trigger_step(&c->trigger, c->now_us, into, part));
-    uint32_t heat_us = passed < MOST_HEAT_US ? (uint32_t)passed : MOST_HEAT_US;
+    uint32_t heat_us = passed < MAX_HEAT_US ? (uint32_t)passed : MAX_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
     uint64_t silent_us = c->now_us - c->told_us; /* a slow line sends it less often */
-    if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= LONGEST_UNTOLD_US)) {
+    if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= MAX_UNREPORTED_US)) {
         c->told_us = c->now_us;
         tell_trouble(c); /* sent before the fault that it explains */
         tell_state(c);

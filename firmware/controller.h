@@ -11,7 +11,7 @@
 #define TICK_PACKETS 4 /* packets executed */
 #define TICK_WORK 24   /* units for checking tables: three pieces, or 24 bisections */
 
-#define MOST_TICK_US 2000u /* maximum step of the plate's time per tick; a later tick advances only by this */
+#define MAX_TICK_US 2000u /* maximum step of the plate's time per tick; a later tick advances only by this */
 
 typedef struct {
     Limits limits;

@@ -24,7 +24,7 @@ bool motion_joins(const Controller *c, const Table *next);
 /* Time within the playing table [TICK_S]. */
 uint32_t motion_into(const Controller *c);
 
-/* Advance by `dt_us`, at most MOST_TICK_US. Return whether there is a setpoint to command. */
+/* Advance by `dt_us`, at most MAX_TICK_US. Return whether there is a setpoint to command. */
 bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at);
 
 #endif

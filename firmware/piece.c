@@ -112,7 +112,7 @@ static bool halve(Look *look)
 {
     Curve whole = look->open[--look->opens];
     int n = whole.count;
-    if (++look->halved > MOST_HALVINGS || whole.halvings == 0 ||
+    if (++look->halved > MAX_HALVINGS || whole.halvings == 0 ||
         !(fabsf(whole.points[0]) <= whole.limit) || !(fabsf(whole.points[n - 1]) <= whole.limit))
         return false;
     float left[6], *rest = whole.points; /* `whole` becomes the right half */

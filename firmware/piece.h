@@ -12,7 +12,7 @@
 
 /* Maximum bisections per curve. Each one reduces the hull's error by a factor of 4. */
 #define HALVINGS 12
-#define MOST_HALVINGS 64 /* of all curves of a piece in total */
+#define MAX_HALVINGS 64 /* of all curves of a piece in total */
 
 /* Work of checking a piece, without its bisections, which count 1 each. */
 #define PIECE_WORK 8

@@ -7,10 +7,10 @@
 #include "message.h"
 
 /* Minimum duration of a table, and of its parts before and after its splice [TICK_S]: 10 ms. */
-#define SHORTEST_TABLE 1000000u
+#define MIN_TABLE 1000000u
 
 /* Maximum duration of a stream's piece [TICK_S]: 50 ms, so that times do not wrap. */
-#define LONGEST_PIECE 5000000u
+#define MAX_PIECE 5000000u
 
 static void floats_read(float *out, const uint8_t *bytes)
 {
@@ -146,8 +146,8 @@ static uint8_t check_order(const Table *table, int number)
         return STATUS_WRONG_TIMES;
     if (number < table->count - 1)
         return STATUS_DONE;
-    if (table->knots[table->splice_knot].ticks != splice || (splice && splice < SHORTEST_TABLE) ||
-        knot->ticks - splice < SHORTEST_TABLE)
+    if (table->knots[table->splice_knot].ticks != splice || (splice && splice < MIN_TABLE) ||
+        knot->ticks - splice < MIN_TABLE)
         return STATUS_WRONG_TIMES;
     return knot_is_home(knot) ? STATUS_DONE : STATUS_JUMP;
 }
@@ -217,7 +217,7 @@ bool stream_add(Table *stream, const uint8_t bytes[KNOT_BYTES], uint32_t time,
         bool keeps;
         if (stream->count == MAX_KNOTS)
             gone = piece_number(stream, time - table_knot(stream, 0)->ticks);
-        if (step == 0 || step > LONGEST_PIECE)
+        if (step == 0 || step > MAX_PIECE)
             *status = STATUS_WRONG_TIMES;
         else if (stream->count - gone == MAX_KNOTS)
             *status = STATUS_TOO_LONG;

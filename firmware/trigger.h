@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define LONGEST_PULSE_MS 8 /* shorter than the shortest table, so that the line falls before the next pulse */
+#define MAX_PULSE_MS 8 /* shorter than the shortest table, so that the line falls before the next pulse */
 
 typedef struct {
     uint16_t phase;   /* fraction of a cycle or tail at which a pulse begins [1/65536] */

@@ -16,7 +16,7 @@ OTHERS_S = 0.001
 """Meanwhile threads of the middleware have so long [s]: they tell who is there, and what was
 latched before."""
 
-LONGEST_S = 60.0
+MAX_S = 60.0
 """A bound on what takes a moment [s]."""
 
 
@@ -85,7 +85,7 @@ class SteppedExecutor(NodeExecutor):
         self.settle()
 
     def until(self, true):
-        end = self.clock.monotonic() + LONGEST_S
+        end = self.clock.monotonic() + MAX_S
         while not true():
             assert self.clock.monotonic() < end, "it did not come"
             self.spin_once()

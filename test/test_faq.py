@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from plate_core.rig import LEAST_GAMMA
+from plate_core.rig import MIN_GAMMA
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs/faq.md").read_text(encoding="utf-8")
@@ -41,4 +41,4 @@ def test_every_message_is_one_of_ours():
     ],
 )
 def test_pages_say_how_hard_a_plate_should_shake(page, words):
-    assert words.format(LEAST_GAMMA) in (ROOT / "docs" / page).read_text(encoding="utf-8")
+    assert words.format(MIN_GAMMA) in (ROOT / "docs" / page).read_text(encoding="utf-8")

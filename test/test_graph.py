@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 
 from graph import domains
 from graph.observer import Observer
-from graph.processes import MOST_ENDS, WITHIN_S, Ends, Processes
+from graph.processes import MAX_ENDS, WITHIN_S, Ends, Processes
 from graph.session import session
 from light_graph import LightOptions
 from rcl_interfaces.srv import ListParameters
@@ -350,10 +350,10 @@ def test_the_device_ends_after_the_driver_which_has_it_brake(tmp_path, domain):
 
 
 def test_a_page_that_ends_again_and_again_is_given_up_but_not_one_that_seldom_does():
-    last = MOST_ENDS - 1
+    last = MAX_ENDS - 1
     for period_s, given_up in ((WITHIN_S / last, True), (1.01 * WITHIN_S / last, False)):
         ends = Ends()
-        said = [ends.too_many(period_s * k) for k in range(3 * MOST_ENDS)]
+        said = [ends.too_many(period_s * k) for k in range(3 * MAX_ENDS)]
         assert not any(said[:last])
         assert said[last:] == [given_up] * (len(said) - last)
 

@@ -29,7 +29,7 @@ SECONDS, RATE = 12, 30
 PICTURES = 20
 """That differ: the film shows them again and again."""
 
-LONGEST_S = 300
+MAX_S = 300
 
 
 def film(folder):
@@ -63,7 +63,7 @@ def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
     words += ["--scenario", "sort_4", "--out", tmp_path / "out", "--no-view", "--no-pictures"]
     done = subprocess.run(
         [sys.executable, "tools/demo.py", *map(str, words)],
-        cwd=ROOT, capture_output=True, text=True, timeout=LONGEST_S, check=False,
+        cwd=ROOT, capture_output=True, text=True, timeout=MAX_S, check=False,
     )  # fmt: skip
     assert done.returncode == 1, done.stdout + done.stderr
     before, after = done.stdout.split("\nStarting ")

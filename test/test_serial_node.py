@@ -41,7 +41,7 @@ from plate_interfaces.msg import DriverStatus  # noqa: E402
 RIG = load_rig()
 PERIOD = 0.1
 TICK_S = 1e-3
-MOST_TICKS = 100
+MAX_TICKS = 100
 """On a machine that is too busy the board's clock stands still from there on."""
 
 NAMESPACE = f"/serial_node_{os.getpid()}"
@@ -98,8 +98,8 @@ class Board:
         with contextlib.suppress(BlockingIOError):
             self.came += os.read(self.master, 100_000)
         due = round((time.monotonic() - self.begin) / TICK_S) - self.ticks - self.lost
-        self.lost += max(0, due - MOST_TICKS)
-        due = min(due, MOST_TICKS)
+        self.lost += max(0, due - MAX_TICKS)
+        due = min(due, MAX_TICKS)
         if due <= 0:
             return
         data, self.came = self.came, b""

@@ -20,7 +20,7 @@ PAGE = ROOT / "docs/tutorial.md"
 
 BLOCK = re.compile(r"(?:^<!-- (.+?) -->\n)?^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 FILE = re.compile(r"# (\S*my/\S+)")
-LONGEST_S = 300
+MAX_S = 300
 NOISE = "RTPS_TRANSPORT_SHM"
 """What the network layer says of processes that were killed before, of whatever run."""
 
@@ -67,7 +67,7 @@ def shell(command):
 def printed_by(process):
     """All that a command prints; it is ended if it takes too long."""
     try:
-        lines = process.communicate(timeout=LONGEST_S)[0].splitlines()
+        lines = process.communicate(timeout=MAX_S)[0].splitlines()
         return "\n".join(line for line in lines if NOISE not in line)
     finally:
         if process.poll() is None:

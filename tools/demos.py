@@ -29,7 +29,7 @@ DOCS = ROOT / "docs/results"
 PICKS = 30
 """Number of parts that the robot of a feeder takes."""
 
-LONGEST_S = 600
+MAX_S = 600
 """Maximum duration of a demo with its start and its pictures [s]."""
 
 STRIP_PX, FILM_PX = 800, 520
@@ -70,7 +70,7 @@ def run(name: str) -> dict[str, Any]:
         [sys.executable, *command],
         capture_output=True,
         text=True,
-        timeout=LONGEST_S,
+        timeout=MAX_S,
         check=False,
         cwd=ROOT,
     )

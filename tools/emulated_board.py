@@ -48,7 +48,7 @@ received, overruns, dropped: Number of received bytes, of receiver overruns, and
 ANSWER_S = 60.0
 """Maximum wait for a reply of QEMU [s]. It is long because the computer may be busy."""
 
-MOST_BYTES = 1024
+MAX_BYTES = 1024
 """Maximum number of bytes per memory request, half of QEMU's limit."""
 
 NEEDS = ("arm-none-eabi-gcc", "qemu-system-arm")
@@ -217,8 +217,8 @@ class Debugger:
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""
         end, data = address + size, b""
-        for begin in range(address, end, MOST_BYTES):
-            some = min(MOST_BYTES, end - begin)
+        for begin in range(address, end, MAX_BYTES):
+            some = min(MAX_BYTES, end - begin)
             data += bytes.fromhex(self.ask(f"m{begin:x},{some:x}".encode()).decode())
         return data
 

@@ -135,7 +135,7 @@ def play(options, folder: Path, domain: int | None) -> None:
 
 
 def keep_page(processes, observer, page: str) -> None:
-    """Start the page again at the same address whenever it ends, until it has ended `MOST_ENDS`
+    """Start the page again at the same address whenever it ends, until it has ended `MAX_ENDS`
     times within `WITHIN_S`.
 
     Raises
@@ -145,7 +145,7 @@ def keep_page(processes, observer, page: str) -> None:
     """
     from urllib.parse import urlsplit
 
-    from graph.processes import MOST_ENDS, WITHIN_S, Ends
+    from graph.processes import MAX_ENDS, WITHIN_S, Ends
 
     ends, given_up = Ends(), False
     while True:
@@ -154,7 +154,7 @@ def keep_page(processes, observer, page: str) -> None:
         if end:
             given_up = ends.too_many(time.monotonic())
             then = (
-                f"It has ended {MOST_ENDS} times within {WITHIN_S:.0f} s and is not restarted."
+                f"It has ended {MAX_ENDS} times within {WITHIN_S:.0f} s and is not restarted."
                 " The graph continues; Ctrl-C ends it."
                 if given_up
                 else "It is restarted; the graph continues, and the browser reconnects by itself."

@@ -15,7 +15,7 @@ from plate_core.yaml_fields import Choice, Key, Number, Numbers, Section, Whole
 
 PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
 
-MOST_LISTED = 10
+MAX_LISTED = 10
 """Maximum number of choices in the page; messages about a wrong choice list all."""
 
 HEAD = """# All keys of scenario and rig files
@@ -52,7 +52,7 @@ def _what(key: Key) -> str:
     """Return type, range and unit of a key."""
     unit = "" if key.unit in ("", "-") else f" {key.unit}"
     match key.kind:
-        case Choice(choices) if len(choices) > MOST_LISTED:
+        case Choice(choices) if len(choices) > MAX_LISTED:
             return f"a name such as {choices[0]}"
         case Number(low, high):
             return f"{low:g} to {high:g}{unit}"

@@ -13,7 +13,7 @@ from harness.cache import Cache
 from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all, told
 from harness.pairs import paired, places
 from harness.pool import by_case, executor, parallel, resumed
-from harness.race import LEAST_ROUNDS, Race, cpu_time, race, timed
+from harness.race import MIN_ROUNDS, Race, cpu_time, race, timed
 from harness.result import (
     ROOT,
     Result,
@@ -30,8 +30,36 @@ from harness.result import (
 from plate_core.intervals import of_median, of_share, share
 
 __all__ = [
-    "LEAST_ROUNDS", "LONG", "MEASUREMENTS", "ROOT", "Cache", "Race", "Result", "Table", "by_case",
-    "commit", "cpu_time", "executor", "folder_made", "is_done", "missing", "of_median", "of_share",
-    "optional", "paired", "parallel", "places", "race", "read", "resumed", "rounded", "run_all",
-    "share", "shown", "text_table", "timed", "told", "write",
+    "LONG",
+    "MEASUREMENTS",
+    "MIN_ROUNDS",
+    "ROOT",
+    "Cache",
+    "Race",
+    "Result",
+    "Table",
+    "by_case",
+    "commit",
+    "cpu_time",
+    "executor",
+    "folder_made",
+    "is_done",
+    "missing",
+    "of_median",
+    "of_share",
+    "optional",
+    "paired",
+    "parallel",
+    "places",
+    "race",
+    "read",
+    "resumed",
+    "rounded",
+    "run_all",
+    "share",
+    "shown",
+    "text_table",
+    "timed",
+    "told",
+    "write",
 ]  # fmt: skip

@@ -39,7 +39,7 @@ LONG = {"feeding_hour", "sameness", "tasks", "views"}
 PUBLISHED = ROOT / "docs/results/measured.json"
 """File with facts about the measurements in docs/results, such as their duration."""
 
-MOST_CORES = 0.3
+MAX_CORES = 0.3
 """Maximum number of CPU cores that other programs may use during timings."""
 
 
@@ -89,9 +89,9 @@ def told(failed: list[str]) -> int:
 
 
 def await_quiet() -> None:
-    """Wait until other programs use at most `MOST_CORES`, and print that it waits."""
+    """Wait until other programs use at most `MAX_CORES`, and print that it waits."""
     told = False
-    while (cores := busy_cores()) > MOST_CORES:
+    while (cores := busy_cores()) > MAX_CORES:
         if not told:
             print(
                 f"waiting for other programs, which use {cores:.1f} cores ... ", end="", flush=True

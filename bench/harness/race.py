@@ -13,7 +13,7 @@ import numpy as np
 BATCH_S = 2e-3
 """Minimum time of a timed batch of calls [s]. It is much longer than the clock's resolution."""
 
-LEAST_ROUNDS = 3
+MIN_ROUNDS = 3
 """Minimum number of rounds, also for slow functions, because a median needs them."""
 
 cpu_time = time.process_time
@@ -60,7 +60,7 @@ def race(contestants: Mapping[str, Callable[[], object]], seconds: float) -> Rac
     times: dict[str, list[float]] = {name: [] for name in contestants}
     deadline = time.perf_counter() + seconds
     rounds = 0
-    while rounds < LEAST_ROUNDS or time.perf_counter() < deadline:
+    while rounds < MIN_ROUNDS or time.perf_counter() < deadline:
         rounds += 1
         for name, call in contestants.items():
             began = cpu_time()

@@ -30,7 +30,7 @@ margin."""
 POLL_TICKS = 2
 """Period at which the driver polls its port [ticks of 1 ms]."""
 
-SHORTEST_S = 0.02
+MIN_S = 0.02
 """Minimum length of a segment with an image at its end [s]."""
 
 LOOK_S = 1.0
@@ -168,7 +168,7 @@ class SerialLine:
                 self._segments += self._tick()
             segment = self._segments.pop(0)
             motions.append(PlateMotion.of_motors(self._rig, segment.times, segment.motors))
-            if segment.end - self.now >= SHORTEST_S:
+            if segment.end - self.now >= MIN_S:
                 self.now = self.began = segment.end
                 return motions
 

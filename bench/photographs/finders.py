@@ -29,7 +29,7 @@ none; class, empty if there is none."""
 Finder = Callable[[np.ndarray], np.ndarray]
 """Function from an image (H, W, 3) uint8 to (n,) FOUND."""
 
-LEAST_PX2 = 30.0
+MIN_PX2 = 30.0
 """Minimum area of a patch that a baseline reports [px2]."""
 
 LARGEST = 0.25
@@ -107,4 +107,4 @@ def _found(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) ->
     found["radius_px"] = np.sqrt(area / np.pi)
     found["angle_deg"] = np.nan
     size = image.shape[0] * image.shape[1]
-    return found[(area >= LEAST_PX2) & (area <= LARGEST * size)]
+    return found[(area >= MIN_PX2) & (area <= LARGEST * size)]

@@ -17,7 +17,7 @@ from plate_core import NAMELESS, PlateError
 from plate_vision import calibrate_by_scale, find_parts
 from plate_vision.shapes import Example, model_background, teach
 
-MOST_EXAMPLES = 5
+MAX_EXAMPLES = 5
 """Maximum number of examples of a class."""
 
 SCALE = 1000.0
@@ -34,7 +34,7 @@ def teach_examples(
     image : (H, W, 3) uint8
         Blue, green, red.
     parts : (n,) TRUTH
-        Separate parts are used as examples first, at most `MOST_EXAMPLES` of a class.
+        Separate parts are used as examples first, at most `MAX_EXAMPLES` of a class.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def teach_examples(
     shown = np.zeros(len(parts), bool)
     for label in sorted(set(parts["label"])):
         those = np.flatnonzero(parts["label"] == label)
-        those = those[np.argsort(parts["touching"][those], kind="stable")][:MOST_EXAMPLES]
+        those = those[np.argsort(parts["touching"][those], kind="stable")][:MAX_EXAMPLES]
         together = {label: those}
         apart = {f"{label}_{letter}": [i] for letter, i in zip("vwxyz", those, strict=False)}
         for lessons in (together, apart):

@@ -15,7 +15,7 @@ GRID = "#e4e4e4"
 PAD = 0.08
 """Margin beyond the outermost points [length of the axis]."""
 
-LEAST_TICKS, MOST_TICKS = 3, 8
+MIN_TICKS, MAX_TICKS = 3, 8
 """Minimum and maximum number of ticks of a logarithmic axis. A single number does not show the
 scale."""
 
@@ -89,17 +89,17 @@ class Axis:
 def log_ticks(low: float, high: float) -> list[float]:
     """Return the ticks of a logarithmic axis from 10^low to 10^high: few, but at least three."""
     decades = range(floor(low), ceil(high) + 1)
-    every = ceil((high - low) / MOST_TICKS)
+    every = ceil((high - low) / MAX_TICKS)
     for steps in STEPS:
         found = [
             step * 10.0**k for k in decades if k % every == 0 for step in steps
             if low <= log10(step) + k <= high
         ]  # fmt: skip
-        if len(found) > LEAST_TICKS:
+        if len(found) > MIN_TICKS:
             return found
     first, last = 10**low, 10**high  # a short axis is nearly linear
-    power = 10.0 ** floor(log10((last - first) / LEAST_TICKS))
-    step = max(k * power for k in (1, 2, 5) if k * power <= (last - first) / LEAST_TICKS)
+    power = 10.0 ** floor(log10((last - first) / MIN_TICKS))
+    step = max(k * power for k in (1, 2, 5) if k * power <= (last - first) / MIN_TICKS)
     return [step * k for k in range(ceil(first / step), floor(last / step) + 1)]
 
 

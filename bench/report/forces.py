@@ -7,7 +7,7 @@ from report.axis import Axis
 from report.chart import Drawn, column
 from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
-LEAST_ERROR = 1e-11
+MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
 WANTED = 1e-6
@@ -29,7 +29,7 @@ def force_map(rows: list[Row]) -> Drawn:
         limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
         panel = panels.add(
             title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
-            Axis("error, worst 1 % of cases [mu mg]", log=True, least=LEAST_ERROR), "less less",
+            Axis("error, worst 1 % of cases [mu mg]", log=True, least=MIN_ERROR), "less less",
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]

@@ -18,7 +18,7 @@ LOOKS = {
 }  # fmt: skip
 """Appearance of methods."""
 
-LEAST_UM = 1e-4
+MIN_UM = 1e-4
 """Minimum drawn error [um]. Smaller errors are rounding errors, and are drawn at this value."""
 
 
@@ -29,7 +29,7 @@ def model(rows: list[Row]) -> Drawn:
     for scene, mine in by(rows, "scene").items():
         panel = panels.add(scene, parts, time)
         panel.kinds(mine, "method", "parts", "cpu_ms", LOOKS, note="error {error_um:.3g} µm")
-    error = Axis("error after a cycle [µm]", log=True, least=LEAST_UM)
+    error = Axis("error after a cycle [µm]", log=True, least=MIN_UM)
     last = panels.add("Error of the one model", parts, error)
     for (scene, mine), colour in zip(ours.items(), COLOURS, strict=False):
         last.points(mine, "parts", "error_um", Look(f"error, {scene}", colour, "s", "-"))

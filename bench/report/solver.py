@@ -9,7 +9,7 @@ from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, parts
 from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
-LEAST_ERROR = 1e-11
+MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
 WANTED = 1e-4
@@ -38,7 +38,7 @@ def solver(rows: list[Row]) -> Drawn:
     for count in counts:
         panel = panels.add(
             parts(count), Axis("time of one cold solve [ms]", log=True),
-            Axis("largest error of a force [mu mg]", log=True, least=LEAST_ERROR), "less less",
+            Axis("largest error of a force [mu mg]", log=True, least=MIN_ERROR), "less less",
         )  # fmt: skip
         for method, look in looks.items():
             mine = groups[count, method]

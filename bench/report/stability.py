@@ -13,7 +13,7 @@ from report.axis import Axis, edges
 from report.chart import Data, Drawn, Sheet
 from report.panels import PEER, Look, Panels, Row, by
 
-MOST_NAMED = 14
+MAX_NAMED = 14
 """Maximum number of whole numbers on an axis that are all labelled."""
 
 
@@ -60,7 +60,7 @@ def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
 
 def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> Axis:
     """Return the axis of one parameter, x or y, from edge to edge of the cells."""
-    few = one.steps and len(values) <= MOST_NAMED and all(float(v).is_integer() for v in values)
+    few = one.steps and len(values) <= MAX_NAMED and all(float(v).is_integer() for v in values)
     ends = edges(values, name in one.log)
     return Axis(
         label, name in one.log, ticks=tuple(values) if few else (), limits=(ends[0], ends[-1])

@@ -9,7 +9,7 @@ from report.axis import Axis
 from report.chart import Data, Drawn, Sheet, column, table
 from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, by
 
-LEAST_MM = 1e-12
+MIN_MM = 1e-12
 """Minimum drawn error [mm]. Smaller errors are rounding errors, and are drawn at this value."""
 
 DEFAULT_TOLERANCE = f"{TOLERANCE:g} m"
@@ -25,7 +25,7 @@ SIMULATORS = {
 
 SIMULATED = (
     ("travel", "gamma", "1 part, shaken at {} mu g", "error of the travel after 1 s [mm]",
-     "error_mm", LEAST_MM, "-"),
+     "error_mm", MIN_MM, "-"),
     ("discs", "parts", "{} discs that collide", "deepest overlap [µm]", "overlap_um", 0.01, ""),
     ("body", "case", "1 {} that slides and turns, 0.2 s", "error of centre or rim [mm]",
      "error_mm", None, "-"),

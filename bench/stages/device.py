@@ -14,7 +14,7 @@ from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
 
 PERIOD_S = 0.2
 
-MOST_BEHIND_US = 100_000
+MAX_BEHIND_US = 100_000
 """Maximum delay that a device without CPU time catches up [us]. A longer delay is lost."""
 
 
@@ -42,8 +42,8 @@ def device(link: str, ready: Event, done: Event) -> Iterator[bytes]:
         data = terminal.read()
         due = (time.monotonic_ns() - began) // 1_000 - emulator.now_us
         yield data
-        began += 1_000 * max(0, due - MOST_BEHIND_US)
-        ticks = min(due, MOST_BEHIND_US) // TICK_US
+        began += 1_000 * max(0, due - MAX_BEHIND_US)
+        ticks = min(due, MAX_BEHIND_US) // TICK_US
         emulator.to_device.sent(data, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             emulator.tick()

@@ -34,7 +34,7 @@ from stages.device import PERIOD_S, device, shaking
 NODES = ("simulator", "detector", "planner", "solver", "driver")
 """Nodes of the complete graph. The simulator follows the setpoints that the driver publishes."""
 
-LONGEST_MS = 50.0
+MAX_MS = 50.0
 """Maximum allowed latency from the call to the line [ms]."""
 
 STOPS, QUICK_STOPS = 30, 3
@@ -207,4 +207,4 @@ def measure(quick: bool) -> Result:
                 "worst_ms": max((most for most, _ in times), default=None),
                 "least_ms": max((least for _, least in times), default=None),
             })  # fmt: skip
-    return Result([Table.of("stops", rows, most=LONGEST_MS)])
+    return Result([Table.of("stops", rows, most=MAX_MS)])

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from harness import LEAST_ROUNDS, cpu_time, optional
+from harness import MIN_ROUNDS, cpu_time, optional
 from plate_core import load_rig
 from plate_sim import BodyTrajectory, Contacts, simulate_bodies
 from plate_sim.friction import disc
@@ -140,7 +140,7 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
         return our_trace(tray, n) if name == OURS else np.asarray(build[name](n).trace())
 
     times: dict[tuple[str, int], list[float]] = {case: [] for case in cases}
-    for _ in range(1 + (LEAST_ROUNDS if quick else 7)):
+    for _ in range(1 + (MIN_ROUNDS if quick else 7)):
         for (name, n), spent in times.items():
             if name == MUJOCO and len(spent) > 1:
                 continue  # it is slow, so it is timed only once

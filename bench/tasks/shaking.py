@@ -54,7 +54,7 @@ LOOK_TICKS, THROW_TICKS = 2, 6
 SAMPLES = 240
 """Number of samples per cycle."""
 
-MOST_CYCLES, COAST_S = 10, 0.5
+MAX_CYCLES, COAST_S = 10, 0.5
 """Maximum number of cycles of one conveying, and maximum time for which parts slide after it
 [s]."""
 
@@ -89,10 +89,10 @@ def shaken(rig: Rig, axis: np.ndarray) -> PlateCycle:
 
 
 def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
-    """Return the distances (MOST_CYCLES,) [m] by which 1, 2, ... cycles move one part along an
+    """Return the distances (MAX_CYCLES,) [m] by which 1, 2, ... cycles move one part along an
     axis, until it is at rest again."""
     ways = []
-    for count in range(1, MOST_CYCLES + 1):
+    for count in range(1, MAX_CYCLES + 1):
         position, velocity = np.zeros((1, 2)), np.zeros((1, 2))
         for motion, repeats in ((cycle, count), (PlateCycle.rest(COAST_S), 1)):
             found = simulate(

@@ -32,7 +32,7 @@ RADIUS_M = 0.05
 SPAN_S = 6.0
 """Duration of a run [s], but at least half a lap and at most two laps."""
 
-MOST_RMS_M, MOST_DELAY = 6e-3, 1.05
+MAX_RMS_M, MAX_DELAY = 6e-3, 1.05
 """Limits for a speed that counts as kept, if all runs succeed: maximum error, a hundredth of the
 plate's length [m], and maximum ratio of the actual time to the time at this speed."""
 
@@ -54,7 +54,7 @@ def measure(quick: bool) -> Result:
             rows[method, count].append(row_of(rig, method, count, speed, runs))
         going = [kind for kind in going if rows[kind][-1]["kept"]]
     found = [row for mine in rows.values() for row in mine]
-    facts = {"radius": 1e3 * RADIUS_M, "rms": 1e3 * MOST_RMS_M, "delay": MOST_DELAY}
+    facts = {"radius": 1e3 * RADIUS_M, "rms": 1e3 * MAX_RMS_M, "delay": MAX_DELAY}
     return Result([Table.of("tracking", found, seeds=SEEDS, **facts)])
 
 
@@ -94,8 +94,8 @@ def row_of(
     # A task begins with one cycle at rest, and ends with the cycle in which the last lap ends.
     delay = max((run["time_s"] - 3 * period) / least for run in runs)
     row = summed(runs)
-    kept = row["good"] == len(runs) and row["worst_rms_mm"] <= 1e3 * MOST_RMS_M
+    kept = row["good"] == len(runs) and row["worst_rms_mm"] <= 1e3 * MAX_RMS_M
     return row | {
         "method": method, "parts": count, "speed_mm_s": speed_mm, "delay": delay,
-        "kept": kept and delay <= MOST_DELAY, "bound_mm_s": 1e3 * rig.reach.accel * period / 16,
+        "kept": kept and delay <= MAX_DELAY, "bound_mm_s": 1e3 * rig.reach.accel * period / 16,
     }  # fmt: skip

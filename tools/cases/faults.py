@@ -48,7 +48,7 @@ STILL_S = 0.6
 STILL_SPEED = 2e-3
 """Speed below which a motor counts as at rest [m/s]. Without current only friction slows it."""
 
-MOST_S = 2.0
+MAX_S = 2.0
 """Maximum time from a fault to the end of the task [s]."""
 
 FRESH_S = 1.5
@@ -141,7 +141,7 @@ class Row:
     def well(self) -> bool:
         """Whether the task ended in time, the plate came to rest, it did not move without a
         request, and the graph could continue."""
-        in_time = self.node == "planner" or (self.task_s is not None and self.task_s <= MOST_S)
+        in_time = self.node == "planner" or (self.task_s is not None and self.task_s <= MAX_S)
         return in_time and self.rest_s is not None and not self.moved_unasked and self.goes_on
 
 

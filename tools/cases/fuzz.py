@@ -64,7 +64,7 @@ cost the solver 0.1 s."""
 TICK = 20
 """Number of messages between two calls of the node's timer callback."""
 
-MOST_GROWTH_MB = 20.0
+MAX_GROWTH_MB = 20.0
 """Maximum growth of a node's memory [MB]."""
 
 ROUNDING = {"driver": 1e-4, "simulator": 0.02}
@@ -282,7 +282,7 @@ def failed(verdict: Verdict) -> bool:
     """Return whether a node crashed, grew or exceeded a limit."""
     return (
         verdict.crashes > 0
-        or verdict.growth_mb > MOST_GROWTH_MB
+        or verdict.growth_mb > MAX_GROWTH_MB
         or verdict.worst_share > 1 + ROUNDING.get(verdict.node, 0)
     )
 

@@ -32,7 +32,7 @@ from plate_view import COMMANDS, URGENT
 STOP_S, LATE_S = 0.25, 0.1
 """Time between two stops, and maximum time until a stop is answered [s]."""
 
-LONGEST_S = 5.0
+MAX_S = 5.0
 """Maximum wait for the reply to a stop [s]."""
 
 SOCKETS, NICE = 6, 10
@@ -105,7 +105,7 @@ async def connect(url: str) -> tornado.websocket.WebSocketClientConnection:
 
 
 async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
-    """Close a websocket, and read until the page has also closed it, for at most `LONGEST_S`."""
+    """Close a websocket, and read until the page has also closed it, for at most `MAX_S`."""
 
     async def rest() -> None:
         while await socket.read_message() is not None:
@@ -113,7 +113,7 @@ async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
 
     socket.close()
     with contextlib.suppress(TimeoutError):
-        await asyncio.wait_for(rest(), LONGEST_S)
+        await asyncio.wait_for(rest(), MAX_S)
 
 
 async def flood(url: str, rng: random.Random, sent: Any) -> None:
@@ -156,7 +156,7 @@ async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
         name, began = ("emergency_stop", "stop")[number % 2], time.monotonic()
         try:
             await socket.write_message(json.dumps({"do": name, "number": number}))
-            answer = await asyncio.wait_for(answered(socket, number), LONGEST_S)
+            answer = await asyncio.wait_for(answered(socket, number), MAX_S)
             if not answer["ok"]:
                 verdict.problems[f"{name}: {answer['text']}"] += 1
             took.append(1e3 * (time.monotonic() - began))

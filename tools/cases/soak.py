@@ -25,7 +25,7 @@ SETTLED_S = 600.0
 """Time before the first sample, because buffers and caches grow until then [s]. In a run shorter
 than three times this, a third of the run."""
 
-MOST_MISSED = 1e-3
+MAX_MISSED = 1e-3
 """Maximum fraction of missed cycles."""
 
 CONFIDENCE = 0.95
@@ -115,5 +115,5 @@ def run(
     options = RunOptions(scenario, autostart=False)
     for now in work_again(options, logs, lambda _: time.monotonic() > until, world=friction):
         result = summed_up(now)
-        well = result["faults"] == 0 and result["missed_share"] <= MOST_MISSED
+        well = result["faults"] == 0 and result["missed_share"] <= MAX_MISSED
         yield Outcome(result, line(now.tasks[-1]), well, text(result))

@@ -74,7 +74,7 @@ LOOK_S = 1.0
 LINE_BYTES = 4096
 """Maximum length of a terminal's input line [bytes] (N_TTY_BUF_SIZE of Linux)."""
 
-MOST_PICKS = 10_000
+MAX_PICKS = 10_000
 """Maximum number of parts for a robot to take."""
 
 DRIVES = {"cia402": "linear_motors", "odrive": "odrives"}
@@ -165,7 +165,7 @@ def checked(args: argparse.Namespace) -> Plan:
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed with --lockstep: 0")
     Disturbances(image_rate=args.image_rate)  # raises if the rate is out of range
-    within("picks", args.picks, 1, MOST_PICKS)
+    within("picks", args.picks, 1, MAX_PICKS)
     within("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
         if args.lockstep:

@@ -32,7 +32,7 @@ from plate_core.status import Level
 from plate_core.tasks import Scenario
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
-MOST_IMAGES = 240
+MAX_IMAGES = 240
 """Maximum number of images kept for drawing, 300 kB each."""
 
 ALL = QoSProfile(depth=200)
@@ -83,7 +83,7 @@ class Thinned:
     """A list of limited length. When it has `most` items, every second one is removed. From then
     on only every second, fourth, ... new item is kept."""
 
-    most: int = MOST_IMAGES
+    most: int = MAX_IMAGES
     items: list[Any] = field(default_factory=list)
     step: int = 1
     count: int = 0

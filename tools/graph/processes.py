@@ -33,7 +33,7 @@ ends."""
 TAIL_LINES = 12
 """Number of last lines of a log that are shown when a node has failed."""
 
-MOST_ENDS, WITHIN_S = 5, 60.0
+MAX_ENDS, WITHIN_S = 5, 60.0
 """Number of ends within a time [s] after which a program is not started again."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -306,13 +306,13 @@ class Ends:
     """Counts how often a program has ended, to limit how often it is started again."""
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=MOST_ENDS)
+        self._times: deque[float] = deque(maxlen=MAX_ENDS)
 
     def too_many(self, now: float) -> bool:
-        """Count an end at the time `now` [s]. Return whether there were `MOST_ENDS` within
+        """Count an end at the time `now` [s]. Return whether there were `MAX_ENDS` within
         `WITHIN_S`."""
         self._times.append(now)
-        return len(self._times) == MOST_ENDS and now - self._times[0] <= WITHIN_S
+        return len(self._times) == MAX_ENDS and now - self._times[0] <= WITHIN_S
 
 
 def ended(code: int) -> str:

@@ -44,7 +44,7 @@ NODES = ("simulator", "detector", "planner", "solver", "driver")
 
 GATE, NAMESPACE = "gate", "beside"
 
-SHORTEST_NS, LONGEST_NS = 10_000_000, 500_000_000
+MIN_NS, MAX_NS = 10_000_000, 500_000_000
 """Bounds of half a cycle [ns]."""
 
 
@@ -112,7 +112,7 @@ class Forwarder(Node):
         stamp_ns = nanoseconds(msg.header.stamp)
         half_ns = (stamp_ns - self._last_ns) // 2
         self._last_ns = stamp_ns
-        self._timer.timer_period_ns = min(max(half_ns, SHORTEST_NS), LONGEST_NS)
+        self._timer.timer_period_ns = min(max(half_ns, MIN_NS), MAX_NS)
         self._timer.reset()
 
     def _shoot(self) -> None:

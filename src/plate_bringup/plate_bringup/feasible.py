@@ -12,7 +12,7 @@ import sys
 import numpy as np
 
 from plate_core import PlateError, Rig, load_rig, piped
-from plate_core.rig import LEAST_GAMMA, rig_names, rig_path
+from plate_core.rig import MIN_GAMMA, rig_names, rig_path
 from plate_core.tasks import (
     FeedTask,
     FollowTask,
@@ -182,7 +182,7 @@ def advice_for(rig: Rig, verdict: Verdict) -> str:
     """Return advice about changes that would help."""
     binds = verdict.share.binds
     advice = f"the most used limit is {binds} ({KEYS[binds]}); fewer parts may help"
-    if rig.gamma < LEAST_GAMMA:
+    if rig.gamma < MIN_GAMMA:
         advice = f"{weak_plate_text(rig)}, or fewer parts"
     if np.isfinite(verdict.time_s) and not any(each.lost for each in verdict.rehearsals):
         advice += f"; or a time_limit_s of {1.2 * verdict.time_s:.0f} s"

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import MOST_PARTS, PlateError, Rig, load_rig
+from plate_core import MAX_PARTS, PlateError, Rig, load_rig
 from plate_core.tasks import FeedOrder, FeedTask, Scenario
 from plate_feeder import Feeder, FeedStatus, ReadyPart, Reply
 from plate_planner.tasks import FeedReport
@@ -354,9 +354,9 @@ def filled(recipe: Scenario, fill: int) -> Scenario:
             f"recipe is {recipe.name!r}, allowed: a scenario of kind feed with a hopper"
         )
     hopper, ready = task.hopper, sum(pick.ready for pick in task.picks)
-    if not ready <= fill <= MOST_PARTS:
+    if not ready <= fill <= MAX_PARTS:
         raise PlateError(
-            f"fill is {fill}, allowed: {ready} (the parts to keep ready) to {MOST_PARTS}"
+            f"fill is {fill}, allowed: {ready} (the parts to keep ready) to {MAX_PARTS}"
         )
     least = max(1, round(fill * hopper.least / hopper.fill))
     wanted = [pick.label for pick in task.picks]

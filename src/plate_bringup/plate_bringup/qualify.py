@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import MOST_PARTS, PlateError, Rig, load_rig, piped
+from plate_core import MAX_PARTS, PlateError, Rig, load_rig, piped
 from plate_core.rig import rig_names, rig_path
 from plate_core.tasks import Scenario, load_scenario
 
@@ -33,7 +33,7 @@ smallest one that does."""
 CYCLE_S, MINUTES = (0.2, 60.0), (0.05, 60.0)
 """Allowed ranges of the robot's cycle [s] and of the duration of one production [min]."""
 
-MOST_SEEDS = 100
+MAX_SEEDS = 100
 
 HEADINGS = (
     "fill", "parts/min", "worst", "robot waits", "first pick", "failed", "lost", "chute",
@@ -306,7 +306,7 @@ def arguments() -> argparse.Namespace:
         help="simulated duration of each run [min] (default: 2)",
     )  # fmt: skip
     parser.add_argument(
-        "--seeds", type=_within("seeds", 1, MOST_SEEDS, int), default=3, metavar="N",
+        "--seeds", type=_within("seeds", 1, MAX_SEEDS, int), default=3, metavar="N",
         help="number of runs for each fill (default: 3)",
     )  # fmt: skip
     parser.add_argument(
@@ -333,7 +333,7 @@ def _within(
 
 
 def _fills(text: str) -> list[int]:
-    fill = _within("fill", 1, MOST_PARTS, int)
+    fill = _within("fill", 1, MAX_PARTS, int)
     return list(dict.fromkeys(fill(word.strip()) for word in text.split(",")))
 
 

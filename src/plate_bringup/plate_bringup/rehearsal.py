@@ -31,7 +31,7 @@ __all__ = ["REHEARSALS", "STILL", "Rehearsal", "Share", "Verdict", "judge_task",
 REHEARSALS = 3
 """Number of rehearsals of a task, each with other random start positions."""
 
-MOST_CYCLES = 150
+MAX_CYCLES = 150
 """Maximum number of cycles per rehearsal. The time for the rest is extrapolated from the speed in
 the second half."""
 
@@ -73,7 +73,7 @@ class Rehearsal:
     Attributes
     ----------
     time_s : float
-        Time until the task succeeded, extrapolated if it was not finished after `MOST_CYCLES` [s].
+        Time until the task succeeded, extrapolated if it was not finished after `MAX_CYCLES` [s].
         Infinite if it failed or if the parts did not approach their targets.
     speed : float
         Mean speed of the parts until the remaining distance was halved [m/s].
@@ -190,7 +190,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     if not isinstance(scenario.task, REHEARSED):
         raise PlateError("tasks of kind pose, move and feed are not rehearsed")
     setup = Setup(replace(scenario, time_limit_s=ENDLESS_S), seed, image_age_s=0.0)
-    moments = list(islice(run(setup, rig, scene=Predicted(scenario, rig, seed)), MOST_CYCLES))
+    moments = list(islice(run(setup, rig, scene=Predicted(scenario, rig, seed)), MAX_CYCLES))
     progresses = [moment.progress for moment in moments]
     last = progresses[-1]
     left = np.array([progress.to_go_m for progress in progresses])

@@ -29,7 +29,7 @@ def with_few(name):
 def _short(monkeypatch):
     """Verdicts are the same with fewer starts of each motion, and with more of a task estimated."""
     monkeypatch.setitem(EFFORT["sinusoids"], "restarts", 10)
-    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 20)
+    monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 20)
 
 
 def shaken(gamma):
@@ -47,7 +47,7 @@ def test_a_strong_rig_is_likely_to_do_it(scenario):
 
 def test_a_path_takes_as_long_as_it_is_long(monkeypatch):
     """Two rectangles of 0.56 m at 40 mm/s; references start slowly until the latency is known."""
-    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 150)  # to its end
+    monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 150)  # to its end
     path = rehearse(RIG, load_scenario("follow_2"), 0)
     assert not path.lost
     assert 0 < path.time_s - 0.56 / 0.04 < 1
@@ -56,7 +56,7 @@ def test_a_path_takes_as_long_as_it_is_long(monkeypatch):
 
 def test_a_plate_that_hardly_shakes_is_not(monkeypatch):
     """No part goes 40 mm/s where the bound is 10: mu g T/16 (G - 1/G), T being 0.1 s."""
-    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 40)
+    monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 40)
     verdict = judge_task(shaken(1.2), load_scenario("follow_2"), 1)
     assert not verdict.likely
     assert verdict.speed < RIG.friction.accel * 0.1 / 16 * (1.2 - 1 / 1.2)
@@ -148,7 +148,7 @@ def test_command_takes_the_rig_of_the_scenario():
 
 
 def test_command_says_no_and_what_would_do(command, tmp_path, monkeypatch):
-    monkeypatch.setattr("plate_bringup.rehearsal.MOST_CYCLES", 20)  # in the first it is clear
+    monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 20)  # in the first it is clear
     text = config_path("rig.yaml").read_text(encoding="utf-8")
     assert "accel_mps2: 100.0" in text
     path = tmp_path / "weak.yaml"

@@ -15,7 +15,7 @@ from plate_interfaces.msg import DriverStatus, Friction
 OURS = Time(sec=7)
 MEASURES = DriverStatus(state=DriverStatus.CALIBRATING)
 READY = DriverStatus(state=DriverStatus.READY)
-MOST_ROUNDS = 100
+MAX_ROUNDS = 100
 
 
 class Scripted(Graph):
@@ -34,7 +34,7 @@ class Scripted(Graph):
         return self.answer
 
     def _until(self, true, timeout_s):
-        assert self.rounds < MOST_ROUNDS
+        assert self.rounds < MAX_ROUNDS
         self.script(self)
         self.rounds += 1
         return true()

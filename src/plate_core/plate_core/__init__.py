@@ -10,7 +10,7 @@ from .motion import PlateCycle
 from .network import choose_network, ros_domain
 from .parts import (
     GROUP,
-    MOST_PARTS,
+    MAX_PARTS,
     NAMELESS,
     PLAUSIBLE_AREA,
     UNKNOWN,
@@ -24,7 +24,7 @@ from .yaml_fields import config_path
 
 __all__ = [
     "GROUP",
-    "MOST_PARTS",
+    "MAX_PARTS",
     "NAMELESS",
     "PLAUSIBLE_AREA",
     "UNKNOWN",

@@ -13,7 +13,7 @@ import numpy as np
 
 from .errors import PlateError
 
-MOST_PARTS = 100
+MAX_PARTS = 100
 """Maximum number of parts in a scenario and in one request. The solver needs three seconds for a
 thousand parts."""
 

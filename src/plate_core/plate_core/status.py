@@ -17,7 +17,7 @@ from enum import IntEnum
 
 __all__ = [
     "INPUT_TIMEOUT_S",
-    "MOST_AGE_S",
+    "MAX_AGE_S",
     "Finding",
     "Input",
     "Level",
@@ -30,7 +30,7 @@ INPUT_TIMEOUT_S = 1.5
 """Default input timeout [s]. It equals three of the longest usual cycles, and it is short enough to
 end a task within 2 s of a fault."""
 
-LATENCY_S, MOST_AGE_S = 0.2, 0.6
+LATENCY_S, MAX_AGE_S = 0.2, 0.6
 """Maximum computation time of vision, planner and solver on a slow computer [s], and maximum age of
 the image for which a moving cycle is computed, if the period is not longer [s]. See `age_limit`."""
 
@@ -60,7 +60,7 @@ class Finding:
 def age_limit(period: float) -> float:
     """Return the maximum age [s] of the image for which a moving cycle of this period [s] is
     computed."""
-    return min(2 * period + LATENCY_S, max(MOST_AGE_S, period + LATENCY_S))
+    return min(2 * period + LATENCY_S, max(MAX_AGE_S, period + LATENCY_S))
 
 
 def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:

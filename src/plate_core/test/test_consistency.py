@@ -14,7 +14,7 @@ from shown_text import says
 
 from plate_core import RigError, config_path, load_rig
 from plate_core.rig import (
-    LEAST_GAMMA,
+    MIN_GAMMA,
     Lens,
     camera_pose,
     doubts,
@@ -105,7 +105,7 @@ def test_corners_in_another_order_are_recognised(spoilt):
 def test_rigs_that_are_shipped_are_consistent(name):
     rig = load_rig(name)
     assert doubts(rig) == []
-    assert rig.gamma > LEAST_GAMMA
+    assert rig.gamma > MIN_GAMMA
 
 
 def test_default_rig_is_consistent():

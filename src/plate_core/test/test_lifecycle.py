@@ -21,7 +21,7 @@ from stepped_clock import SteppedExecutor  # noqa: E402
 from plate_core.ros import DATA, NodeOptions, SafeLifecycleNode, parameter, start_nodes  # noqa: E402
 from plate_core.status import Finding, Level  # noqa: E402
 
-LONGEST_S = 60
+MAX_S = 60
 """A bound on what takes a moment [s]."""
 
 
@@ -90,7 +90,7 @@ class Peer:
         (status,) = msg.status
         self.reports.append((int.from_bytes(status.level), status.message, len(status.values)))
 
-    def until(self, true, longest_s=LONGEST_S):
+    def until(self, true, longest_s=MAX_S):
         clock = self.executor.clock
         end = clock.monotonic() + longest_s
         while not (done := true()) and clock.monotonic() < end:
@@ -396,5 +396,5 @@ def test_by_itself_a_program_gets_active(hears):
         assert hears(process, "configuring")
         assert hears(process, "active")
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=LONGEST_S)
+        process.communicate(timeout=MAX_S)
     assert process.returncode == 0

@@ -15,7 +15,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     frame,
     pack,
 )
-from plate_driver.transports.line import HEARTBEAT_S, MOST_COPIES, LineModel, frame_bytes, upload_s
+from plate_driver.transports.line import HEARTBEAT_S, MAX_COPIES, LineModel, frame_bytes, upload_s
 
 REST = (0.0,) * 4
 ROUND = 17 + 25
@@ -77,6 +77,6 @@ def test_loss_is_found(loss):
     assert line.arriving(65) == pytest.approx((1 - loss) ** 65)
     assert line.knots_per_message == 1
     expected = 1 / (1 - loss) ** 65
-    assert line.copies(65) == pytest.approx(min(MOST_COPIES, expected), abs=1)
+    assert line.copies(65) == pytest.approx(min(MAX_COPIES, expected), abs=1)
     assert line.heartbeat_s == pytest.approx(0.01)
     assert LineModel(57_600.0, answered=0.3).heartbeat_s == pytest.approx(17 / 5760 / 0.2)

@@ -5,7 +5,7 @@ from scipy.interpolate import BPoly
 
 from plate_core import PlateCycle, load_rig
 from plate_driver.setpoints.motor_table import MotorTable
-from plate_driver.setpoints.setpoint_stream import LONGEST_S, TICKS, SetpointStream, knots, refined
+from plate_driver.setpoints.setpoint_stream import MAX_S, TICKS, SetpointStream, knots, refined
 
 RIG = load_rig()
 
@@ -22,7 +22,7 @@ def test_refined_pieces_are_the_same_motion():
     table = cycle(0.5, 5, 0)
     made = refined(table)
     t = np.array([k.ticks * 1e-8 for k in made])
-    assert np.max(np.diff(t)) <= LONGEST_S + 1e-8
+    assert np.max(np.diff(t)) <= MAX_S + 1e-8
     ends = np.stack([table.q, table.qd, table.qdd], axis=1)
     exact = BPoly.from_derivatives(table.cycle.times.copy(), ends)
     for order, name in enumerate(("position", "velocity", "acceleration")):

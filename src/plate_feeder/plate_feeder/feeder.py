@@ -28,7 +28,7 @@ ordered
   may.
 - After a `stop` nothing starts before `resume`, which a person calls.
 - A part that was reserved is not offered again before an image, `SEEN_ANEW_S` younger than the
-  newest one at the end of the reservation, shows it ready. After `MOST_FAILURES` failed picks at
+  newest one at the end of the reservation, shows it ready. After `MAX_FAILURES` failed picks at
   one place a part is not offered until it is elsewhere. Meanwhile one more part is requested,
   because the planner counts this one as ready.
 - Among several parts the one with the fewest failed picks is offered; among equals the one nearest
@@ -39,7 +39,7 @@ none
   purged, nor within `FALLEN_S` of its closing, nor before an image taken without a reservation: the
   planner counts no new parts while a robot hides some. Until then no part within two spreads of the
   place where parts fall is offered, and the plate does not count as purged. The hopper is closed
-  when a purge begins and when the task ends. After `MOST_OPENINGS` openings without new parts it
+  when a purge begins and when the task ends. After `MAX_OPENINGS` openings without new parts it
   counts as empty; each new command opens it once more.
 """
 
@@ -50,9 +50,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from plate_core import MOST_PARTS, PlateError, Rig, part_class
+from plate_core import MAX_PARTS, PlateError, Rig, part_class
 from plate_core.tasks import (
-    LONGEST_OPEN_S,
+    MAX_OPEN_S,
     FeedMode,
     FeedOrder,
     FeedTask,
@@ -85,10 +85,10 @@ moved since the previous image, and therefore not be ready."""
 FALLEN_S = 1.0
 """Delay after the hopper closes until all dropped parts are visible [s]."""
 
-MOST_OPENINGS = 3
+MAX_OPENINGS = 3
 """Number of consecutive openings without a new part after which the hopper counts as empty."""
 
-MOST_FAILURES = 3
+MAX_FAILURES = 3
 """Number of failed picks at one place after which a part is not offered."""
 
 MOVED_M = 0.002
@@ -101,7 +101,7 @@ SPREADS = 2.0
 WAITS = "stopped until a person calls resume_feeding: "
 """Beginning of the text of a stop; the reason follows."""
 
-LONGEST_S = 3600.0
+MAX_S = 3600.0
 """Maximum `timeout_s` of a command [s]."""
 
 
@@ -304,7 +304,7 @@ class Feeder:
         before = self._failures.pop(name, _Failures(0, x, y))
         count = before.count + 1 if math.hypot(x - before.x, y - before.y) <= MOVED_M else 1
         self._failures[name] = _Failures(count, x, y)
-        while len(self._failures) > MOST_PARTS:
+        while len(self._failures) > MAX_PARTS:
             del self._failures[next(iter(self._failures))]
         return Reply(Code.DONE, f"{name} is still there, failed picks at this place: {count}{late}")
 
@@ -400,7 +400,7 @@ class Feeder:
     @property
     def hopper_empty(self) -> bool:
         """Whether the last openings of the hopper brought no parts."""
-        return self._barren >= MOST_OPENINGS
+        return self._barren >= MAX_OPENINGS
 
     def silence(self, now: float) -> str:
         """Return a text about missing messages of the planner; empty if none are missing."""
@@ -444,7 +444,7 @@ class Feeder:
         return None
 
     def _begin(self, now: float) -> None:
-        self._barren = min(self._barren, MOST_OPENINGS - 1)
+        self._barren = min(self._barren, MAX_OPENINGS - 1)
         if self._task is _Task.IDLE:
             if now >= self._evaluate_at:  # the parts may have changed since
                 self._opened = None
@@ -494,7 +494,7 @@ class Feeder:
             self._answer_waiting(
                 Code.HOPPER_EMPTY,
                 f"no {waiting.request.label or 'part'} is on the plate, and no part came out of "
-                f"the hopper in {MOST_OPENINGS} openings",
+                f"the hopper in {MAX_OPENINGS} openings",
             )
         elif now >= waiting.until:
             quantity, label = self.quantity(), waiting.request.label
@@ -543,7 +543,7 @@ class Feeder:
         kept = {*self._held, *(part.id for part in self._ready() if self._is_aside(part))}
         labels = [part_class(name) for name in kept]
         return tuple(
-            replace(pick, ready=min(pick.ready + labels.count(pick.label), MOST_PARTS))
+            replace(pick, ready=min(pick.ready + labels.count(pick.label), MAX_PARTS))
             for pick in picks
         )
 
@@ -575,7 +575,7 @@ class Feeder:
         failed = self._failures.get(part.id)
         return (
             failed is not None
-            and failed.count >= MOST_FAILURES
+            and failed.count >= MAX_FAILURES
             and math.hypot(part.x - failed.x, part.y - failed.y) <= MOVED_M
         )
 
@@ -660,12 +660,12 @@ class Feeder:
         enough = hopper.fill if absent else hopper.least
         if self._opened is not None or self.hopper_empty or total >= enough:
             return None
-        open_s = min((hopper.fill - total) / hopper.rate, LONGEST_OPEN_S)
+        open_s = min((hopper.fill - total) / hopper.rate, MAX_OPEN_S)
         self._opened, self._evaluate_at = came, now + open_s + FALLEN_S
         return open_s
 
 
 def _time_problem(timeout_s: float) -> str:
-    if 0 <= timeout_s <= LONGEST_S:
+    if 0 <= timeout_s <= MAX_S:
         return ""
-    return f"timeout_s is {timeout_s:g}, allowed: 0 (the recipe's) to {LONGEST_S:g}"
+    return f"timeout_s is {timeout_s:g}, allowed: 0 (the recipe's) to {MAX_S:g}"

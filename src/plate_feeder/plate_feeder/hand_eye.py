@@ -13,10 +13,10 @@ from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
 
 from .interface import ReadyPart
 
-LARGEST_RESIDUAL_M = 1e-3
+MAX_RESIDUAL_M = 1e-3
 """Maximum residual of a point [m]. A larger one means a measurement error."""
 
-LEAST_BASE_M = 0.05
+MIN_BASE_M = 0.05
 """Minimum extent of the points on the plate [m]. Nearer points do not determine the angle."""
 
 FAR_M = 10.0
@@ -134,20 +134,20 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
         raise HandEyeError(f"points are {count}, allowed: 2 or more")
     p, q = plate @ (1, 1j), robot @ (1, 1j)
     base = float(np.max(np.abs(p[:, None] - p)))
-    if base < LEAST_BASE_M:
+    if base < MIN_BASE_M:
         raise HandEyeError(
             f"points are {1e3 * base:.1f} mm apart on the plate, allowed: "
-            f"{1e3 * LEAST_BASE_M:g} mm or more"
+            f"{1e3 * MIN_BASE_M:g} mm or more"
         )
     residuals, turn, shift = _fit(p, q)
     worst = int(np.argmax(residuals))
-    if not residuals[worst] <= LARGEST_RESIDUAL_M:
+    if not residuals[worst] <= MAX_RESIDUAL_M:
         mirrored, *_ = _fit(p.conj(), q)
         hint = "; mirrored points would fit: does z of the robot's frame point down?"
         raise HandEyeError(
             f"points[{worst}] has a residual of {1e3 * residuals[worst]:.2f} mm, "
-            f"allowed: {1e3 * LARGEST_RESIDUAL_M:g} mm"
-            + (hint if np.max(mirrored) <= LARGEST_RESIDUAL_M else "")
+            f"allowed: {1e3 * MAX_RESIDUAL_M:g} mm"
+            + (hint if np.max(mirrored) <= MAX_RESIDUAL_M else "")
         )
     angle = float(np.angle(turn))
     return HandEye(frame, angle, shift.real, shift.imag, float(residuals[worst]))

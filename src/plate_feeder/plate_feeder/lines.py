@@ -12,10 +12,10 @@ from plate_core import PlateError, did_you_mean
 from .codes import Code
 from .interface import Quantity, ReadyPart
 
-LONGEST_LINE = 256
+MAX_LINE = 256
 """Maximum length of a robot's line [bytes]."""
 
-LONGEST_ANSWER = 250
+MAX_ANSWER = 250
 """Maximum length of a reply line [characters]. Longer texts are cut between two words."""
 
 NUMBER = re.compile(r"[-+.\d]")
@@ -77,8 +77,8 @@ def read_line(line: bytes) -> Command:
     LineError
         With the error and what is allowed.
     """
-    if len(line) > LONGEST_LINE:
-        raise LineError(Code.BAD_LINE, f"the line is too long, allowed: {LONGEST_LINE} bytes")
+    if len(line) > MAX_LINE:
+        raise LineError(Code.BAD_LINE, f"the line is too long, allowed: {MAX_LINE} bytes")
     text = line.decode("ascii", "replace")
     if not text.isascii() or not text.replace("\t", " ").isprintable():
         raise LineError(Code.BAD_LINE, "the line is not plain text, allowed: printable ASCII")
@@ -115,8 +115,8 @@ def answer_line(code: Code, text: str) -> bytes:
     """Return the reply line for a command."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
     line = f"{code:d} {plain}"
-    if len(line) > LONGEST_ANSWER:  # cut at a space: half a number would be a wrong number
-        line = line[: LONGEST_ANSWER + 1].rpartition(" ")[0]
+    if len(line) > MAX_ANSWER:  # cut at a space: half a number would be a wrong number
+        line = line[: MAX_ANSWER + 1].rpartition(" ")[0]
     return line.encode() + b"\r\n"
 
 

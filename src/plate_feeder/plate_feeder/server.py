@@ -17,15 +17,15 @@ from collections.abc import Callable
 from plate_core import PlateError
 
 from .codes import Code
-from .feeder import LONGEST_S
-from .lines import LONGEST_LINE, WAITING, Command, LineError, answer_line, help_text, read_line
+from .feeder import MAX_S
+from .lines import MAX_LINE, WAITING, Command, LineError, answer_line, help_text, read_line
 
-MOST_CLIENTS = 8
+MAX_CLIENTS = 8
 
-MOST_WAITING = 4
+MAX_WAITING = 4
 """Maximum number of commands of one client that wait for the previous one; more are refused."""
 
-MOST_ANSWERS = 100
+MAX_ANSWERS = 100
 """Maximum number of lines of one client that wait for replies, including refused ones. With more
 the client is disconnected."""
 
@@ -91,7 +91,7 @@ class RobotServer:
     def __init__(self, host: str, port: int, ask: Ask, gone: Callable[[int], None]) -> None:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            self._socket = socket.create_server((host, port), family=family, backlog=MOST_CLIENTS)
+            self._socket = socket.create_server((host, port), family=family, backlog=MAX_CLIENTS)
         except OSError as error:
             raise PlateError(
                 f"host and port are {host}:{port}, allowed: a free port of an address of this "
@@ -136,8 +136,8 @@ class RobotServer:
         assert task is not None
         self._count += 1
         client = _Client(self._count, reader, writer, self._ask, self._stop)
-        if len(self._tasks) >= MOST_CLIENTS:
-            await client.refuse(f"{MOST_CLIENTS} clients are connected, the maximum")
+        if len(self._tasks) >= MAX_CLIENTS:
+            await client.refuse(f"{MAX_CLIENTS} clients are connected, the maximum")
             return
         self._tasks.add(task)
         try:
@@ -224,7 +224,7 @@ class _Client:
             for line in filter(None, lines):
                 if WEB in line.lower() or not self._take(line):
                     return
-            if len(rest) > LONGEST_LINE:
+            if len(rest) > MAX_LINE:
                 self._take(rest)
                 return
             if lines or not buffer:
@@ -236,14 +236,14 @@ class _Client:
         item: Command | tuple[Code, str]
         try:
             item = read_line(line)
-            if self._waiting >= MOST_WAITING:
-                item = Code.TOO_MANY, f"{MOST_WAITING} commands wait, the maximum"
+            if self._waiting >= MAX_WAITING:
+                item = Code.TOO_MANY, f"{MAX_WAITING} commands wait, the maximum"
             else:
                 self._waiting += 1
         except LineError as error:
             item = error.code, str(error)
         self._queue.put_nowait(item)
-        return self._queue.qsize() <= MOST_ANSWERS
+        return self._queue.qsize() <= MAX_ANSWERS
 
     async def _do(self) -> None:
         """Execute the queued commands one after the other, while the client accepts the replies."""
@@ -276,7 +276,7 @@ class _Client:
                 answered.set_result((code, text))
 
         self._ask(self.number, command, answer)
-        limit = ANSWER_S + (LONGEST_S if command.name in WAITING else 0)
+        limit = ANSWER_S + (MAX_S if command.name in WAITING else 0)
         try:
             return await asyncio.wait_for(answered, limit)
         except TimeoutError:

@@ -11,8 +11,8 @@ from plate_core.tasks import FeedMode, FeedTask, Hopper, Pick, Side, as_picked
 from plate_feeder import Code, Feeder, FeedStatus, ReadyPart, State
 from plate_feeder.feeder import (
     FALLEN_S,
-    MOST_FAILURES,
-    MOST_OPENINGS,
+    MAX_FAILURES,
+    MAX_OPENINGS,
     SEEN_ANEW_S,
     SILENT_S,
     START_S,
@@ -215,7 +215,7 @@ def test_a_part_that_was_taken_is_not_told_while_old_images_show_it():
 
 def test_a_part_whose_pick_has_failed_comes_again_but_not_for_ever():
     cell = Cell(ready=("black_1",))
-    for count in range(MOST_FAILURES):
+    for count in range(MAX_FAILURES):
         assert cell.get() is None
         assert cell.answer().part.id == "black_1"
         reply = cell.do("part_taken", "black_1", False)
@@ -606,13 +606,13 @@ def test_a_hopper_that_brings_nothing_is_empty_and_tried_again_by_a_command():
     cell.get()
     reply = cell.answer(60.0)
     assert reply.code is Code.HOPPER_EMPTY
-    assert len(cell.opened) == MOST_OPENINGS
+    assert len(cell.opened) == MAX_OPENINGS
     assert cell.feeder.hopper_empty
     cell.run(100)
-    assert len(cell.opened) == MOST_OPENINGS
+    assert len(cell.opened) == MAX_OPENINGS
     cell.get()
     cell.run(3)
-    assert len(cell.opened) == MOST_OPENINGS + 1
+    assert len(cell.opened) == MAX_OPENINGS + 1
     filled(cell, 9)
     cell.run(30)
     assert not cell.feeder.hopper_empty
@@ -632,7 +632,7 @@ def test_a_hopper_is_not_empty_because_a_robot_does_not_tell_what_it_takes():
             assert not cell.feeder.hopper_empty
         assert cell.replies.pop().code is Code.DONE
         filled(cell, cell.seen["black"] - 1)
-    assert len(cell.opened) > 2 * MOST_OPENINGS
+    assert len(cell.opened) > 2 * MAX_OPENINGS
 
 
 def test_no_hopper_opens_over_a_robot_and_no_part_is_told_on_which_others_fall():

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from plate_feeder import Code, Quantity, ReadyPart
 from plate_feeder.lines import (
     COMMANDS,
-    LONGEST_ANSWER,
-    LONGEST_LINE,
+    MAX_ANSWER,
+    MAX_LINE,
     Command,
     LineError,
     answer_line,
@@ -57,7 +57,7 @@ def test_lines_are_read(line, command):
         (b"part_taken a ok b", Code.BAD_ARGUMENT, "'ok'"),
         (b"get_part \xe9", Code.BAD_LINE, "ASCII"),
         (b"get_part \x00", Code.BAD_LINE, "ASCII"),
-        (b"a" * (LONGEST_LINE + 1), Code.BAD_LINE, "256"),
+        (b"a" * (MAX_LINE + 1), Code.BAD_LINE, "256"),
     ],
 )
 def test_wrong_lines_are_refused(line, code, named):
@@ -81,7 +81,7 @@ def test_any_line_is_a_command_or_refused(line):
         answer = answer_line(code, text)
         assert answer.endswith(b"\r\n")
         assert answer.count(b"\n") == 1
-        assert len(answer) <= LONGEST_ANSWER + 2
+        assert len(answer) <= MAX_ANSWER + 2
 
 
 def test_answers_are_one_line_of_plain_text():

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.action import ActionClient, ActionServer, CancelResponse  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
-from stepped_clock import LONGEST_S, SteppedExecutor  # noqa: E402
+from stepped_clock import MAX_S, SteppedExecutor  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, msg_to_order, start_nodes  # noqa: E402
@@ -131,7 +131,7 @@ class Graph:
 
     def until_really(self, true, robot=None):
         """Wait for the server's thread; time goes on only while the feeder has a robot wait."""
-        end = time.monotonic() + LONGEST_S
+        end = time.monotonic() + MAX_S
         self.executor.settle()
         while not true():
             assert time.monotonic() < end, "it did not come"
@@ -161,7 +161,7 @@ class Graph:
     def robot(self):
         server = self.feeder._server
         before = server._count
-        robot = socket.create_connection(("127.0.0.1", server.port), timeout=LONGEST_S)
+        robot = socket.create_connection(("127.0.0.1", server.port), timeout=MAX_S)
         self.until_really(lambda: server._count > before)
         self.numbers[robot] = server._count
         return robot

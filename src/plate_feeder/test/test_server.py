@@ -13,8 +13,8 @@ import pytest
 from plate_core import PlateError
 from plate_feeder import Code
 from plate_feeder import server as module
-from plate_feeder.lines import LONGEST_LINE, WAITING
-from plate_feeder.server import MOST_ANSWERS, MOST_CLIENTS, MOST_WAITING, RobotServer
+from plate_feeder.lines import MAX_LINE, WAITING
+from plate_feeder.server import MAX_ANSWERS, MAX_CLIENTS, MAX_WAITING, RobotServer
 
 LONG_S = 20.0
 """Longest wait of a test [s]."""
@@ -128,16 +128,16 @@ def test_a_line_may_come_byte_by_byte(robot):
 def test_commands_wait_for_the_one_before_and_too_many_are_refused(stub, robot):
     robot.send(b"get_part\n")
     until(lambda: stub.waiting)
-    robot.send(b"state\n" * (MOST_WAITING + 2))
+    robot.send(b"state\n" * (MAX_WAITING + 2))
     other = stub.connect()
     assert other.say("state") == b"200 state\r\n"  # others need not wait
     time.sleep(0.1)
     assert stub.asked == ["get_part", "state"]
     stub.waiting.pop()[1](Code.DONE, "a part")
-    got = [robot.line() for _ in range(MOST_WAITING + 3)]
+    got = [robot.line() for _ in range(MAX_WAITING + 3)]
     assert got[0] == b"200 a part\r\n"
-    assert got[1 : MOST_WAITING + 1] == MOST_WAITING * [b"200 state\r\n"]
-    assert [line[:4] for line in got[MOST_WAITING + 1 :]] == 2 * [b"429 "]
+    assert got[1 : MAX_WAITING + 1] == MAX_WAITING * [b"200 state\r\n"]
+    assert [line[:4] for line in got[MAX_WAITING + 1 :]] == 2 * [b"429 "]
 
 
 def test_a_client_that_dies_while_it_waits_is_told_of(stub):
@@ -159,7 +159,7 @@ def test_a_client_that_only_sends_is_still_answered(robot):
 
 
 def test_too_long_a_line_ends_the_connection(robot):
-    robot.send(b"x" * (LONGEST_LINE + 1))
+    robot.send(b"x" * (MAX_LINE + 1))
     assert [line[:4] for line in robot.lines()] == [b"400 "]
 
 
@@ -205,12 +205,12 @@ def test_a_web_page_cannot_command(stub, robot):
 
 
 def test_there_is_an_end_to_clients(stub):
-    robots = [stub.connect() for _ in range(MOST_CLIENTS)]
+    robots = [stub.connect() for _ in range(MAX_CLIENTS)]
     assert {robot.say("state") for robot in robots} == {b"200 state\r\n"}
     late = stub.connect()
     assert [line[:4] for line in late.lines()] == [b"429 "]
     robots.pop().close()
-    until(lambda: stub.server.clients < MOST_CLIENTS)
+    until(lambda: stub.server.clients < MAX_CLIENTS)
     assert stub.connect().say("state") == b"200 state\r\n"
 
 
@@ -285,7 +285,7 @@ def test_a_flood_of_lines_does_not_grow(stub, robot):
     robot.send(b"state\n" * 100_000)
     until(lambda: stub.gone)
     got = robot.lines()
-    assert len(got) <= MOST_ANSWERS + 2
+    assert len(got) <= MAX_ANSWERS + 2
 
 
 def test_what_waits_is_answered_before_it_closes():

@@ -63,7 +63,7 @@ RESULT: dict[str, type] = {
 CHECKED = 10
 """Number of seeds of each task that are run again by a check."""
 
-MOST_SEEDS = 100_000
+MAX_SEEDS = 100_000
 
 AGENT = 2
 """Separates the random numbers of an agent from those of its world."""
@@ -511,8 +511,8 @@ def main() -> int:
             f"--check allows only --workers, --fresh and, with --fresh, --world, not "
             f"{', '.join(given)}"
         )
-    if args.fresh is not None and not (args.check and 0 < args.fresh <= MOST_SEEDS):
-        parser.error(f"--fresh requires --check, allowed: 1 to {MOST_SEEDS}")
+    if args.fresh is not None and not (args.check and 0 < args.fresh <= MAX_SEEDS):
+        parser.error(f"--fresh requires --check, allowed: 1 to {MAX_SEEDS}")
     if args.workers < 1:  # in this process an agent could exit, or falsify results
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     tell = partial(print, flush=True)
@@ -550,9 +550,9 @@ def seed_range(text: str) -> range:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
     except ValueError:
         seeds = range(0)
-    if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MOST_SEEDS:
+    if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MAX_SEEDS:
         raise argparse.ArgumentTypeError(
-            f"is {text!r}, allowed: FIRST:END, at most {MOST_SEEDS} of them, or one number"
+            f"is {text!r}, allowed: FIRST:END, at most {MAX_SEEDS} of them, or one number"
         )
     return seeds
 

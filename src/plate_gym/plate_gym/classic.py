@@ -25,7 +25,7 @@ GOAL = 0.8
 GAIN, FASTEST_MPS = 1.5, 0.03
 """Gain from distance to requested drift [1/s], and maximum drift [m/s]."""
 
-MOST_GAIN = 3.0
+MAX_GAIN = 3.0
 """Maximum of inverse singular values (3.1.5)."""
 
 PERIOD_S, SPEED_MPS, RETURN = 0.2, 0.3, 2.5
@@ -56,7 +56,7 @@ class Classic:
         place = observation[:, :2]
         force = (self._drift(observation) - observation[:, 2:4]) / self._push
         matrix = self._library.forces(place)
-        weight, _ = solve_weights(matrix, force.T.ravel(), MOST_GAIN)
+        weight, _ = solve_weights(matrix, force.T.ravel(), MAX_GAIN)
         share = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
         nearest = self._library.clearance(place)
         order = np.argsort(-share / nearest, kind="stable")  # 3.1.4

@@ -41,7 +41,7 @@ ROUNDING_S = 1e-6
 ROBOT_S = 2.0
 """Cycle time of the robot that is fed [s]."""
 
-MOST_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
+MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
 """Maximum number of parts that this robot can take; it requests the first one at the beginning."""
 
 ENOUGH = 0.9
@@ -304,8 +304,8 @@ def _fed(rules: Feeder, memories: list[Memory]) -> Score:
     fed = [memory for memory in memories if isinstance(memory, Feeding)]
     picks = np.array([each.made.picks for each in fed])
     over = np.array([each.time >= FEED_S - ROUNDING_S for each in fed])
-    enough = picks >= ENOUGH * MOST_PICKS
-    return Score(none, none, picks[:, None], MOST_PICKS - picks, over & enough, never)
+    enough = picks >= ENOUGH * MAX_PICKS
+    return Score(none, none, picks[:, None], MAX_PICKS - picks, over & enough, never)
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:

@@ -43,7 +43,7 @@ seen, if it never was [s]."""
 UNSEEN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -np.inf])
 """Row of a part that was never seen."""
 
-LEAST_WAY_M = 0.01
+MIN_DISTANCE_M = 0.01
 """Minimum initial distance by which rewards are normalised [m]."""
 
 SEEDS = 2**31
@@ -257,7 +257,7 @@ class Plates:
         score = self._score(rows)
         for row, to_go in zip(rows, score.to_go, strict=True):
             plate = self.plates[row]
-            plate.to_go, plate.first = to_go, max(to_go, LEAST_WAY_M)
+            plate.to_go, plate.first = to_go, max(to_go, MIN_DISTANCE_M)
         info = self._info(rows, score)
         bare = [plate.bare for row in rows if len((plate := self.plates[row]).bare)]
         return info | {"bare_images": np.stack(bare)} if bare else info

@@ -21,7 +21,7 @@ import tarfile
 from contextlib import suppress
 from pathlib import Path
 
-MOST_BYTES = 100_000_000
+MAX_BYTES = 100_000_000
 """Maximum size of all entries [bytes]. The entries unused for longest are removed."""
 
 ROOT = b"@the root of the clone@"
@@ -67,7 +67,7 @@ def keep(folder: Path, key: str, content: bytes) -> None:
             part.replace(folder / key)
         finally:
             part.unlink(missing_ok=True)
-        left = MOST_BYTES
+        left = MAX_BYTES
         for entry in sorted(folder.iterdir(), key=lambda e: e.stat().st_mtime, reverse=True):
             left -= entry.stat().st_size
             if left < 0:

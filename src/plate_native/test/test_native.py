@@ -129,7 +129,7 @@ def test_a_file_that_is_edited_while_it_is_compiled_is_compiled_again(package, m
 
 
 def test_the_oldest_entries_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "MOST_BYTES", 3 * 132)
+    monkeypatch.setattr(cache, "MAX_BYTES", 3 * 132)
     for number in range(4):
         cache.keep(tmp_path, str(number), bytes(100))
         os.utime(tmp_path / str(number), (number, number))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle
-from plate_core.status import MOST_AGE_S
+from plate_core.status import MAX_AGE_S
 from plate_planner.estimation.cycle_log import MEMORY_S, CycleClock, CycleLog
 
 SHORT, LONG = PlateCycle.rest(0.1), PlateCycle.rest(0.2)
@@ -354,7 +354,7 @@ def test_what_is_awaited_may_move_the_plate_until_it_has_begun():
     assert log.started(SHORT, 1.1).may_move(1.1)
     assert not log.started(LEAVES, 1.1).may_move(1.1)
     assert log.record_cycle(SHORT, 1.06, 1.0).may_move(1.1)  # rest does not call it back
-    ends = 1.0 + MOST_AGE_S + LEAVES.period
+    ends = 1.0 + MAX_AGE_S + LEAVES.period
     assert log.may_move(ends - 1e-6)
     assert not log.may_move(ends)
 

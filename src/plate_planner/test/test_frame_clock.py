@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fake_camera import FakeCamera
 
-from plate_planner.estimation.frame_clock import ACQUIRE, LONGEST_S, FrameClock
+from plate_planner.estimation.frame_clock import ACQUIRE, MAX_S, FrameClock
 from plate_vision.image_sources import Settings
 
 
@@ -74,7 +74,7 @@ def test_a_stamp_is_believed_until_frames_are_known_and_after_a_gap():
         clock = clock.tick(0.1 * k + 0.003 * (-1) ** k)
         assert clock.instant == clock.stamps[-1]
     assert clock.rate == pytest.approx(10, rel=0.1)
-    for stamp in (clock.stamps[-1] + 2 * LONGEST_S, 0.5):
+    for stamp in (clock.stamps[-1] + 2 * MAX_S, 0.5):
         clock = clock.tick(stamp)
         assert (clock.instant, clock.rate) == (stamp, 0)
 

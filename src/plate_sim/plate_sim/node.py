@@ -55,13 +55,13 @@ CLOCK_PERIOD_S = 0.01
 REPEAT_PERIOD_S = 1.0
 """Interval at which an unanswered image and its cycle's start are repeated [s, wall]."""
 
-SHORTEST_NS = 20_000_000
+MIN_NS = 20_000_000
 """Minimum length of a segment of the device's motion that gets an image [ns]."""
 
 GAP_NS = 1_000_000
 """Maximum gap between consecutive segments of the device's motion [ns]."""
 
-MOST_WRONG_NS = 50_000_000
+MAX_CLOCK_ERROR_NS = 50_000_000
 """Maximum difference between stamps and the system's clock in real time [ns]."""
 
 DRAWN = "Effects in the images, see config/nodes.yaml"
@@ -412,7 +412,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         now_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         late = behind_ns > (self._next_ns - self._time_ns) / self.options.rate
         # If the system clock was set, or the computer was suspended, correct the stamps.
-        wrong = abs(now_ns - behind_ns - self._next_ns) > MOST_WRONG_NS and not self._simulated_time
+        wrong = (
+            abs(now_ns - behind_ns - self._next_ns) > MAX_CLOCK_ERROR_NS
+            and not self._simulated_time
+        )
         if late or wrong:
             # Plate and parts did not move during the delay, so continue from now.
             self._due_ns += behind_ns
@@ -523,8 +526,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._expose(self._pulse_ns)
 
     def _expose(self, now_ns: int) -> None:
-        """Take an image, unless the last one was less than `SHORTEST_NS` ago."""
-        if now_ns - self._time_ns >= SHORTEST_NS:
+        """Take an image, unless the last one was less than `MIN_NS` ago."""
+        if now_ns - self._time_ns >= MIN_NS:
             self._time_ns = now_ns
             self._count["missed images"] += not self._take_image(now_ns)
             self._publish_truth()

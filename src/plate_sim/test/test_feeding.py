@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import MOST_PARTS, Parts, PlateCycle, PlateError, load_rig, part_class
-from plate_core.tasks import LONGEST_OPEN_S, free_gap, load_scenario
+from plate_core import MAX_PARTS, Parts, PlateCycle, PlateError, load_rig, part_class
+from plate_core.tasks import MAX_OPEN_S, free_gap, load_scenario
 from plate_sim import Disturbances, Move, Simulation
 from plate_sim.world import NONE
 from plate_sim.world.hopper import Flow
@@ -204,17 +204,17 @@ def test_parts_for_which_there_is_no_room_stay_in_the_hopper():
     simulation = world(rate=50.0, place=(0.0, 0.0))
     simulation.open_hopper(5.0)
     run(simulation, 40)
-    assert np.count_nonzero(simulation.state.on_plate) == MOST_PARTS
+    assert np.count_nonzero(simulation.state.on_plate) == MAX_PARTS
     with pytest.raises(PlateError, match="100 parts are on the plate, allowed: at most 100"):
         simulation.open_hopper(0.1)
     simulation.open_hopper(0.0)
     assert simulation.move_robot(Move.GRIP, *simulation.state.position[0]).success
     simulation.open_hopper(0.1)
     simulation.run(REST)
-    assert np.count_nonzero(simulation.state.on_plate) == MOST_PARTS
+    assert np.count_nonzero(simulation.state.on_plate) == MAX_PARTS
 
 
-@pytest.mark.parametrize("duration", [-0.1, np.nan, np.inf, LONGEST_OPEN_S + 0.1])
+@pytest.mark.parametrize("duration", [-0.1, np.nan, np.inf, MAX_OPEN_S + 0.1])
 def test_a_hopper_is_opened_for_a_time_that_makes_sense(duration):
     simulation = world()
     with pytest.raises(PlateError, match=r"duration is .* s, allowed: 0 .* to 60 s"):

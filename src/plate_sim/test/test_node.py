@@ -41,7 +41,7 @@ from plate_sim.node import START_NS, SimulatorNode
 from plate_sim.world import RANGES
 
 RIG = load_rig()
-LONGEST_S = 20.0
+MAX_S = 20.0
 """A test that hears nothing for so long has failed [s]."""
 
 
@@ -90,7 +90,7 @@ class Loop:
         if self.answer is not None:
             self.tables.publish(self.answer(len(self.images) - 1, msg.header.stamp))
 
-    def spin(self, done, longest_s=LONGEST_S):
+    def spin(self, done, longest_s=MAX_S):
         end = self.clock.monotonic() + longest_s
         while not done() and self.clock.monotonic() < end:
             self.executor.spin_once()

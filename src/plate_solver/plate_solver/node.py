@@ -42,7 +42,7 @@ RESTART_NS = 1_000_000_000
 """If a stamp is older than the last one by at least this, the camera or simulator was restarted
 [ns]."""
 
-LONGEST_S = 1.0
+MAX_S = 1.0
 """Maximum duration of a search in real time, even if its cycle begins later [s]."""
 
 LATER_S, SOONER_S, LATEST_S = 0.01, 5e-4, 0.06
@@ -201,7 +201,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._adapt(wanted.plate)
         if not start_ns:
             start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_S))
-        left_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), LONGEST_S) - self._handover_s
+        left_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), MAX_S) - self._handover_s
         try:
             until = began + left_s if self._handover_s else math.inf
             answer = self._controller.answer(wanted, running, until)

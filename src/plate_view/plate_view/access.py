@@ -13,7 +13,7 @@ from plate_core import PlateError
 LOCAL_NAMES = ("localhost", "127.0.0.1", "[::1]")
 """Host names with which a browser on this machine requests the page."""
 
-LEAST_TOKEN = 12
+MIN_TOKEN = 12
 """Minimum number of characters of a token."""
 
 
@@ -60,13 +60,13 @@ class Access:
         if not (self.is_local or self.operator_token):
             raise AccessError(
                 f"address is {self.address} without operator_token, allowed: 127.0.0.1, or a "
-                f"token of at least {LEAST_TOKEN} characters"
+                f"token of at least {MIN_TOKEN} characters"
             )
         for name in ("operator_token", "viewer_token"):
             token = getattr(self, name)
-            if token and not (len(token) >= LEAST_TOKEN and token.isascii() and token.isalnum()):
+            if token and not (len(token) >= MIN_TOKEN and token.isascii() and token.isalnum()):
                 raise AccessError(
-                    f"{name} has {len(token)} characters, allowed: at least {LEAST_TOKEN}, "
+                    f"{name} has {len(token)} characters, allowed: at least {MIN_TOKEN}, "
                     "letters and digits"
                 )
         if self.operator_token and self.operator_token == self.viewer_token:

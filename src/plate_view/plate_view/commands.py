@@ -8,17 +8,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from plate_core import MOST_PARTS, PlateError
+from plate_core import MAX_PARTS, PlateError
 
 from .access import Role
 
-LONGEST_TEXT = 200
+MAX_TEXT = 200
 """Maximum number of characters of a name or a value."""
 
 LARGEST = 1e10
 """Maximum magnitude of a number; it includes stamps of the wall clock [s]."""
 
-MOST_POINTS = 2000
+MAX_POINTS = 2000
 """Maximum number of points of a drawn path."""
 
 
@@ -114,8 +114,8 @@ def _whole(where: str, value: Any) -> int:
 
 
 def _text(where: str, value: Any) -> str:
-    if not isinstance(value, str) or not 0 < len(value) <= LONGEST_TEXT or not value.isprintable():
-        raise _wrong(where, value, f"a text of 1 to {LONGEST_TEXT} characters")
+    if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT or not value.isprintable():
+        raise _wrong(where, value, f"a text of 1 to {MAX_TEXT} characters")
     return value
 
 
@@ -140,7 +140,7 @@ def _list(where: str, value: Any, least: int, most: int) -> list[Any]:
 
 def _targets(where: str, value: Any) -> list[dict[str, Any]]:
     targets = []
-    for each in _list(where, value, 1, MOST_PARTS):
+    for each in _list(where, value, 1, MAX_PARTS):
         if not isinstance(each, dict) or not each.keys() <= {"id", "x", "y", "angle"}:
             raise _wrong(where, each, "id, x, y and angle")
         angle = each.get("angle")
@@ -157,7 +157,7 @@ def _targets(where: str, value: Any) -> list[dict[str, Any]]:
 
 def _points(where: str, value: Any) -> list[tuple[float, float]]:
     points = []
-    for each in _list(where, value, 2, MOST_POINTS):
+    for each in _list(where, value, 2, MAX_POINTS):
         x, y = _list(where, each, 2, 2)
         points.append((_number(where, x), _number(where, y)))
     return points

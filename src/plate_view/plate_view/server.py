@@ -1,7 +1,7 @@
 """The page's server: HTTP and a websocket, on a separate thread that cannot delay the graph.
 
 Each browser has an outgoing queue. Of data that is sent repeatedly it holds the newest message, of
-other messages the last `LONGEST_QUEUE`. A slow browser misses frames; one that accepts nothing is
+other messages the last `MAX_QUEUE`. A slow browser misses frames; one that accepts nothing is
 disconnected.
 """
 
@@ -30,22 +30,22 @@ from .commands import URGENT, Command, CommandError, number_of, read_command
 
 STATIC = Path(__file__).with_name("static")
 
-LONGEST_MESSAGE = 64_000
+MAX_MESSAGE = 64_000
 """Maximum size of a browser's message [bytes]."""
 
-LONGEST_QUEUE = 200
+MAX_QUEUE = 200
 """Maximum number of queued messages that must not be skipped, per browser."""
 
 HUNG_S = 10.0
 """Time without progress in sending after which a browser is disconnected [s]."""
 
-MOST_BROWSERS = 32
+MAX_BROWSERS = 32
 """Maximum number of browsers."""
 
-MOST_VIEWERS = 24
+MAX_VIEWERS = 24
 """Maximum number of viewers: fewer, so that an operator can always connect."""
 
-MOST_REQUESTS = 100
+MAX_REQUESTS = 100
 """Maximum number of open HTTP connections; further ones are closed at once."""
 
 COMMANDS_PER_S = 100.0
@@ -54,10 +54,10 @@ COMMANDS_PER_S = 100.0
 BURST = 200.0
 """Commands that one browser may send at once."""
 
-MOST_OPEN = 50
+MAX_OPEN = 50
 """Maximum number of commands of one browser without a reply. Others are refused, except stops."""
 
-MOST_OF_ALL = 200
+MAX_TOTAL = 200
 """The same of all browsers."""
 
 PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
@@ -94,8 +94,8 @@ class Socket(tornado.websocket.WebSocketHandler):
         self.role: Role | None = None
         self.watches = {"image": False, "field": False, "camera": False}
         self._newest: dict[str, str | bytes] = {}
-        self._queue: deque[str] = deque(maxlen=LONGEST_QUEUE)
-        self._answers: deque[str] = deque(maxlen=LONGEST_QUEUE)
+        self._queue: deque[str] = deque(maxlen=MAX_QUEUE)
+        self._answers: deque[str] = deque(maxlen=MAX_QUEUE)
         self.open_commands = 0
         self._some = asyncio.Event()
         self._allowance, self._counted = BURST, 0.0
@@ -116,7 +116,7 @@ class Socket(tornado.websocket.WebSocketHandler):
             raise tornado.web.HTTPError(401)
         roles = [each.role for each in self.page.browsers]
         viewer = self.role is Role.VIEWER
-        if len(roles) >= MOST_BROWSERS or (viewer and roles.count(self.role) >= MOST_VIEWERS):
+        if len(roles) >= MAX_BROWSERS or (viewer and roles.count(self.role) >= MAX_VIEWERS):
             raise tornado.web.HTTPError(503)
 
     def open(self) -> None:
@@ -150,8 +150,8 @@ class Socket(tornado.websocket.WebSocketHandler):
         self._counted = now
         assert self.role is not None
         try:
-            if len(text) > LONGEST_MESSAGE:
-                raise CommandError(f"message has {len(text)} bytes, allowed: {LONGEST_MESSAGE}")
+            if len(text) > MAX_MESSAGE:
+                raise CommandError(f"message has {len(text)} bytes, allowed: {MAX_MESSAGE}")
             command = read_command(text, self.role)
         except CommandError as error:
             within = self._spend()
@@ -176,8 +176,8 @@ class Socket(tornado.websocket.WebSocketHandler):
             return f"too many commands, allowed: {COMMANDS_PER_S:g} per second"
         if self.page.is_late():
             return "the page was stalled: send it again"
-        if self.open_commands >= MOST_OPEN or self.page.open_commands >= MOST_OF_ALL:
-            return f"{MOST_OPEN} commands of this page, or {MOST_OF_ALL} of all, wait for replies"
+        if self.open_commands >= MAX_OPEN or self.page.open_commands >= MAX_TOTAL:
+            return f"{MAX_OPEN} commands of this page, or {MAX_TOTAL} of all, wait for replies"
         return ""
 
     def _spend(self, price: float = 1.0) -> bool:
@@ -262,7 +262,7 @@ class Door(tornado.httpserver.HTTPServer):
 
     def handle_stream(self, stream: tornado.iostream.IOStream, address: tuple[str, int]) -> None:
         """Accept a connection if there are not too many."""
-        if len(self._connections) < MOST_REQUESTS:
+        if len(self._connections) < MAX_REQUESTS:
             super().handle_stream(stream, address)
         else:
             stream.close()
@@ -376,13 +376,13 @@ class PageServer:
                     "access": self.access, "path": str(STATIC), "default_filename": "index.html",
                 }),
             ],
-            websocket_max_message_size=LONGEST_MESSAGE,
+            websocket_max_message_size=MAX_MESSAGE,
             websocket_ping_interval=5.0,
             websocket_ping_timeout=5.0,
             log_function=lambda handler: None,
         )  # fmt: skip
         server = Door(
-            application, max_buffer_size=10 * LONGEST_MESSAGE, idle_connection_timeout=HUNG_S,
+            application, max_buffer_size=10 * MAX_MESSAGE, idle_connection_timeout=HUNG_S,
             body_timeout=HUNG_S,
         )  # fmt: skip
         server.add_sockets(self._sockets)

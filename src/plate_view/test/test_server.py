@@ -104,7 +104,7 @@ def test_a_browser_that_sends_too_much_is_read_slowly_and_holds_up_no_stop(
 
 
 def test_connections_that_say_nothing_keep_nobody_out(server, taken, monkeypatch):
-    monkeypatch.setattr(module, "MOST_REQUESTS", 5)
+    monkeypatch.setattr(module, "MAX_REQUESTS", 5)
     silent = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(8)]
     for each in silent[5:]:
         each.settimeout(TIMEOUT_S)
@@ -134,8 +134,8 @@ def test_connections_that_say_nothing_keep_nobody_out(server, taken, monkeypatch
 
 
 def test_an_operator_finds_a_place_however_many_look_on(monkeypatch):
-    monkeypatch.setattr(module, "MOST_BROWSERS", 3)
-    monkeypatch.setattr(module, "MOST_VIEWERS", 2)
+    monkeypatch.setattr(module, "MAX_BROWSERS", 3)
+    monkeypatch.setattr(module, "MAX_VIEWERS", 2)
     access = Access(operator_token="operator1234", viewer_token="viewer123456")
     server = module.PageServer(access, 8300, {}, print, lambda: None)
 

@@ -32,7 +32,7 @@ image [-]. It holds the plate's edges, the only edges in the image of a bare pla
 SMOOTH_PX = 1.0
 """Standard deviation of the Gaussian filter before the gradient [px], against noise."""
 
-LEAST_CONTRAST = 4.0
+MIN_CONTRAST = 4.0
 """Minimum standard deviation of the grey levels for a measurement of sharpness. Noise alone, as
 with a covered lens, has about 2."""
 
@@ -67,7 +67,7 @@ BEST_S, LATELY_S = 60.0, 2.0
 STEADY = 0.04
 """Maximum relative change of the sharpness that counts as noise [-]."""
 
-LEAST_PART_PX = 10.0
+MIN_PART_PX = 10.0
 """Minimum diameter of a part in the image [px]. Below it the standard deviation of places exceeds
 0.05 px, and marks are not read."""
 
@@ -159,12 +159,12 @@ def sharpness_of(image: np.ndarray, field: AimField) -> float:
     """Return the sharpness of an image (H, W) or (H, W, 3) uint8 around the plate [1/px].
 
     Root mean square of the gradient (Tenengrad) over the standard deviation of the grey levels, so
-    that brighter light does not count. NaN if there is less contrast than `LEAST_CONTRAST`.
+    that brighter light does not count. NaN if there is less contrast than `MIN_CONTRAST`.
     """
     grey = grey_levels(np.ascontiguousarray(image[field.rows, field.columns])).astype(np.float32)
     _, deviation = cv2.meanStdDev(grey, mask=field.around)
     contrast = float(deviation[0, 0])
-    if contrast < LEAST_CONTRAST:
+    if contrast < MIN_CONTRAST:
         return math.nan
     smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125)
@@ -350,8 +350,8 @@ def size_finding(part_px: tuple[float, float]) -> Finding:
     diameter [px]."""
     low, high = part_px
     text = f"parts are {low:.1f} to {high:.1f} px across"
-    if low < LEAST_PART_PX:
-        why = f"allowed: at least {LEAST_PART_PX:g} px (use a nearer camera or more pixels)"
+    if low < MIN_PART_PX:
+        why = f"allowed: at least {MIN_PART_PX:g} px (use a nearer camera or more pixels)"
         return Finding(Level.WARN, f"{text}, {why}")
     return Finding(Level.OK, text)
 

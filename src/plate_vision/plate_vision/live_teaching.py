@@ -17,7 +17,7 @@ from .errors import TeachError
 from .recognition import model_plate
 from .shapes.catalogue import make_catalogue
 from .shapes.part_files import add_type, lesson_text
-from .shapes.teaching import MOST_PICTURES, Example
+from .shapes.teaching import MAX_PICTURES, Example
 from .vision import Vision
 
 
@@ -41,7 +41,7 @@ class Teaching:
             raise TeachError("teach_name is empty, allowed: the name of the type, such as nut")
         before = self.examples if name == self.name else ()
         example = Example(image, name=f"image {len(before) + 1}")
-        return Teaching(name, (*before, example)[-MOST_PICTURES:])
+        return Teaching(name, (*before, example)[-MAX_PICTURES:])
 
 
 def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartType, Vision, str]:

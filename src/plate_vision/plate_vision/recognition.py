@@ -34,7 +34,7 @@ from .shapes.teaching import ALIKE, gap_between
 BLUR_PX = 0.8
 """Typical blur of a camera and its pixels, standard deviation [px]."""
 
-LEAST_CORNER_PX = 0.25
+MIN_CORNER_PX = 0.25
 """Minimum protrusion of corners from a round outline in the image for the angle to be measured
 [px]. With stars of 5 to 16 corners the error is then at most a fifth of the angle between two
 corners."""
@@ -250,10 +250,10 @@ def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> li
             corner_px = scale * np.sqrt(2 * template.lever2) / part.symmetry
             wave = BLUR_PX * part.symmetry / (scale * part.reach_m)
             corner_px *= np.exp(-0.5 * wave**2)
-            if corner_px < LEAST_CORNER_PX:
+            if corner_px < MIN_CORNER_PX:
                 found.append(
                     f"type {name}: {part.symmetry} corners protrude by {corner_px:.2f} px in the "
-                    f"image, allowed: at least {LEAST_CORNER_PX} px for measuring its angle"
+                    f"image, allowed: at least {MIN_CORNER_PX} px for measuring its angle"
                 )
     for one, other in combinations(types.values(), 2):
         gap = gap_between(one, other, scale)

@@ -23,7 +23,7 @@ COARSE_STEP = 2
 """The first check uses every second row and column of the grid. Its smallest hit, four neighbours,
 is smaller than the smallest object that counts."""
 
-LEAST_AREA = 0.1
+MIN_AREA = 0.1
 """Minimum area of an object, relative to a part's area. Smaller objects are dust."""
 
 HOLE = 0.5
@@ -119,7 +119,7 @@ def overlooked_things(
     levels = 1 - contrast.grey[y0::stride, x0::stride] / np.float32(contrast.light[0])
     count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
     whole = np.pi * (radius_px / stride) ** 2
-    rows = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= LEAST_AREA * whole]
+    rows = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= MIN_AREA * whole]
     if not rows:
         return NONE_OVERLOOKED
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))

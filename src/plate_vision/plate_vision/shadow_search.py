@@ -25,7 +25,7 @@ FEWEST = 2
 """Minimum number of elongated objects in one direction that indicate shadows. A single one may be a
 part of another shape."""
 
-MOST_THINGS = 10
+MAX_OBJECTS = 10
 """Maximum number of objects used for the fit. More make it slower, and hardly better."""
 
 PIXELS = 3000.0
@@ -38,7 +38,7 @@ SIZE = 1.05, 4.0
 ALIGNED = 0.8
 """Minimum length of the mean of the objects' directions, as unit vectors at twice the angle."""
 
-LEAST_LENGTH = 0.1
+MIN_LENGTH = 0.1
 """Minimum length of a shadow [part radii]."""
 
 SKIRT_PX = 0.7
@@ -208,7 +208,7 @@ def _capsules(
     usual = ~at_edge & (size > SIZE[0]) & (size < SIZE[1])
     usual[0] = False
     most = PIXELS / float(np.median(size[usual] * radius[usual] ** 2)) if np.any(usual) else 0
-    rows = np.flatnonzero(usual)[: int(np.clip(most, FEWEST, MOST_THINGS))]
+    rows = np.flatnonzero(usual)[: int(np.clip(most, FEWEST, MAX_OBJECTS))]
     if len(rows) < FEWEST:
         return None
     flat = np.empty((len(rows), 2))
@@ -224,7 +224,7 @@ def _capsules(
     if np.hypot(*mean) < ALIGNED:
         return None
     length = np.interp(much, _flatness(RATIOS), RATIOS) * radius[rows]
-    if np.median(length / radius[rows]) < LEAST_LENGTH:
+    if np.median(length / radius[rows]) < MIN_LENGTH:
         return None
     angles = 0.5 * np.arctan2(unit[:, 1], unit[:, 0])
     direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)

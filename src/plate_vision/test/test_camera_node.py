@@ -34,10 +34,10 @@ from plate_vision.image_sources import Watch  # noqa: E402
 from plate_vision.image_sources.node import CameraNode  # noqa: E402
 from plate_vision.node import DetectorNode  # noqa: E402
 
-LONGEST_S = 60.0
+MAX_S = 60.0
 """A bound on what takes a moment [s]."""
 
-MOST_COPIES = 12
+MAX_COPIES = 12
 """Cost of an image from its pixels to its message, over that of a copy."""
 
 SIZE = {"width": 64, "height": 48}
@@ -100,7 +100,7 @@ class Graph:
         self.reports.extend(each for each in msg_to_reports(msg) if each.node == "camera")
 
     def until(self, condition):
-        end = time.monotonic() + LONGEST_S
+        end = time.monotonic() + MAX_S
         while not condition():
             assert time.monotonic() < end, self.notes + [each.message for each in self.reports][-1:]
             self.executor.spin_once(timeout_sec=0.02)
@@ -293,7 +293,7 @@ def test_a_reader_that_still_waits_ends_before_the_next_one_opens_the_device(sta
 
     def slow():
         busy.append(1)
-        waits.wait(LONGEST_S)
+        waits.wait(MAX_S)
         return grab()
 
     capture.grab = slow
@@ -380,4 +380,4 @@ def test_an_image_costs_no_more_than_a_few_copies_of_it():
         array_to_image(pictures[k % 2], Time(), "bgr8")
         times.append(time.thread_time() - copied)
         copies.append(copied - began)
-    assert np.median(times) < MOST_COPIES * np.median(copies)
+    assert np.median(times) < MAX_COPIES * np.median(copies)

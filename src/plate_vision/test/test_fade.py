@@ -5,7 +5,7 @@ import pytest
 
 from plate_vision import _kernels
 
-HALFWAY, LEAST_SEEN = (0.3, 0.7), 4
+HALFWAY, MIN_SEEN = (0.3, 0.7), 4
 """As in shadows.hpp."""
 
 
@@ -33,7 +33,7 @@ def in_numpy(away, around, like, slope, labels, bound, level):
         light = inside & like & (away < bound[k])
         edge = inside & like & (around <= bound[k])
         edge &= (HALFWAY[0] * level[k] < away) & (away < HALFWAY[1] * level[k])
-        if np.count_nonzero(edge) >= LEAST_SEEN:
+        if np.count_nonzero(edge) >= MIN_SEEN:
             fade[k] = np.mean(slope[edge])
         dark = inside & ~light
         if light.any() and dark.any():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_vision._kernels import MOST_OUTSIDE, search, support
+from plate_vision._kernels import MAX_OUTSIDE, search, support
 
 
 def blob(rng, size):
@@ -45,7 +45,7 @@ def test_a_search_finds_what_trying_each_place_and_turn_does(seed, stride):
                 c, s = np.cos(turn), np.sin(turn)
                 pose = np.append(at - np.array([[c, -s], [s, c]]) @ pole, turn)
                 seen, outside = support(free, border, to_px, rim, inner, pose)
-                if outside <= 2 * MOST_OUTSIDE and seen > best[0]:
+                if outside <= 2 * MAX_OUTSIDE and seen > best[0]:
                     best = (seen, *pose)
             if best[0] > 0:
                 expected.append((*best[1:], best[0]))

@@ -44,7 +44,7 @@ def test_a_plate_sized_patch_is_one_group_and_is_not_cut(monkeypatch):
 
 
 def test_patches_of_noise_do_not_displace_parts(monkeypatch):
-    monkeypatch.setattr(segmentation, "MOST_PATCHES", 20)
+    monkeypatch.setattr(segmentation, "MAX_PATCHES", 20)
     bare = learn_plate(np.stack([plate(seed) for seed in (1, 2, 3)]))
     image = plate(7)
     for x in range(10, 320, 20):  # 48 specks between the parts

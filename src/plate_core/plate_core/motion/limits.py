@@ -23,7 +23,7 @@ CUTS = 8
 """Number of parts into which a piece that may contain a peak is cut. This reduces the gap of the
 bound to 1/64."""
 
-MOST_PIECES = 4000
+MAX_PIECES = 4000
 """Maximum number of parts to examine, in addition to the motion's pieces. If there are more, the
 current bound is returned. It is too high, but this only happens for motions far beyond all limits.
 Other motions need about 20."""
@@ -201,7 +201,7 @@ def _peaks(
         hiding, span = np.nonzero(high > seen[:, None])
         if not len(hiding):
             return np.asarray(low * (1 + CERTAINTY))
-        if len(hiding) > MOST_PIECES + len(steps):
+        if len(hiding) > MAX_PIECES + len(steps):
             np.maximum.at(low, group[piece], np.max(high, axis=1))
             return low
         piece, start, length, spans = piece[hiding], t[hiding, span], length[hiding], CUTS

@@ -5,7 +5,7 @@ The package also converts between the frames: world-fixed (`plate_home`), moving
 `load_rig` reads a rig file. `SECTIONS` defines its keys.
 """
 
-from .consistency import CYCLE_HZ, LEAST_GAMMA, PART_PX, Doubt, doubts
+from .consistency import CYCLE_HZ, MIN_GAMMA, PART_PX, Doubt, doubts
 from .edit import edit_rig
 from .fiducials import Fiducials
 from .frames import (
@@ -28,9 +28,9 @@ from .lens import Lens, lens_of_matrix
 from .measured import unmeasured
 from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
 from .part_types import (
+    MAX_CORNERS,
     MAX_HEIGHT_M,
-    MOST_CORNERS,
-    MOST_HOLES,
+    MAX_HOLES,
     PART_TYPE,
     PartType,
     load_part_types,
@@ -58,11 +58,11 @@ from .suspension import Suspension, mass_matrix, modal_matrices
 
 __all__ = [
     "CYCLE_HZ",
-    "LEAST_GAMMA",
     "LENS_MODELS",
+    "MAX_CORNERS",
     "MAX_HEIGHT_M",
-    "MOST_CORNERS",
-    "MOST_HOLES",
+    "MAX_HOLES",
+    "MIN_GAMMA",
     "ODRIVE_COUNTS",
     "PART_PX",
     "PART_TYPE",

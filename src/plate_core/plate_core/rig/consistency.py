@@ -25,20 +25,20 @@ PART_PX = (3.0, 200.0)
 FINE_PX = 4.0
 """Radius in the image above which detection is reliable [px]."""
 
-LEAST_GAMMA = 5.0
+MIN_GAMMA = 5.0
 """Shaking ratio below which tasks take long or fail [-]. docs/hardware.md has measured values."""
 
 CYCLE_HZ = (5.0, 40.0)
 """Lowest and highest frequency in the solvers' cycles [Hz]: one wave in 0.2 s, four in 0.1 s."""
 
-LEAST_FOLLOWING_M = 1e-5
+MIN_FOLLOWING_M = 1e-5
 """Minimum limit of the following error [m]. No drive is more accurate, so a smaller limit would
 make every motor fail."""
 
 COARSEST_M = 1e-5
 """Maximum resolution of a drive's position without a warning [m per count]."""
 
-MOST_COUNTS = 2**24
+MAX_COUNTS = 2**24
 """Maximum number of counts per stroke. Single precision cannot represent more."""
 
 ODRIVE_NODES, ODRIVE_SPEED = 62, 32.767
@@ -175,11 +175,11 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
                 "motors", f"motors: {name}: {key} is {scale:g}: one count is "
                 f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
             )  # fmt: skip
-        if drive.counts_per_m * rig.limits.stroke_m > MOST_COUNTS:
+        if drive.counts_per_m * rig.limits.stroke_m > MAX_COUNTS:
             yield Doubt(
                 "motors", f"motors: {name}: {key} is {scale:g}, allowed with a "
                 f"stroke of {rig.limits.stroke_m:g} m: "
-                f"{MOST_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
+                f"{MAX_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
             )  # fmt: skip
     scales = ", ".join(f"{drive.counts_per_m / unit:g}" for drive in drives.values())
     alike = len(set(kinds.values())) == 1
@@ -214,17 +214,17 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
             f"more, for mu g = {floor:g} m/s2 (below it parts never slide)",
             True,
         )
-    elif rig.gamma < LEAST_GAMMA:
+    elif rig.gamma < MIN_GAMMA:
         yield Doubt(
             "limits",
             f"limits: Gamma is {rig.gamma:.3g} (limited by {rig.reach.limit}), advised: "
-            f"{LEAST_GAMMA:g} or more: the plate shakes too little, tasks take long or fail",
+            f"{MIN_GAMMA:g} or more: the plate shakes too little, tasks take long or fail",
         )
-    if 0 < limits.following_error_m < LEAST_FOLLOWING_M:
+    if 0 < limits.following_error_m < MIN_FOLLOWING_M:
         yield Doubt(
             "limits",
             f"limits: following_error_m is {limits.following_error_m:g}, allowed: 0 (no check), "
-            f"or {LEAST_FOLLOWING_M:g} and more",
+            f"or {MIN_FOLLOWING_M:g} and more",
             True,
         )
     elif limits.following_error_m >= limits.stroke_m:
@@ -250,12 +250,12 @@ def _speeds(rig: Rig) -> Iterator[Doubt]:
         ("stroke_m", limits.stroke_m, "m", limits.stroke_m * high**2),
         ("speed_mps", limits.speed, "m/s", limits.speed * high),
     ):
-        if most < min(LEAST_GAMMA * floor, 0.5 * rig.reach.accel):
+        if most < min(MIN_GAMMA * floor, 0.5 * rig.reach.accel):
             yield Doubt(
                 "limits",
                 f"limits: {key} is {value:g} {unit}: at {CYCLE_HZ[1]:g} Hz, the fastest wave of a "
                 f"cycle, it allows {most:.3g} m/s2; parts slide above mu g = {floor:g} m/s2; "
-                f"advised: {LEAST_GAMMA * floor * value / most:.2g} {unit} or more",
+                f"advised: {MIN_GAMMA * floor * value / most:.2g} {unit} or more",
                 bool(most <= floor),
             )
     needed = rig.reach.accel / low**2

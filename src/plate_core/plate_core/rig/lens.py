@@ -25,7 +25,7 @@ MODELS = {
 BIGGEST = 1e6
 """Maximum absolute value in K [px] or D [-]."""
 
-LEAST_FOCAL_PX = 1.0
+MIN_FOCAL_PX = 1.0
 """Minimum focal length [px]."""
 
 STEEPEST_RAD = np.deg2rad(89.0)
@@ -134,10 +134,10 @@ class Lens:
                 f"lens: K has {self.focal_px + self.centre_px} for fx, fy, cx, cy, distortion is "
                 f"{values}, allowed: numbers from {-BIGGEST:g} to {BIGGEST:g}"
             )
-        if min(self.focal_px) < LEAST_FOCAL_PX:
+        if min(self.focal_px) < MIN_FOCAL_PX:
             fx, fy = self.focal_px
             raise RigError(
-                f"lens: focal lengths are {fx:g} and {fy:g} px, allowed: {LEAST_FOCAL_PX:g} px or "
+                f"lens: focal lengths are {fx:g} and {fy:g} px, allowed: {MIN_FOCAL_PX:g} px or "
                 "more (is the camera calibrated?)"
             )
         object.__setattr__(self, "distortion", values)

@@ -34,22 +34,22 @@ from .polygons import is_simple, moments
 if TYPE_CHECKING:
     from shapely import Geometry
 
-MOST_CORNERS = 32
+MAX_CORNERS = 32
 """Maximum number of corners of an outline or a hole. A contour with more must be simplified."""
 
-MOST_HOLES = 8
+MAX_HOLES = 8
 """Maximum number of holes of a part."""
 
 ROUND_CORNERS = 96
 """Number of corners of a polygon that approximates a disc."""
 
-LARGEST_M = 1.0
+MAX_M = 1.0
 """Maximum magnitude of a corner's coordinate in the file [m]."""
 
 MAX_HEIGHT_M = 0.1
 """Maximum height of a part above the plate [m]. A taller part topples on a shaking plate."""
 
-SMALLEST_M2 = 1e-8
+MIN_M2 = 1e-8
 """Minimum area of a part or hole [m2]."""
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
@@ -73,12 +73,12 @@ PART_TYPE = Section(
     "A type of part with a name such as `nut`.",
     (
         Key(
-            "outline_m", Numbers((None, 2), -LARGEST_M, LARGEST_M), "3 to "
-            f"{MOST_CORNERS} corners [x, y] of the outline, in order.", None, "or `radius_m`",
+            "outline_m", Numbers((None, 2), -MAX_M, MAX_M), "3 to "
+            f"{MAX_CORNERS} corners [x, y] of the outline, in order.", None, "or `radius_m`",
         ),
-        Key("radius_m", Number(1e-4, LARGEST_M), "Radius of a disc.", None, "or `outline_m`"),
+        Key("radius_m", Number(1e-4, MAX_M), "Radius of a disc.", None, "or `outline_m`"),
         Key(
-            "holes_m", Several(Numbers((None, 2), -LARGEST_M, LARGEST_M), MOST_HOLES), "Corners "
+            "holes_m", Several(Numbers((None, 2), -MAX_M, MAX_M), MAX_HOLES), "Corners "
             "[x, y] of each hole.", None, "no holes",
         ),
         Key("mass_kg", Number(1e-6, 10), "Mass.", None, "that of `parts`"),
@@ -92,7 +92,7 @@ PART_TYPE = Section(
             "hexagon, 0 for a disc.", None, "computed from the outline",
         ),
         Key(
-            "scatter_m", Number(0, LARGEST_M), "RMS deviation of parts from this outline.", 0.0,
+            "scatter_m", Number(0, MAX_M), "RMS deviation of parts from this outline.", 0.0,
         ),
         Key(
             "height_m", Number(0, MAX_HEIGHT_M), "Height above the plate; 0: flat or unknown.",
@@ -223,7 +223,7 @@ def _part_type(name: str, fields: Fields) -> PartType:
     if not Polygon(body, holes).is_valid:
         raise fields.fail("holes_m", "holes completely inside the part that do not overlap")
     area, centre, _ = moments(body, holes)
-    if area < SMALLEST_M2:
+    if area < MIN_M2:
         raise fields.fail("holes_m", "holes smaller than the part")
     if radius and np.hypot(*centre) > CENTRED * radius:
         raise fields.fail(
@@ -259,13 +259,13 @@ def _part_type(name: str, fields: Fields) -> PartType:
 def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
     """Return the corners (n, 2) of a polygon in counter-clockwise order. Raise an error if they are
     not a valid polygon."""
-    if not 3 <= len(corner) <= MOST_CORNERS or not is_simple(corner):
+    if not 3 <= len(corner) <= MAX_CORNERS or not is_simple(corner):
         raise fields.fail(
-            key, f"3 to {MOST_CORNERS} corners, in order, of a polygon whose edges do not cross"
+            key, f"3 to {MAX_CORNERS} corners, in order, of a polygon whose edges do not cross"
         )
     area = moments(corner)[0]
-    if abs(area) < SMALLEST_M2:
-        raise fields.fail(key, f"a polygon of at least {SMALLEST_M2:g} m2")
+    if abs(area) < MIN_M2:
+        raise fields.fail(key, f"a polygon of at least {MIN_M2:g} m2")
     return corner if area > 0 else corner[::-1]
 
 

@@ -25,7 +25,7 @@ from .motors import Reach, motor_loads, reach
 from .part_types import MAX_HEIGHT_M, PART_TYPE, PartType, load_part_types, read_part_types
 from .suspension import Suspension, read_suspension
 
-LEAST_RADII, WALL_RADII = 0.5, 1.25
+MIN_RADII, WALL_RADII = 0.5, 1.25
 """Distances from the plate's edges, in addition to the motors' stroke [part radii]: the minimum
 for the centre of a part, and the wall. Parts stay behind the wall if possible. See `EdgeMargin`."""
 
@@ -276,7 +276,7 @@ class Rig:
         """Return the required distance of the centre of a part of this type from the plate's edges
         [m]."""
         stroke, reach = self.limits.stroke_m, self.part_type(name).reach_m
-        return EdgeMargin(max(stroke + LEAST_RADII * reach, reach), stroke + WALL_RADII * reach)
+        return EdgeMargin(max(stroke + MIN_RADII * reach, reach), stroke + WALL_RADII * reach)
 
     @cached_property
     def _part_types(self) -> dict[str, PartType]:

@@ -26,7 +26,7 @@ from plate_interfaces.msg import Targets as TargetsMsg
 from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import MOST_PARTS, OverlookedThing, Parts, part_class
+from ..parts import MAX_PARTS, OverlookedThing, Parts, part_class
 from ..rig import Camera, Rig
 from ..tasks import PartTarget
 from ..wanted import AngleTargets, Targets, Wanted
@@ -221,14 +221,14 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     Raises
     ------
     PlateError
-        If there are more than `MOST_PARTS` parts, an id occurs twice, the magnitude of a value is
+        If there are more than `MAX_PARTS` parts, an id occurs twice, the magnitude of a value is
         not finite or exceeds `MOST` (bounds of intervals may be infinite), a lower bound exceeds
         its upper bound, or the period is not positive.
     """
     if msg.plate_known and not np.all(np.abs(msg.plate) <= MOST):
         raise PlateError(f"part_forces: plate is {list(msg.plate)}, allowed: -{MOST:g} to {MOST:g}")
-    if len(msg.forces) > MOST_PARTS:
-        raise PlateError(f"part_forces: {len(msg.forces)} parts, allowed: at most {MOST_PARTS}")
+    if len(msg.forces) > MAX_PARTS:
+        raise PlateError(f"part_forces: {len(msg.forces)} parts, allowed: at most {MAX_PARTS}")
     ids = tuple(force.id for force in msg.forces)
     if ids and not 0 < msg.period_s <= MOST:
         raise PlateError(
@@ -271,11 +271,11 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
     Raises
     ------
     PlateError
-        If there are more than `MOST_PARTS` targets, an id occurs twice, or the frame is wrong.
+        If there are more than `MAX_PARTS` targets, an id occurs twice, or the frame is wrong.
     """
     frame, ids = msg.header.frame_id, [target.id for target in msg.targets]
-    if len(ids) > MOST_PARTS:
-        raise PlateError(f"targets: {len(ids)} targets, allowed: at most {MOST_PARTS}")
+    if len(ids) > MAX_PARTS:
+        raise PlateError(f"targets: {len(ids)} targets, allowed: at most {MAX_PARTS}")
     if frame and frame.rpartition("/")[2] != FRAME:
         raise PlateError(f"targets: frame is {frame[:50]!r}, allowed: {FRAME}")
     if len(set(ids)) < len(ids):

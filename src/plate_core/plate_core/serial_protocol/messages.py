@@ -27,7 +27,7 @@ TICK_S = 1e-8
 KNOTS_PER_MESSAGE = 4
 """Maximum number of knots that fit into a packet."""
 
-LONGEST_PULSE_MS = 8
+MAX_PULSE_MS = 8
 """Maximum pulse length of the camera's trigger line [ms]. It is shorter than the shortest table, so
 the line is low again before the next pulse."""
 
@@ -160,7 +160,7 @@ class Trigger:
     this pulse length [ms]. A length of 0 disables the trigger."""
 
     phase: int = field(metadata=_wire("H"))
-    pulse_ms: int = field(metadata=_wire("B", kind=tuple(range(LONGEST_PULSE_MS + 1))))
+    pulse_ms: int = field(metadata=_wire("B", kind=tuple(range(MAX_PULSE_MS + 1))))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ a scenario file.
 from .curves import circle_points
 from .edges import behind_wall, edge_doubts
 from .feed import (
-    LONGEST_OPEN_S,
+    MAX_OPEN_S,
     as_picked,
     free_gap,
     pick_problem,
@@ -51,7 +51,7 @@ from .tasks import (
 
 __all__ = [
     "CLASSES",
-    "LONGEST_OPEN_S",
+    "MAX_OPEN_S",
     "SECTIONS",
     "AssembleTask",
     "Bin",

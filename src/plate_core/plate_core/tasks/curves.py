@@ -11,7 +11,7 @@ import numpy as np
 SAGITTA_M = 1e-6
 """Maximum distance between a chord and its arc [m], far below the resolution of a camera."""
 
-FEWEST_CHORDS, MOST_CHORDS = 12, 4000
+FEWEST_CHORDS, MAX_CHORDS = 12, 4000
 """Minimum and maximum number of chords of a circle, or of a spline between two of its points."""
 
 
@@ -62,4 +62,4 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
 def _chords(radius: float, length: float) -> int:
     """Return the number of chords for an arc. A chord is at most sqrt(8 radius sagitta) long."""
     count = length / np.sqrt(8 * radius * SAGITTA_M)
-    return int(np.clip(np.ceil(count), FEWEST_CHORDS, MOST_CHORDS))
+    return int(np.clip(np.ceil(count), FEWEST_CHORDS, MAX_CHORDS))

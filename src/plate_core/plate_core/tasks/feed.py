@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..errors import ScenarioError, did_you_mean
-from ..parts import MOST_PARTS, Parts, part_class
+from ..parts import MAX_PARTS, Parts, part_class
 from ..rig import PartType, Rig
 from ..yaml_fields import Fields
 from . import keys
@@ -23,7 +23,7 @@ from .tasks import FeedTask, Hopper, PartGroup, Pick
 ROUNDING_RAD = 1e-6
 """Tolerance for the rounding of angles converted from degrees [rad]."""
 
-LONGEST_OPEN_S = 60.0
+MAX_OPEN_S = 60.0
 """Maximum duration of one opening of a hopper [s]. The feeder requests no longer opening, and the
 simulated hopper refuses one."""
 
@@ -176,8 +176,8 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
     least = rig.plate.half - rig.edge_margin(pick.label).least_m
     if np.any(low > least) or np.any(high < -least):
         return f"window of {pick.label} is {nowhere_text(pick.label, rig)}"
-    if not 1 <= pick.ready <= MOST_PARTS:
-        return f"ready of {pick.label} is {pick.ready}, allowed: 1 to {MOST_PARTS}"
+    if not 1 <= pick.ready <= MAX_PARTS:
+        return f"ready of {pick.label} is {pick.ready}, allowed: 1 to {MAX_PARTS}"
     if pick.angle is None:
         return ""
     if not (math.isfinite(pick.angle) and 0 < pick.tolerance_rad <= math.pi):

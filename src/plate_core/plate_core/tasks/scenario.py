@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import PlateError, ScenarioError, did_you_mean
-from ..parts import MOST_PARTS, part_class
+from ..parts import MAX_PARTS, part_class
 from ..rig import Rig, rig_names
 from ..rig.part_types import NAME
 from ..rig.polygons import is_simple
@@ -120,7 +120,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
     endless = feeds or (isinstance(task, MoveTask) and task.until_canceled)
     if not all(group.count for group in parts) and not (feeds and any(g.count for g in parts)):
         raise ScenarioError(
-            f"{fields.where}: parts: count is 0, allowed: a whole number from 1 to {MOST_PARTS} "
+            f"{fields.where}: parts: count is 0, allowed: a whole number from 1 to {MAX_PARTS} "
             "(a feed task also allows 0, but not for all groups)"
         )
     scenario = Scenario(
@@ -331,8 +331,8 @@ def _move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
         (place,) = _pairs(child.value(keys.MOVES["place_m"])[None])
         targets.append(PartTarget(name, place, None if angle is None else math.radians(angle)))
         child.finish()
-    if len({target.id for target in targets}) < len(targets) or len(targets) > MOST_PARTS:
-        raise fields.fail("targets", f"each part once, at most {MOST_PARTS}")
+    if len({target.id for target in targets}) < len(targets) or len(targets) > MAX_PARTS:
+        raise fields.fail("targets", f"each part once, at most {MAX_PARTS}")
     return MoveTask(
         targets=tuple(targets),
         tolerance_m=fields.value(keys.TOLERANCE),
@@ -375,9 +375,9 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
                 f"{did_you_mean(group.label, known)}, allowed with this rig: {', '.join(known)}"
             )
     reach = {group.label: rig.part_type(group.label).reach_m for group in scenario.parts}
-    if scenario.count > MOST_PARTS:
+    if scenario.count > MAX_PARTS:
         raise ScenarioError(
-            f"{scenario.where}: parts: {scenario.count}, allowed: at most {MOST_PARTS} in all"
+            f"{scenario.where}: parts: {scenario.count}, allowed: at most {MAX_PARTS} in all"
         )
     for label, part in ((label, rig.part_type(label)) for label in _turned(task)):
         if part.symmetry == 0 and label in rig.types:

@@ -1,6 +1,6 @@
 """Conversion of successive motor tables to one continuous stream of setpoints, for devices that
 receive setpoints instead of whole tables. Inputs are motor tables. Outputs are knots in the wire
-format, at most `LONGEST_S` apart."""
+format, at most `MAX_S` apart."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from plate_core.serial_protocol import TICK_S, Knot
 
 from .motor_table import MotorTable
 
-LONGEST_S = 0.04
+MAX_S = 0.04
 """Maximum time between setpoints of a stream [s]. Devices accept up to 50 ms."""
 
 TICKS = 2**32
@@ -135,11 +135,11 @@ def knots(table: MotorTable) -> tuple[Knot, ...]:
 
 
 def refined(table: MotorTable) -> tuple[Knot, ...]:
-    """Return a table's motion without its tail, with pieces of at most `LONGEST_S`."""
+    """Return a table's motion without its tail, with pieces of at most `MAX_S`."""
     times = table.cycle.times
     own = [values[: len(times)] for values in (table.q, table.qd, table.qdd)]
     steps = np.diff(times)
-    counts = np.ceil(steps / LONGEST_S).astype(int)
+    counts = np.ceil(steps / MAX_S).astype(int)
     part = np.concatenate([np.arange(n) / n for n in counts]) * np.repeat(steps, counts)
     t = np.append(np.repeat(times[:-1], counts) + part, times[-1])
     pieces = quintic_pieces(times, *own)

@@ -34,7 +34,7 @@ table."""
 UNKNOWN_S = 0.25
 """Assumed round trip until one is measured [s]."""
 
-MOST_ROUND_S = 0.5
+MAX_ROUND_S = 0.5
 """Upper limit of the round-trip estimate [s]. A stall of the host can make measured values
 larger."""
 
@@ -56,7 +56,7 @@ MEMORY = 1 / 32
 ROUNDING_S = 1e-6
 """Tolerance for a negative round trip [s]. Within it, the round trip counts as 0."""
 
-MOST_FRAME_S = 0.02
+MAX_FRAME_S = 0.02
 """Maximum transmission time of a message of knots [s]. A stop and heartbeats wait until it is
 sent."""
 
@@ -70,10 +70,10 @@ CHANCE = 1e-9
 """If the line loses all telemetry of an interval with less than this probability, the absence is an
 error. The loss rate is known only roughly."""
 
-MOST_PATIENCE_S = 3.0
+MAX_PATIENCE_S = 3.0
 """Maximum time without telemetry, independent of the loss rate [s]."""
 
-MOST_COPIES = 8
+MAX_COPIES = 8
 """Maximum number of copies of a message sent at once on a very lossy line."""
 
 
@@ -143,11 +143,11 @@ class LineModel:
 
     @property
     def round_s(self) -> float:
-        """Upper estimate of the round trip: mean plus four deviations, at most `MOST_ROUND_S`
+        """Upper estimate of the round trip: mean plus four deviations, at most `MAX_ROUND_S`
         [s]."""
         if self.trip_s is None:
             return UNKNOWN_S
-        return min(self.trip_s + 4 * self.deviation_s, MOST_ROUND_S)
+        return min(self.trip_s + 4 * self.deviation_s, MAX_ROUND_S)
 
     @property
     def retry_s(self) -> float:
@@ -175,7 +175,7 @@ class LineModel:
         """Return the number of copies of a frame, so that about one arrives on average."""
         if not self.lossy:
             return 1
-        return min(MOST_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))
+        return min(MAX_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))
 
     def command_copies(self, size: int) -> int:
         """Return the number of copies of a command, so that it is answered with a probability of at
@@ -183,13 +183,13 @@ class LineModel:
         if not self.lossy:
             return 1
         none = log1p(-self.arriving(size + ANSWER_BYTES))
-        return min(MOST_COPIES, ceil(log(UNANSWERED) / none))
+        return min(MAX_COPIES, ceil(log(UNANSWERED) / none))
 
     @property
     def telemetry_timeout_s(self) -> float:
         """Time without telemetry that losses on the line no longer explain [s]."""
         lost = log1p(-self.arriving(TELEMETRY_BYTES)) if self.lossy else float("-inf")
-        return min(MOST_PATIENCE_S, TELEMETRY_S * log(CHANCE) / lost)
+        return min(MAX_PATIENCE_S, TELEMETRY_S * log(CHANCE) / lost)
 
     @property
     def knots_per_message(self) -> int:
@@ -202,7 +202,7 @@ class LineModel:
         counts = [
             count
             for count in range(2, KNOTS_PER_MESSAGE + 1)
-            if frame_bytes(_full(count)) * self.byte_s <= MOST_FRAME_S
+            if frame_bytes(_full(count)) * self.byte_s <= MAX_FRAME_S
         ]
         return max([1, *counts], key=yielded)
 

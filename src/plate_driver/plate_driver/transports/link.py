@@ -64,7 +64,7 @@ follows 5 ms later, and a stop must not wait long behind earlier bytes."""
 KNOTS_ANSWER_S = 0.01
 """Maximum response time of the device to knots, in addition to the round trip [s]."""
 
-MOST_TRIP_S = 1.0
+MAX_ROUND_TRIP_S = 1.0
 """Maximum round trip of a pulse that is used for the line model [s]."""
 
 SCATTER = 40_503
@@ -283,7 +283,7 @@ class Link:
         if isinstance(message, DriveTrouble):
             return replace(link, trouble=message)
         if isinstance(message, Pulse):
-            if now - message.host_ns * 1e-9 > MOST_TRIP_S:
+            if now - message.host_ns * 1e-9 > MAX_ROUND_TRIP_S:
                 return link  # after a stall of the host, or for another host's heartbeat
             clock, line = link.clock.heard(message, now), link.line.heard(message, now)
             return replace(link, clock=clock, line=line)

@@ -15,7 +15,7 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError
 from plate_core.motion import in_time, next_cycle
-from plate_core.status import MOST_AGE_S
+from plate_core.status import MAX_AGE_S
 
 SNAP = 0.25
 """Tolerance of an image's stamp around the expected end of a cycle, as a fraction of the cycle."""
@@ -23,7 +23,7 @@ SNAP = 0.25
 MEMORY_S = 1.5
 """Time for which runs are kept [s]. It exceeds the maximum image latency and the longest cycle."""
 
-SHORTEST_S, LONGEST_S = 0.005, 10.0
+MIN_S, MAX_S = 0.005, 10.0
 """Minimum and maximum length of a cycle or tail that a driver plays [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
@@ -325,7 +325,7 @@ class CycleLog:
         one = self.awaited
         if one is None or one.requested > t + MEMORY_S:  # the clock was set back
             return False
-        return t < one.requested + MOST_AGE_S + one.cycle.period
+        return t < one.requested + MAX_AGE_S + one.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the pieces of runs between `begin` and `end` [s]: cycle, its start time, and start
@@ -369,7 +369,7 @@ def _same(one: PlateCycle, other: PlateCycle) -> bool:
 
 def _playable(cycle: PlateCycle) -> bool:
     """Whether the lengths of a cycle and its tail are in the range that a driver plays."""
-    return all(SHORTEST_S <= part.period <= LONGEST_S for part in cycle.parts)
+    return all(MIN_S <= part.period <= MAX_S for part in cycle.parts)
 
 
 def _is_tail(cycle: PlateCycle) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from plate_core import Parts, PlateCycle, Rig, part_class
 from plate_core.rig import row_delay
 
-from .cycle_log import MEMORY_S, SHORTEST_S, SNAP, CycleClock, CycleLog
+from .cycle_log import MEMORY_S, MIN_S, SNAP, CycleClock, CycleLog
 from .filter import Coast, StateEstimate, propagate
 from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
@@ -222,7 +222,7 @@ class Turning:
             row = rows_of(parts.ids, last.ids)
             turned = parts.angle - np.append(last.angle, 0.0)[row]
             turned = (turned + np.pi) % (2 * np.pi) - np.pi
-            spin = np.where(row >= 0, turned / max(time - last.time, SHORTEST_S), 0.0)
+            spin = np.where(row >= 0, turned / max(time - last.time, MIN_S), 0.0)
         return Turning(parts.ids, parts.angle, spin, time, start, last)
 
     def of(self, ids: tuple[str, ...], t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -510,7 +510,7 @@ class Estimator:
         row, span = rows_of(self.ids, self.before.ids), self.stamp - self.before_stamp
         usual = 0 < span < FRESH * self.period
         gone = place - np.vstack([self.before.position, np.zeros((1, 2))])[row]
-        return np.where((row >= 0)[:, None] & usual, gone / max(span, SHORTEST_S), 0.0)
+        return np.where((row >= 0)[:, None] & usual, gone / max(span, MIN_S), 0.0)
 
     def predict(self, parts: Parts) -> np.ndarray:
         """Return the predicted positions (M, 2) [m] of parts at `next_start`.

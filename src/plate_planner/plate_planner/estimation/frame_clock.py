@@ -46,7 +46,7 @@ of the estimated interval plus two standard deviations of the stamps."""
 WIDEST = 2.0
 """The clock restarts if the standard deviation of the stamps exceeds this value [intervals]."""
 
-LONGEST_S = 1.0
+MAX_S = 1.0
 """The clock restarts after this time without images [s]."""
 
 
@@ -112,7 +112,7 @@ class FrameClock:
 
     def tick(self, stamp: float) -> FrameClock:
         """Update with the next stamp [s]."""
-        if not self.stamps or not 0 < stamp - self.stamps[-1] < LONGEST_S:
+        if not self.stamps or not 0 < stamp - self.stamps[-1] < MAX_S:
             return FrameClock.at(stamp)
         stamps = (*self.stamps, stamp)[-ACQUIRE:]
         if len(stamps) < ACQUIRE:

@@ -25,7 +25,7 @@ COARSE_S, FINE_S = 0.025, 0.5e-3
 """Initial and final spacing of the latencies [s]. The first hypotheses cover 0 to 0.1 s. The effect
 of 0.5 ms is hardly above the camera's noise."""
 
-LONGEST_S = 0.5
+MAX_S = 0.5
 """Maximum latency [s]."""
 
 FEWEST_IMAGES, CLEAR, BETTER = 4, 12.0, 4.0
@@ -217,7 +217,7 @@ class LatencyHypotheses:
         self, best: int, step: float, log: CycleLog, friction_accel: float
     ) -> LatencyHypotheses:
         """Return hypotheses with latencies around the best one, spaced by `step` [s]."""
-        middle = np.clip(self.latencies[best], -STEPS[0] * step, LONGEST_S - STEPS[-1] * step)
+        middle = np.clip(self.latencies[best], -STEPS[0] * step, MAX_S - STEPS[-1] * step)
         latencies = middle + step * STEPS
         older = np.minimum(np.searchsorted(self.latencies, latencies - 1e-9), len(STEPS) - 1)
         estimate = self.estimate.of(older)

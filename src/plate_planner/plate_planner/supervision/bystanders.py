@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from plate_core import (
-    MOST_PARTS,
+    MAX_PARTS,
     NAMELESS,
     PLAUSIBLE_AREA,
     OverlookedThing,
@@ -47,12 +47,12 @@ def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
 
 
 def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
-    """Return at most `MOST_PARTS` parts, the solver's maximum. Unknown objects are removed
+    """Return at most `MAX_PARTS` parts, the solver's maximum. Unknown objects are removed
     first."""
-    if len(parts) <= MOST_PARTS:
+    if len(parts) <= MAX_PARTS:
         return parts
     last = [is_bystander(name, labels) for name in parts.ids]
-    return parts.take(np.sort(np.argsort(last, kind="stable")[:MOST_PARTS]))
+    return parts.take(np.sort(np.argsort(last, kind="stable")[:MAX_PARTS]))
 
 
 @dataclass

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import NAMELESS, Parts, Rig, part_class
-from plate_core.rig import LEAST_GAMMA
+from plate_core.rig import MIN_GAMMA
 
 from ..estimation import LastRequest
 from .phase import LOOK, Failure, Reason
@@ -100,7 +100,7 @@ def shortfall_text(
 def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
     """Return a warning before the start if the shaking ratio is too low; empty if it is
     sufficient."""
-    if rig.gamma >= LEAST_GAMMA:
+    if rig.gamma >= MIN_GAMMA:
         return ""
     expect = "longer"
     if count > FEW:
@@ -112,7 +112,7 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
 
 def remedy(rig: Rig, count: int) -> str:
     """Return a remedy for parts that do not move as requested."""
-    if rig.gamma < LEAST_GAMMA:
+    if rig.gamma < MIN_GAMMA:
         return weak_plate_text(rig)
     if count > FEW:
         return f"{count} parts at once are hard to control: use fewer parts or more space"
@@ -123,8 +123,8 @@ def remedy(rig: Rig, count: int) -> str:
 
 
 def weak_plate_text(rig: Rig) -> str:
-    """Return a text on a shaking ratio below `LEAST_GAMMA`."""
+    """Return a text on a shaking ratio below `MIN_GAMMA`."""
     return (
         f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "
-        f"{rig.reach.limit}, advised: {LEAST_GAMMA:g} or more (see check_rig)"
+        f"{rig.reach.limit}, advised: {MIN_GAMMA:g} or more (see check_rig)"
     )

@@ -34,7 +34,7 @@ from .pty import PseudoTerminal
 SERVE_PERIOD_S = 0.002
 """Time between two reads of the port [s]: two ticks of the device."""
 
-MOST_BEHIND_US = 100_000
+MAX_BEHIND_US = 100_000
 """Maximum delay that the device catches up [us] on a busy computer. For the rest of a longer delay
 its clock stops. Otherwise the device would report a timeout of a host that was not silent."""
 
@@ -135,7 +135,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         emulator, came = self._emulator, self._terminal.read()
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
-        lost = max(0, due - MOST_BEHIND_US)
+        lost = max(0, due - MAX_BEHIND_US)
         due -= lost
         self._steady_ns += 1_000 * lost
         self._begin_ns += 1_000 * lost

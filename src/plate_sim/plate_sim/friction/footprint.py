@@ -41,7 +41,7 @@ POINTS = 48
 MASS = 0.02
 """Default mass [kg]. It drops out of the motion on the plate."""
 
-MOST_POINTS = 100_000
+MAX_POINTS = 100_000
 """Maximum number of quadrature points."""
 
 CELL = 0.2
@@ -237,8 +237,8 @@ def _positive(name: str, value: float, unit: str) -> float:
 
 
 def _points(value: int) -> int:
-    if not isinstance(value, Integral) or not 6 <= value <= MOST_POINTS:
-        raise PlateError(f"points is {value!r}, allowed: a whole number, 6 to {MOST_POINTS}")
+    if not isinstance(value, Integral) or not 6 <= value <= MAX_POINTS:
+        raise PlateError(f"points is {value!r}, allowed: a whole number, 6 to {MAX_POINTS}")
     return int(value)
 
 

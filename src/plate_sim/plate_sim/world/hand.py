@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plate_core import MOST_PARTS, PlateError, Rig, did_you_mean, part_class
+from plate_core import MAX_PARTS, PlateError, Rig, did_you_mean, part_class
 from plate_core.tasks import CLASSES
 
 from .state import WorldState
@@ -84,8 +84,8 @@ class Hand:
         if label not in kinds:
             hint = did_you_mean(label[:50], kinds)
             raise PlateError(f"type is {label[:50]!r}{hint}, allowed: {', '.join(kinds)}")
-        if not part_id and len(state.ids) >= MOST_PARTS:
-            raise PlateError(f"{len(state.ids)} parts exist, allowed: at most {MOST_PARTS}")
+        if not part_id and len(state.ids) >= MAX_PARTS:
+            raise PlateError(f"{len(state.ids)} parts exist, allowed: at most {MAX_PARTS}")
         room = self._rig.plate.half - self._rig.part_type(label).reach_m
         if not np.all(np.abs(position) <= room + 1e-9):  # also refuses NaN
             raise PlateError(

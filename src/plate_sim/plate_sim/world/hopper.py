@@ -12,9 +12,9 @@ from math import ceil
 import numpy as np
 import shapely
 
-from plate_core import MOST_PARTS, PlateError, Rig, part_class
+from plate_core import MAX_PARTS, PlateError, Rig, part_class
 from plate_core.rig import PartType
-from plate_core.tasks import LONGEST_OPEN_S, Hopper
+from plate_core.tasks import MAX_OPEN_S, Hopper
 
 from .state import WorldState
 
@@ -77,9 +77,9 @@ class Dropped:
 
 def check_duration(duration_s: float) -> None:
     """Raise a PlateError if a hopper cannot be opened for this time [s]."""
-    if not 0 <= duration_s <= LONGEST_OPEN_S:  # also refuses NaN
+    if not 0 <= duration_s <= MAX_OPEN_S:  # also refuses NaN
         raise PlateError(
-            f"duration is {duration_s:g} s, allowed: 0 (closes it) to {LONGEST_OPEN_S:g} s"
+            f"duration is {duration_s:g} s, allowed: 0 (closes it) to {MAX_OPEN_S:g} s"
         )
 
 
@@ -202,8 +202,8 @@ class Dispenser:
             raise PlateError("this scenario has no hopper, required: kind feed with a hopper")
         check_duration(duration_s)
         there = int(np.count_nonzero(state.on_plate))
-        if duration_s > 0 and there >= MOST_PARTS:
-            raise PlateError(f"{there} parts are on the plate, allowed: at most {MOST_PARTS}")
+        if duration_s > 0 and there >= MAX_PARTS:
+            raise PlateError(f"{there} parts are on the plate, allowed: at most {MAX_PARTS}")
         self._flow = replace(self._flow, left_s=float(duration_s))
         return len(self._flow.after(duration_s, self._hopper.rate)[1])
 
@@ -216,7 +216,7 @@ class Dispenser:
     def drop(self, state: WorldState) -> Dropped | None:
         """Drop a part. Return None if there is no room for it."""
         assert self._hopper is not None
-        if np.count_nonzero(state.on_plate) >= MOST_PARTS:
+        if np.count_nonzero(state.on_plate) >= MAX_PARTS:
             return None
         rng = self._rng.spawn(1)[0]  # random numbers of one part do not depend on others
         return drop_part(self._hopper, state, self._rig, rng)

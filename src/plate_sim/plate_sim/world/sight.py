@@ -21,7 +21,7 @@ from .history import History
 from .robot import Robot
 from .state import WorldState
 
-EXPOSURES, LONGEST_STEP_S = 5, 3e-3
+EXPOSURES, MAX_STEP_S = 5, 3e-3
 """Minimum number of sample times of parts and plate during an image, and maximum time between two
 samples [s]. The period of the plate's motion is at least 20 ms."""
 
@@ -235,7 +235,7 @@ class CameraView:
 
         Its last row ends `shown` [s] after this start.
         """
-        count = max(EXPOSURES, 1 + int(np.ceil(shown / LONGEST_STEP_S)))
+        count = max(EXPOSURES, 1 + int(np.ceil(shown / MAX_STEP_S)))
         time = shown * np.linspace(0, 1, count)
         views = [self.history.ago(first - t) for t in time]
         path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))

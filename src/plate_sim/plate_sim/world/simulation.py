@@ -34,7 +34,7 @@ WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 TRIAL_S = 1e-3
 """Length of the simulated rest that checks whether a placed part overlaps others [s]."""
 
-SHORTEST_S = 1e-6
+MIN_S = 1e-6
 """Minimum length of a piece of a cycle that is simulated separately [s]."""
 
 
@@ -227,7 +227,7 @@ class Simulation:
         """Open the hopper for a time from now [s]. This replaces an earlier opening.
 
         One part drops after each 1/rate [s] of open time. If there is no room, the part stays in
-        the hopper: if `MOST_PARTS` are on the plate, or if the heap reaches its edge.
+        the hopper: if `MAX_PARTS` are on the plate, or if the heap reaches its edge.
 
         Returns
         -------
@@ -340,8 +340,8 @@ class Simulation:
             return
         begin, end = 0.0, cycle.period
         for at in self._hopper.after(end):
-            if at - begin > SHORTEST_S:
-                at = at if end - at > SHORTEST_S else end
+            if at - begin > MIN_S:
+                at = at if end - at > MIN_S else end
                 self._run(PlateMotion.piece(cycle, begin, at))
                 begin = at
             self._drop()

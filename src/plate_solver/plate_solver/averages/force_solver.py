@@ -19,7 +19,7 @@ from ..library import Library
 from ..motion_solver import MotionSolver
 from .partial import easiest_force, largest_fraction
 from .refinement import (
-    MOST_ON_CYCLE,
+    MAX_ON_CYCLE,
     REFINED_TOLERANCE,
     REFINEMENTS,
     judged,
@@ -128,7 +128,7 @@ class ForceSolver(MotionSolver):
         return (
             (wide, 1.0, at_mean_velocity)
             if refine == "velocity"
-            else (wide, MOST_ON_CYCLE, at_cycle)
+            else (wide, MAX_ON_CYCLE, at_cycle)
         )
 
     def _on_average(self, request: Request) -> Solution:

@@ -40,7 +40,7 @@ motion solved on the map `none` is larger than the request."""
 STALE = 4
 """Number of consecutive corrections without an improvement after which the search ends."""
 
-MOST_ON_CYCLE = 0.5
+MAX_ON_CYCLE = 0.5
 """Maximum force on the map `cycle` [mu m g]. Full friction during the whole cycle moves a part by
 half of mu g T^2."""
 

@@ -37,7 +37,7 @@ SPREAD = 0.7
 STARTS = 3
 """Number of starts of the averaged search per restart. A start takes a tenth of a millisecond."""
 
-MOST_STARTS = 200
+MAX_STARTS = 200
 """Maximum number of random starts that are drawn. Further restarts repeat them."""
 
 
@@ -100,7 +100,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         key = self._key(constraints)
         if key not in self._searches:
             basis = sinusoid_basis(*key)
-            size = min(self.options.restarts + 1, MOST_STARTS) * FEW_CANDIDATES
+            size = min(self.options.restarts + 1, MAX_STARTS) * FEW_CANDIDATES
             pool = np.random.default_rng(self._seed).normal(size=(size, 3 * basis.size))
             self._searches[key] = motions_of(key[0], basis, self._limits), pool
         return self._searches[key]

@@ -10,7 +10,7 @@
 namespace plate::rotations {
 
 // Maximum number of rounds of the 2-opt method; four are usually sufficient.
-constexpr int MOST_ROUNDS = 20;
+constexpr int MAX_ROUNDS = 20;
 
 // Velocity changes (J, J) [m/s] of the fastest corner between all pairs of twists (J, 3).
 inline Matrix changes(View<const double, 2> twists, const double* half) {
@@ -45,7 +45,7 @@ inline std::vector<int> short_tour(const Matrix& change) {
         }
     }
     bool improved = true;
-    for (int round = 0; round < MOST_ROUNDS && improved; round++) {
+    for (int round = 0; round < MAX_ROUNDS && improved; round++) {
         improved = false;
         for (int i = 1; i < count - 1; i++)
             for (int j = i + 1; j < count; j++) {

@@ -23,7 +23,7 @@ constexpr int HALVINGS = 4;
 
 // Maximum number of pairs of points in a proof, after which it is abandoned. They take some
 // hundredths of a second.
-constexpr double MOST_WORK = 2e8;
+constexpr double MAX_WORK = 2e8;
 
 // Number of middle points that `greatest_triple` processes together.
 constexpr int SIDE_BY_SIDE = 8;
@@ -225,7 +225,7 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());
             if (greatest_triple(most.data(), n) < limit) continue;
-            if (level == HALVINGS || work > MOST_WORK) return false;
+            if (level == HALVINGS || work > MAX_WORK) return false;
             waiting.push_back({low, tilt, left, turn, level + 1});
             waiting.push_back({low, tilt, turn, right, level + 1});
             waiting.push_back({tilt, high, left, turn, level + 1});

@@ -7,7 +7,7 @@ namespace plate::rotations {
 
 // Minimum duration of a rotation and maximum speed, in units of their usual values. Maximum
 // fraction of the period for ramps.
-constexpr double SHORTEST = 0.02, FASTEST = 2.5, MOST_RAMPS = 0.9;
+constexpr double SHORTEST = 0.02, FASTEST = 2.5, MAX_RAMPS = 0.9;
 
 // A family of sequences of J rotations: `Sequences` of family.py.
 struct Sequences {
@@ -76,7 +76,7 @@ inline Run runnable(Parameters theta, const Sequences& family) {
         for (int q = j * own; q < (j + 1) * own; q++) speeds[q] /= factor;
     }
     for (int attempt = 0; attempt < 8; attempt++) {
-        const double filled = sum(ramps_of(theta, family).length) / (MOST_RAMPS * family.period);
+        const double filled = sum(ramps_of(theta, family).length) / (MAX_RAMPS * family.period);
         if (filled > 1) slow_down(1.001 * filled);
         Line line = line_of(theta, family);
         Moved moved = motion(line, family.steps);

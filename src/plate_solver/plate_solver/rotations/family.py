@@ -17,7 +17,7 @@ from .. import _kernels
 from ..limits import Limits
 from .sequence import knot_poses, motion
 
-RAMP_STEPS, LEAST_STEPS = 8, 6
+RAMP_STEPS, MIN_STEPS = 8, 6
 """Number of steps in a ramp, and minimum number in a hold, during a search."""
 
 HOLD_STEP = 1e-3
@@ -94,7 +94,7 @@ class RotationFamily:
         self.period = period
         self._known: tuple[np.ndarray, Line, Moved] | None = None  # for the last parameters
         self._lengths = np.array([1.0, 1.0, limits.arm_m])  # converts theta to metres
-        hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
+        hold_steps = max(MIN_STEPS, round(period / len(twists) / HOLD_STEP))
         stroke = limits.stroke_m if within_stroke else UNLIMITED_M
         self.plain = Sequences(
             np.repeat(np.diag(speed / self._lengths)[None], len(twists), axis=0),

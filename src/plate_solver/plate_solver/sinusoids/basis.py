@@ -34,7 +34,7 @@ from ..limits import EQUAL_WEIGHT, Limits, limit_use
 STEPS_PER_HARMONIC = 26
 """Minimum number of samples per period of the highest harmonic."""
 
-LONGEST_STEP = 0.4e-3
+MAX_STEP = 0.4e-3
 """Maximum step [s]. The friction model is integrated by first-order steps. At 1 ms their error is
 10 % of a drift."""
 
@@ -187,7 +187,7 @@ def sinusoid_basis(
     tail. `steps` is the number of samples per play; 0 selects it automatically. `plays` is the
     number of consecutive plays that samples and limit checks cover; more than 1 requires `at_rest`.
     """
-    steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / LONGEST_STEP))
+    steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / MAX_STEP))
     knots = knots_per_harmonic * max(number, 4)
     omega = 2 * np.pi / period
     j = np.arange(1, number + 1)

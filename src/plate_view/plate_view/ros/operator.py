@@ -56,7 +56,7 @@ MOVE_TOLERANCE_M = 0.001
 MOVE_TOLERANCE_RAD = 0.05
 """The same of its angle [rad]."""
 
-MOST_SQUARES = 255
+MAX_SQUARES = 255
 """Maximum number of squares along a side of a board in TakeLensPictures. The detector allows
 fewer."""
 
@@ -174,7 +174,7 @@ class Operator:
         """Take pictures of a board. Refuse numbers outside the range of the message."""
         given = {key: value for key, value in pending.values.items() if value is not None}
         for side in ("columns", "rows"):
-            if given.get(side, 0) > MOST_SQUARES:
+            if given.get(side, 0) > MAX_SQUARES:
                 raise PlateError(f"{side} is {given[side]}, allowed: 3 to 40")
         service = SERVICES[pending.command.name][0].removeprefix("/")
         self._call(

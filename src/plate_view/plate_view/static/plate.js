@@ -5,7 +5,7 @@ import { byId, fitted } from "./dom.js";
 import * as marks from "./marks.js";
 import { Trails } from "./trails.js";
 
-const LEAST_MS = 25; // minimum time between two drawings, except while the pointer is dragging
+const MIN_MS = 25; // minimum time between two drawings, except while the pointer is dragging
 const MARGIN_M = 0.012;
 const RECENT = 8; // number of latest part messages kept for matching with an image
 const TOGETHER_S = 0.5; // maximum age of an image that determines the drawn parts
@@ -157,7 +157,7 @@ export class PlateView {
 
   #frame(time) {
     this.planned = false;
-    if (!this.hurry && time - (this.drawnAt ?? 0) < LEAST_MS) {
+    if (!this.hurry && time - (this.drawnAt ?? 0) < MIN_MS) {
       this.draw();
       return;
     }

@@ -1,7 +1,7 @@
 // The connection: commands and their replies, and reconnection.
 
 const FIRST_WAIT_MS = 250;
-const LONGEST_WAIT_MS = 4000;
+const MAX_WAIT_MS = 4000;
 const ANSWER_MS = 7000; // the server waits up to 5 s for a node
 const SILENT_MS = 2500; // the server sends a message at least every second
 const FULL_BYTES = 8192; // unsent bytes above which frequent commands have to wait
@@ -75,7 +75,7 @@ export class Connection {
     for (const end of [...this.waiting.values()]) end({ ok: false, text: "connection lost" });
     this.#be("lost");
     setTimeout(() => this.#open(), this.wait);
-    this.wait = Math.min(LONGEST_WAIT_MS, 2 * this.wait);
+    this.wait = Math.min(MAX_WAIT_MS, 2 * this.wait);
   }
 
   #listen() {

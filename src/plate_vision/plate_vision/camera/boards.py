@@ -26,13 +26,13 @@ REFINE_STEPS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 REFINE_FRACTION = 0.25
 """Half width of the window in which a corner is refined, relative to a square's side."""
 
-LEAST_WINDOW_PX, MOST_WINDOW_PX = 2, 11
+MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 11
 """Bounds of this half width [px]."""
 
-LEAST_CORNERS = 6
+MIN_CORNERS = 6
 """Minimum number of corners in a picture: a homography needs four."""
 
-LEAST_MARKERS = 4
+MIN_MARKERS = 4
 """Minimum number of markers for a check of the printed board."""
 
 WORST_MISFIT = 0.4
@@ -44,16 +44,16 @@ NEAR = 4
 distorting lens."""
 
 
-LEAST_SQUARE_M, MOST_SQUARE_M = 1e-3, 1.0
+MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
 """Range of a square's side [m]."""
 
-MOST_PIXELS = 200_000_000
+MAX_PIXELS = 200_000_000
 """Maximum number of pixels of a board for the printer: A0 at 300 dpi has 140 million."""
 
-LEAST_PICTURES = 5
+MIN_PICTURES = 5
 """Minimum number of pictures. Three determine K in principle, but noise requires more."""
 
-MOST_PICTURES = 40
+MAX_PICTURES = 40
 """Maximum number of pictures in a fit. More take long and improve little."""
 
 START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
@@ -81,7 +81,7 @@ FIT_STEPS = 200
 WORST_ERROR_PX = 1.0
 """Maximum root mean square error of a fit [px]. Good pictures yield 0.1 to 0.3."""
 
-LEAST_COVER = 0.5
+MIN_COVER = 0.5
 """Minimum fraction of the image's width and height that the corners of all pictures should span.
 Outside of them the lens is extrapolated."""
 
@@ -123,10 +123,10 @@ class Board:
                 f"board: {self.columns} x {self.rows} squares, allowed: {least} x {least} to "
                 "40 x 40"
             )
-        if not LEAST_SQUARE_M <= self.square_m <= MOST_SQUARE_M:
+        if not MIN_SQUARE_M <= self.square_m <= MAX_SQUARE_M:
             raise CalibrationError(
-                f"board: squares of {self.square_m:g} m, allowed: {LEAST_SQUARE_M:g} to "
-                f"{MOST_SQUARE_M:g}"
+                f"board: squares of {self.square_m:g} m, allowed: {MIN_SQUARE_M:g} to "
+                f"{MAX_SQUARE_M:g}"
             )
         if not 0 <= self.marker_m <= 0.9 * self.square_m:
             raise CalibrationError(
@@ -163,10 +163,10 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
         If the dictionary is unknown or has too few markers, or the picture would be too large.
     """
     pixels = (board.columns + 1) * (board.rows + 1) * square_px**2
-    if pixels > MOST_PIXELS:
+    if pixels > MAX_PIXELS:
         raise CalibrationError(
             f"board: {board.columns} x {board.rows} squares of {square_px} px are {pixels:,} "
-            f"pixels, allowed: {MOST_PIXELS:,} (is the square's side in metres?)"
+            f"pixels, allowed: {MAX_PIXELS:,} (is the square's side in metres?)"
         )
     squares = np.where(board.white, 255, 0).astype(np.uint8)
     picture = squares.repeat(square_px, axis=0).repeat(square_px, axis=1)
@@ -181,7 +181,7 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
 
 
 def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Board, Corners | None]:
-    """Find a board's inner corners in an image (H, W) uint8; None if fewer than `LEAST_CORNERS`.
+    """Find a board's inner corners in an image (H, W) uint8; None if fewer than `MIN_CORNERS`.
     Also return the board as printed: the given one, unless the markers show that its first square
     has the other colour.
 
@@ -209,7 +209,7 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
     board = _as_printed(found, board)
     which, corners = _corners_beside(found, board)
     inside = np.all((corners > 3) & (corners < np.array(grey.shape[::-1]) - 4), axis=1)
-    if np.count_nonzero(inside) < LEAST_CORNERS:
+    if np.count_nonzero(inside) < MIN_CORNERS:
         return board, None
     return board, (which[inside], _refine(grey, corners[inside], board))
 
@@ -217,7 +217,7 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
 def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
     """Return the board whose first square, black or white, fits the detected markers: corners (4,
     2) [px] by number."""
-    if len(found) < LEAST_MARKERS:
+    if len(found) < MIN_MARKERS:
         return board
     other = replace(board, white_first=not board.white_first)
     here, there = _misfit(found, board), _misfit(found, other)
@@ -276,14 +276,14 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     side = float(np.median(np.sort(gap, axis=1)[:, 1]))
     # The window must not contain a marker.
     reach = side * min(REFINE_FRACTION, 0.5 * (1 - board.marker_m / board.square_m))
-    window = round(float(np.clip(reach, LEAST_WINDOW_PX, MOST_WINDOW_PX)))
+    window = round(float(np.clip(reach, MIN_WINDOW_PX, MAX_WINDOW_PX)))
     refined = cv2.cornerSubPix(
         grey, points.reshape(-1, 1, 2), (window, window), (-1, -1), REFINE_STEPS
     )
     return np.asarray(refined, dtype=float).reshape(-1, 2)
 
 
-def choose(seen: Sequence[Corners], board: Board, most: int = MOST_PICTURES) -> list[int]:
+def choose(seen: Sequence[Corners], board: Board, most: int = MAX_PICTURES) -> list[int]:
     """Choose the pictures whose board places differ most, and return their indices.
 
     The first chosen picture shows the most corners. Each further one maximises the distance to the
@@ -344,10 +344,10 @@ class LensFit:
     @property
     def warning(self) -> str | None:
         """Advice on better pictures; None if there is none."""
-        if min(self.cover) < LEAST_COVER:
+        if min(self.cover) < MIN_COVER:
             return (
                 f"the board covered {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
-                f"of the height, advised: {LEAST_COVER:.0%} or more (hold it in the corners)"
+                f"of the height, advised: {MIN_COVER:.0%} or more (hold it in the corners)"
             )
         model = self.lens.model  # no undistorted image for a wide fisheye
         if model != "equidistant" and not _shows(self.lens, self.size_px):
@@ -371,9 +371,9 @@ def fit_lens(
     CalibrationError
         If there are too few pictures, if they do not determine the lens, or if they disagree.
     """
-    if len(seen) < LEAST_PICTURES:
+    if len(seen) < MIN_PICTURES:
         raise CalibrationError(
-            f"the board was detected in {len(seen)} pictures, allowed: at least {LEAST_PICTURES}, "
+            f"the board was detected in {len(seen)} pictures, allowed: at least {MIN_PICTURES}, "
             "from different sides (is the number of squares correct?)"
         )
     corners = np.column_stack([board.corners, np.zeros(len(board.corners))])

@@ -22,7 +22,7 @@ from ..drawing import draw_errors
 from ..errors import CalibrationError, check_size
 from ..plate.home import find_home
 from .boards import (
-    LEAST_PICTURES,
+    MIN_PICTURES,
     Board,
     Corners,
     LensFit,
@@ -163,7 +163,7 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
         progress.searched(name, 0 if corners is None else len(corners[0]), len(board.corners))
         pictures.skip(2 ** (progress.count // each) - 1)
     progress.end()
-    if unlike is not None and len(seen) < LEAST_PICTURES:
+    if unlike is not None and len(seen) < MIN_PICTURES:
         raise unlike
     return board, seen, size_px
 

@@ -48,7 +48,7 @@ ENCODINGS = {
 }
 """Encodings of sensor_msgs/Image: kind of pixels, and bytes per number."""
 
-MOST_PIXELS = 50_000_000
+MAX_PIXELS = 50_000_000
 """Maximum size of an unpacked image [pixels]: 0.15 GB in colour. A small file can declare much
 more."""
 
@@ -235,10 +235,10 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
 
 def check_pixels(width: int, height: int, what: str = "image:") -> None:
     """Refuse images without pixels or with too many. `what` begins the message."""
-    if width < 1 or height < 1 or width * height > MOST_PIXELS:
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ImageError(
             f"{what} size is {width} x {height} px, allowed: at least 1 x 1, "
-            f"at most {MOST_PIXELS:,} pixels"
+            f"at most {MAX_PIXELS:,} pixels"
         )
 
 

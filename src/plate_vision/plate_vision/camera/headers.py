@@ -33,11 +33,11 @@ PNG = b"\x89PNG\r\n\x1a\n"
 PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(\d+)\s")
 """Kind, width and height of a PNM file, with comments between them."""
 
-MOST_ENTRIES = 1000
+MAX_ENTRIES = 1000
 """Maximum number of tags that are read from a directory; files have some dozens."""
 
 
-MOST_PIECES = 20_000
+MAX_PIECES = 20_000
 """Maximum number of chunks that are read from a file. A PNG file of 64 MB has 8,000; a malformed
 file may have millions."""
 
@@ -108,7 +108,7 @@ def turned_text(header: Header) -> str:
 def _png(content: bytes) -> Header:
     width, height = struct.unpack_from(">II", content, 16)
     orientation, place = 1, 8
-    for _ in range(MOST_PIECES):
+    for _ in range(MAX_PIECES):
         if place + 8 > len(content):
             break
         size, kind = struct.unpack_from(">I4s", content, place)
@@ -120,7 +120,7 @@ def _png(content: bytes) -> Header:
 
 def _jpeg(content: bytes) -> Header | None:
     orientation, place = 1, 2
-    for _ in range(MOST_PIECES):
+    for _ in range(MAX_PIECES):
         if content[place] != 0xFF:
             break
         mark = content[place + 1]
@@ -140,7 +140,7 @@ def _jpeg(content: bytes) -> Header | None:
 def _webp(content: bytes) -> Header | None:
     size: tuple[int, int] | None = None
     orientation, place = 1, 12
-    for _ in range(MOST_PIECES):
+    for _ in range(MAX_PIECES):
         if place + 8 > len(content):
             break
         kind, length = struct.unpack_from("<4sI", content, place)
@@ -208,7 +208,7 @@ def _tags(data: bytes) -> Iterator[tuple[int, int, int]]:
     (place,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
     (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, place)
     place += 8 if big else 2
-    for _ in range(min(count, MOST_ENTRIES)):
+    for _ in range(min(count, MAX_ENTRIES)):
         tag, kind = struct.unpack_from(order + "HH", data, place)
         value = place + (12 if big else 8)
         form = {3: "H", 4: "I", 16: "Q"}.get(kind)

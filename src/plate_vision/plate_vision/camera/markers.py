@@ -42,13 +42,13 @@ REACH_PX = 4.0
 STEP_PX = 0.5
 """Distance between two samples across an edge [px]."""
 
-LEAST_CONTRAST = 25.0
+MIN_CONTRAST = 25.0
 """Minimum difference of grey levels across an edge."""
 
 OUTLIER_PX = 0.5
 """Distance from the line beyond which a crossing is excluded, for example dirt or a part [px]."""
 
-LEAST_CROSSINGS = 6
+MIN_CROSSINGS = 6
 """Minimum number of crossings for an edge."""
 
 ROUNDS = 2
@@ -188,7 +188,7 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
         bright = np.median(value.max(axis=3), axis=2, keepdims=True)[..., None]
         level = 0.5 * (dark + bright)
         rises = (value[..., :-1] < level) & (value[..., 1:] >= level)
-        rises &= bright - dark >= LEAST_CONTRAST
+        rises &= bright - dark >= MIN_CONTRAST
         fraction = (level - value[..., :-1]) / (value[..., 1:] - value[..., :-1])
     place = np.where(rises, across[:-1] + STEP_PX * np.nan_to_num(fraction), np.inf)
     nearest = np.argmin(np.abs(place), axis=3)[..., None]
@@ -204,7 +204,7 @@ def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
     line = _fit(at, crossing, weight)
     weight &= np.abs(crossing - line[..., :1] - line[..., 1:] * at) < OUTLIER_PX
     line = _fit(at, crossing, weight)
-    return np.where(weight.sum(axis=2, keepdims=True) >= LEAST_CROSSINGS, line, np.nan)
+    return np.where(weight.sum(axis=2, keepdims=True) >= MIN_CROSSINGS, line, np.nan)
 
 
 def _fit(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray:

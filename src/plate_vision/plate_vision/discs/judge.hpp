@@ -28,7 +28,7 @@ constexpr double WORST_NOISE = 0.12;
 constexpr double GOOD_MISFIT = 0.06;
 
 // Minimum visible fraction of a part's contour. With less the place is not reliable.
-constexpr double LEAST_SEEN = 0.3;
+constexpr double MIN_SEEN = 0.3;
 
 // Fraction by which a part must be brighter than the plate to get the label "bright". A part of
 // about the plate's brightness differs from it in colour only.
@@ -63,7 +63,7 @@ inline Parts judge(const Disc* discs, const Silhouette* parts, View<const double
         const double most =
             MAX_MISFIT + NOISE_MISFIT * noise / std::max(disc.darkness, noise);
         if (!(std::abs(disc.radius_px / parts[k].radius_px - 1) <= limits.tolerance &&
-              disc.misfit < most && disc.seen > LEAST_SEEN && depth[k] >= -limits.margin_px))
+              disc.misfit < most && disc.seen > MIN_SEEN && depth[k] >= -limits.margin_px))
             continue;
         double top_x, top_y;
         parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], top_x, top_y);

@@ -17,9 +17,9 @@ namespace {
 
 using nb::arg;
 
-constexpr double MOST_RADIUS_PX = 1e4;
+constexpr double MAX_RADIUS_PX = 1e4;
 
-bool is_radius(double radius) { return radius > 0 && radius <= MOST_RADIUS_PX; }
+bool is_radius(double radius) { return radius > 0 && radius <= MAX_RADIUS_PX; }
 
 // Silhouettes from rows of numbers.
 const Silhouette* as_silhouettes(const In<double, 2>& rows, size_t count) {
@@ -28,7 +28,7 @@ const Silhouette* as_silhouettes(const In<double, 2>& rows, size_t count) {
     const auto* parts = reinterpret_cast<const Silhouette*>(rows.data());
     for (size_t k = 0; k < count; k++) {
         require(is_radius(parts[k].radius_px), "radius: allowed: more than 0, up to 1e4 px");
-        require(parts[k].is_finite() && parts[k].reach() <= 2 * MOST_RADIUS_PX,
+        require(parts[k].is_finite() && parts[k].reach() <= 2 * MAX_RADIUS_PX,
                 "silhouettes: allowed: an area, and a reach of up to 2e4 px");
     }
     return parts;
@@ -117,7 +117,7 @@ void bind_discs(nb::module_& m) {
                 "shape: cast (n, 2)");
         require(shade >= 0 && shade <= 1 && edge_px > 0, "shade: allowed: 0 to 1, edge_px: above 0");
         for (size_t k = 0; shade > 0 && k < cast.shape(0); k++)
-            require(length_of(cast(k, 0), cast(k, 1)) <= MOST_RADIUS_PX,
+            require(length_of(cast(k, 0), cast(k, 1)) <= MAX_RADIUS_PX,
                     "cast: allowed: up to 1e4 px");
         nb::gil_scoped_release others_may_run;
         fit_discs(plate, view(seeds), shapes, {cast.data(), shade, edge_px}, noise, out);

@@ -26,7 +26,7 @@ constexpr double CORE = 0.6;
 
 // Darkness below which moments ignore a pixel: 4 standard deviations of a noise of 2 in 200 grey
 // levels. Otherwise the empty border of the window would increase the centre's error by half.
-constexpr double LEAST_DARKNESS = 0.04;
+constexpr double MIN_DARKENING = 0.04;
 
 // Darkness below which a fitted disc is a shadow, not a part. It also bounds the division by it.
 constexpr double MIN_DARKNESS = 0.05;
@@ -105,7 +105,7 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
         for (size_t i = 0; i < darkness.size(); i++) {
             const RoundWindow::Pixel& pixel = window.pixels[i];
             inner += pixel.inner ? darkness[i] : 0;
-            const float dark = darkness[i] > static_cast<float>(LEAST_DARKNESS) ? darkness[i] : 0;
+            const float dark = darkness[i] > static_cast<float>(MIN_DARKENING) ? darkness[i] : 0;
             for (int s = 0; s < RoundWindow::SUMS; s++) sum[s] += dark * pixel.factors[s];
         }
         const float mass = std::max(sum[RoundWindow::MASS], 1e-6f);

@@ -19,7 +19,7 @@ from .. import _kernels
 from .light import LitPlate, fit_light
 from .region import Region
 
-LEAST_CHANNEL = 20.0
+MIN_CHANNEL = 20.0
 """Minimum brightness of the plate in a channel whose contrast is used [grey levels]. On a darker
 plate, noise and dark current are too large a fraction."""
 
@@ -53,7 +53,7 @@ def channels_of(image: np.ndarray, plate: LitPlate, region: Region) -> Channels:
         return Channels(plate.grey[:, :, None], plate.light[None], plate.noise)
     used, lights, noises = [], [], []
     for k in range(image.shape[2]):
-        lit = fit_light(np.ascontiguousarray(image[:, :, k]), region, LEAST_CHANNEL)
+        lit = fit_light(np.ascontiguousarray(image[:, :, k]), region, MIN_CHANNEL)
         if lit is not None:
             used.append(k)
             lights.append(lit.light)

@@ -18,7 +18,7 @@ from ..camera.lens import Lens, calibrate_by_rig
 from ..errors import CalibrationError
 from .outline import OUTWARD, Outline, OutlineGrid, edge_points, measure_outline
 
-LEAST_COVER = 0.05
+MIN_COVER = 0.05
 """Minimum area of the plate, relative to the image's area [-]. A smaller quadrilateral is a label
 or a tool."""
 
@@ -118,7 +118,7 @@ def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
         for contour in contours:
             hull = cv2.convexHull(contour)
             area = cv2.contourArea(hull)
-            if not LEAST_COVER <= area / grey.size <= 0.98:
+            if not MIN_COVER <= area / grey.size <= 0.98:
                 continue
             length = cv2.arcLength(hull, closed=True)
             corners = cv2.approxPolyDP(hull, CORNER_STEP * length, closed=True).reshape(-1, 2)

@@ -19,7 +19,7 @@ from ..camera.lens import Calibration, Lens, calibrate_by_matrix, rig_lens
 from ..camera.markers import find_markers, square_corners
 from ..errors import CalibrationError
 
-LEAST_SEEN = 2
+MIN_SEEN = 2
 """Minimum number of markers for a pose. One alone gives the angle over a length of only 3 cm."""
 
 WORST_FIT_M = 1e-3
@@ -156,7 +156,7 @@ def find_pose(
 ) -> np.ndarray | None:
     """Return the plate's pose (3,) [m, m, rad], plate_home, by the visible markers.
 
-    None if fewer than `LEAST_SEEN` are visible, or they contradict each other. `last` is a pose
+    None if fewer than `MIN_SEEN` are visible, or they contradict each other. `last` is a pose
     within a few pixels. With it the markers' edges are searched first, which takes half the time of
     a search for markers.
     """
@@ -213,7 +213,7 @@ def _pose(
     """Return the pose by corners (n, 4, 2) [px], NaN if not visible; None if the fit is worse than
     `worst` [m]."""
     rows = np.flatnonzero(np.all(np.isfinite(corners_px), axis=(1, 2)))
-    if len(rows) < LEAST_SEEN:
+    if len(rows) < MIN_SEEN:
         return None
     seen = home.to_home(corners_px[rows].reshape(-1, 2))
     pose, error = fit_pose(fiducials.corners[rows].reshape(-1, 2), seen)

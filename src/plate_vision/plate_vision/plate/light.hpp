@@ -31,7 +31,7 @@ constexpr double MIN_FRACTION = 0.1;
 constexpr double SIGMA_OF_QUARTILE = 3.1383;
 
 // Minimum noise of an image [grey levels], from its quantisation.
-constexpr double LEAST_NOISE = 0.3;
+constexpr double MIN_NOISE = 0.3;
 
 // Coefficients of a quadratic surface.
 constexpr int TERMS = 6;
@@ -137,7 +137,7 @@ inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int6
         fitted[i] = std::abs(samples[i].value - fitted[i]);
     }
     std::nth_element(fitted.begin(), fitted.begin() + count / 4, fitted.end());
-    const double noise = std::max(SIGMA_OF_QUARTILE * fitted[count / 4], LEAST_NOISE);
+    const double noise = std::max(SIGMA_OF_QUARTILE * fitted[count / 4], MIN_NOISE);
     std::vector<float> surface(right, right + TERMS);
     surface.push_back(noise / level);
     return surface;

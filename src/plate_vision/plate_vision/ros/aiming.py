@@ -38,7 +38,7 @@ from ..aiming import (
     size_finding,
 )
 from ..camera import Board, Lens, LensFit, grey_levels, lens_keys, rig_lens
-from ..camera.boards import LEAST_PICTURES, find_board
+from ..camera.boards import MIN_PICTURES, find_board
 from ..camera.lens_pictures import COLUMNS, ROWS
 from ..camera.lens_pictures import LensPictures as Pictures
 from ..errors import CalibrationError, check_size
@@ -309,7 +309,7 @@ class AimingView:
         ]
 
     def _progress(self) -> LensPictures:
-        lens, msg = self._lens, LensPictures(needed=LEAST_PICTURES, file=str(self._path))
+        lens, msg = self._lens, LensPictures(needed=MIN_PICTURES, file=str(self._path))
         msg.cover_columns, msg.cover_rows, msg.error_px = COLUMNS, ROWS, math.nan
         if lens is None:
             return msg
@@ -399,8 +399,8 @@ class AimingView:
     def _on_fit(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         lens, pool = self._lens, self._pool
         kept = 0 if lens is None or lens.pictures is None else len(lens.pictures.kept)
-        if lens is None or pool is None or kept < LEAST_PICTURES:
-            response.message = f"{kept} pictures were taken, allowed: at least {LEAST_PICTURES}"
+        if lens is None or pool is None or kept < MIN_PICTURES:
+            response.message = f"{kept} pictures were taken, allowed: at least {MIN_PICTURES}"
             return response
         if lens.state == LensPictures.FITTING:
             response.message = "the lens is being fitted"

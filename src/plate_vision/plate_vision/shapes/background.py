@@ -26,7 +26,7 @@ CIE's colour difference it is 2.55, because L ends at 100 there instead of 255."
 SIGMAS = 3.5
 """Maximum deviation of a background pixel, in standard deviations of the background's noise."""
 
-LEAST_NOISE = 2.5
+MIN_NOISE = 2.5
 """Minimum assumed standard deviation of a background, by quantisation and JPEG [L]."""
 
 NEAR_PX = 16
@@ -35,7 +35,7 @@ NEAR_PX = 16
 SHIFT_PX = 0.2
 """Error with which the plate returns home, so its texture is displaced by it [px]."""
 
-MOST_PIXELS = 30_000
+MAX_PIXELS = 30_000
 """Maximum number of pixels of a photograph that are evaluated for its background."""
 
 MODES = 5
@@ -60,7 +60,7 @@ larger than a part."""
 LOCAL_PASSES = 3
 """Number of such averages, each over the pixels that agree with the previous one."""
 
-LEAST_SHARE = 0.05
+MIN_FRACTION = 0.05
 """Fraction of background around a pixel above which the average follows it completely."""
 
 TEXTURE_PERCENT = 98
@@ -89,7 +89,7 @@ SPECK = 100.0
 SPECKS = 0.004
 """Fraction of specks above which an image is cleaned."""
 
-LEAST_SCORE = 0.4
+MIN_SCORE = 0.4
 """Minimum score of a background: the fraction of the image that it explains, plus BORDER_WEIGHT
 times the fraction of the border."""
 
@@ -227,7 +227,7 @@ def model_background(image: np.ndarray) -> Background:
     if dirty:
         lab = clean
     height, width, channels = lab.shape
-    step = int(np.ceil(np.sqrt(height * width / MOST_PIXELS)))
+    step = int(np.ceil(np.sqrt(height * width / MAX_PIXELS)))
     size = max(width // step, 1), max(height // step, 1)
     small = cv2.resize(lab, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], channels)
     values = small.reshape(-1, channels).astype(np.float32)
@@ -250,12 +250,12 @@ def model_background(image: np.ndarray) -> Background:
             part = design[kept][:, :terms]
             fit[:terms] = np.linalg.lstsq(part.T @ part, part.T @ values[kept], rcond=None)[0]
             rest = _size(values[kept] - part @ fit[:terms], CHROMA[1])
-            near = SIGMAS * max(float(np.sqrt(np.median(rest**2))), LEAST_NOISE)
+            near = SIGMAS * max(float(np.sqrt(np.median(rest**2))), MIN_NOISE)
         score = float(np.mean(kept)) + BORDER_WEIGHT * float(np.mean(kept[border]))
         if best is None or score > best[0]:
             best = score, design @ fit, kept
     nothing = Background(lab, np.full((height, width), 255, np.uint8))
-    if best is None or best[0] < LEAST_SCORE:
+    if best is None or best[0] < MIN_SCORE:
         return nothing
     surface, kept = _local(values, best[1], best[2], size)
     grown = cv2.resize(surface.reshape(size[1], size[0], channels), (width, height))
@@ -281,9 +281,9 @@ def _local(
         weight = kept.astype(np.float32).reshape(size[1], size[0])
         total = cv2.GaussianBlur(weight, (0, 0), width).reshape(-1, 1)
         change = cv2.GaussianBlur(rest, (0, 0), width).reshape(values.shape)
-        surface = surface + change / np.maximum(total, LEAST_SHARE)
+        surface = surface + change / np.maximum(total, MIN_FRACTION)
         away = _size(values - surface, CHROMA[1])
-        kept = away <= SIGMAS * max(1.2 * float(np.median(away[kept])), LEAST_NOISE)
+        kept = away <= SIGMAS * max(1.2 * float(np.median(away[kept])), MIN_NOISE)
     return surface.astype(np.float32), kept
 
 
@@ -365,7 +365,7 @@ def _size(change: np.ndarray, chroma: float) -> np.ndarray:
 
 
 def _limit(noise: np.ndarray) -> np.ndarray:
-    return np.asarray(np.clip(SIGMAS * np.maximum(noise, LEAST_NOISE), 0, 255).astype(np.uint8))
+    return np.asarray(np.clip(SIGMAS * np.maximum(noise, MIN_NOISE), 0, 255).astype(np.uint8))
 
 
 def _surface_terms(x: np.ndarray, y: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:

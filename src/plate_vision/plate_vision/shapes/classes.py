@@ -29,7 +29,7 @@ from .heights import footprint, magnified, seen_shift
 from .holes import HoleCheck
 from .outlines import POINTS, THREE, Outline, make_outline, patch_rings
 from .patch import Patch
-from .shadows import SHORTEST_PX, Lamp
+from .shadows import MIN_PX, Lamp
 
 ASTRAY = 2.0
 """Factor between the distance of a fit after two steps and its maximum final distance, above which
@@ -104,7 +104,7 @@ HEIGHT_ERROR_PX = 0.1
 FEWEST_NAMED = 3
 """Minimum number of parts with a type for a measurement of shadow length and swelling."""
 
-LEAST_SWELL_PX, MOST_SWELL_PX = 0.3, 1.5
+MIN_SWELL_PX, MAX_SWELL_PX = 0.3, 1.5
 """Range of the median swelling of outlines that is corrected [px]."""
 
 SIGHTING = np.dtype(
@@ -272,7 +272,7 @@ def _compared(
     )
     if lamp is not None:
         # Half of the error of the shadow's length and edge is an error of the part.
-        shadow_px = np.hypot(lamp.scatter_px, max(swell, LEAST_SWELL_PX))
+        shadow_px = np.hypot(lamp.scatter_px, max(swell, MIN_SWELL_PX))
         error_px = np.hypot(error_px, 0.5 * shadow_px)
     if len(levels) > 1 or levels[0] > 0:
         error_px = np.hypot(error_px, HEIGHT_ERROR_PX)
@@ -470,13 +470,13 @@ def _settled(
     if len(named) < FEWEST_NAMED:
         return replace(conditions, settled=True)
     swell = float(np.median(found["swell_px"][named]))
-    if abs(swell) < LEAST_SWELL_PX:
+    if abs(swell) < MIN_SWELL_PX:
         swell = 0.0
     lamp = conditions.lamp
     if lamp is not None:
         lamp = _measured(lamp, found, named, outlines, catalogue, calibration)
     return replace(
-        conditions, lamp=lamp, settled=True, swell_px=min(max(swell, -MOST_SWELL_PX), MOST_SWELL_PX)
+        conditions, lamp=lamp, settled=True, swell_px=min(max(swell, -MAX_SWELL_PX), MAX_SWELL_PX)
     )
 
 
@@ -514,7 +514,7 @@ def _measured(
     if len(lengths) < FEWEST_NAMED:
         return lamp
     length_px = np.array(lengths) * float(np.median(scale))
-    usual = max(float(np.median(length_px)), SHORTEST_PX)
+    usual = max(float(np.median(length_px)), MIN_PX)
     spread = float(np.median(np.abs(length_px - usual)))
     unit = lamp.shift_px / np.hypot(*lamp.shift_px)
     return replace(lamp, shift_px=usual * unit, scatter_px=1.5 * spread)

@@ -38,7 +38,7 @@ UNEQUAL = 0.5
 COMPACT = 0.85
 """Minimum solidity of both sides of an unclear neck if they are two parts."""
 
-LEAST_GOOD = 0.35
+MIN_GOOD = 0.35
 """Minimum fraction of a split patch that is compact or similar to other pieces."""
 
 RATHER_ALIKE = (0.4, 0.3, 0.1)
@@ -47,10 +47,10 @@ RATHER_ALIKE = (0.4, 0.3, 0.1)
 MEMBERS = 3
 """Minimum number of pieces of a kind that justifies a straight cut."""
 
-LEAST_DENT_PX = 1.2
+MIN_DENT_PX = 1.2
 """Minimum depth of a concave corner at which a cut may begin [px]."""
 
-MOST_DENTS = 6
+MAX_DENTS = 6
 """Maximum number of concave corners of a piece, the deepest first."""
 
 LARGER = 1.5
@@ -77,13 +77,13 @@ STEEP = 4.0
 """Minimum gradient of an inner edge (Sobel), relative to the background's noise limit. An edge of
 twice that limit has it."""
 
-LEAST_INNER = 40
+MIN_INNER = 40
 """Minimum number of inner pixels of a piece in which edges are searched."""
 
-LEAST_PARTED = 0.3
+MIN_SEPARATED = 0.3
 """Minimum fraction of a piece that consists of compact pieces after a split along edges."""
 
-LEAST_SHARE = 0.5
+MIN_FRACTION = 0.5
 """Minimum area of the rest of such a split, relative to the smallest piece, for it to be a
 group."""
 
@@ -236,7 +236,7 @@ def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
             or any(alike(piece.traits, one.traits) for one in pieces if one is not piece)
         ]
         share = sum(piece.area for piece in good) / sum(piece.area for piece in own)
-        if len(own) > 1 and share < LEAST_GOOD:
+        if len(own) > 1 and share < MIN_GOOD:
             own = [Piece(solids[rank][0], rank, True, group=len(own) > 2)]
         kept += own
     return kept
@@ -326,12 +326,12 @@ def _along_edges(
         return [piece]
     steep = steepness(colours)
     inner = cv2.erode(piece.inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    if np.count_nonzero(inner) < LEAST_INNER:
+    if np.count_nonzero(inner) < MIN_INNER:
         return [piece]
     best: list[Piece] = [piece]
     areas = [kind[0] for kind in kinds]
     least = SMALLER * min(np.median(areas) if areas else np.inf, piece.area)
-    most = LEAST_PARTED * piece.area
+    most = MIN_SEPARATED * piece.area
     borders = [
         inner & (steep > max(np.percentile(steep[inner], percent), STEEP * limit))
         for percent in EDGES_PERCENT
@@ -388,7 +388,7 @@ def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
     rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
     area = np.bincount(left.ravel(), minlength=count)
-    large = area > LEAST_SHARE * min(one.area for one in good)
+    large = area > MIN_FRACTION * min(one.area for one in good)
     large[0] = False
     shared = piece.inside & ~large[left]
     return [
@@ -419,8 +419,8 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
     if dents is None:
         return None
     dents = np.reshape(dents, (-1, 4))
-    dents = dents[dents[:, 3] > LEAST_DENT_PX * 256]
-    dents = dents[np.argsort(-dents[:, 3])][:MOST_DENTS]
+    dents = dents[dents[:, 3] > MIN_DENT_PX * 256]
+    dents = dents[np.argsort(-dents[:, 3])][:MAX_DENTS]
     best: tuple[float, list[Piece]] | None = None
     points = contour[:, 0]
     for number, dent in enumerate(dents):
@@ -454,4 +454,4 @@ def _across(points: np.ndarray, start: int) -> np.ndarray:
     along = np.minimum((around - start) % len(points), (start - around) % len(points))
     low = (gap <= np.roll(gap, 3)) & (gap <= np.roll(gap, -3)) & (along > 1.5 * gap)
     order = np.flatnonzero(low)[np.argsort(gap[low])]
-    return np.asarray(points[order[:MOST_DENTS]])
+    return np.asarray(points[order[:MAX_DENTS]])

@@ -53,7 +53,7 @@ NEAR_PX: float = _kernels.NEAR_PX
 OUTSIDE_PX: float = _kernels.OUTSIDE_PX
 """Maximum distance outside the group at which a point of a part is still accepted [px]."""
 
-MOST_OUTSIDE: float = _kernels.MOST_OUTSIDE
+MAX_OUTSIDE: float = _kernels.MAX_OUTSIDE
 """Maximum fraction of a part that is outside the group."""
 
 RIM_POINTS = 200
@@ -81,10 +81,10 @@ CHOICES = 8
 FIRST, TRIES = 3, 30
 """Number of choices for each part of a group, and maximum number of combinations that are tried."""
 
-MOST_PARTS = 12
+MAX_PARTS = 12
 """Maximum number of parts in a group."""
 
-MOST_TRIES = 200
+MAX_TRIES = 200
 """Maximum number of combinations tried in all groups of an image: a heap may have dozens of
 groups."""
 
@@ -202,7 +202,7 @@ def explain_groups(
     kept, added = np.ones(len(seen), bool), []
     least = np.min(catalogue.area)
     area = np.pi * (seen["radius_px"] / calibration.scale(_places(seen))) ** 2
-    tries = Work(MOST_TRIES)
+    tries = Work(MAX_TRIES)
     clusters = _clusters(patches, settled, image.shape[:2])
     for members in sorted(clusters, key=lambda one: float(np.sum(area[one]))):
         if np.sum(area[members]) < TWO * least or not tries.left:
@@ -368,7 +368,7 @@ def take_apart(
     tries = tries or Work(TRIES)
     border = _edge_distances(view)
     least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
-    if np.count_nonzero(view.mask) > MOST_PARTS * most:
+    if np.count_nonzero(view.mask) > MAX_PARTS * most:
         return []
     choices = _candidates(view, catalogue, border, border)
     # Best-first search: start with the best of each choice, then with one second best, and so on.
@@ -389,7 +389,7 @@ def take_apart(
             free = _signed_distance(left)
             fitting = [part for part in fitting if _fits(view, part, free, border)]
             fitting = fitting or _candidates(view, catalogue, free, border)
-        if len(parts) < MOST_PARTS:
+        if len(parts) < MAX_PARTS:
             for rank, part in enumerate(fitting[:FIRST]):
                 more = (passed + rank, depth - 1, next(number), (*parts, part), left, fitting)
                 heapq.heappush(open_, more)
@@ -458,7 +458,7 @@ def _candidates(
         for pose in _placed(view, template, free, border):
             fit = view.fitted(template, pose)
             seen, outside = _support(view, template, fit, free, border)
-            if seen < SEEN or outside > MOST_OUTSIDE:
+            if seen < SEEN or outside > MAX_OUTSIDE:
                 continue
             tint = _tint(view, template, fit)
             if tint > LIMIT * COLOUR_LAB:
@@ -471,7 +471,7 @@ def _candidates(
 
 def _fits(view: View, part: Found, free: np.ndarray, border: np.ndarray) -> bool:
     """Whether a part is inside the free area (h, w)."""
-    return _support(view, part.template, part.pose, free, border)[1] <= MOST_OUTSIDE
+    return _support(view, part.template, part.pose, free, border)[1] <= MAX_OUTSIDE
 
 
 def _tint(view: View, template: Template, pose: np.ndarray) -> float:

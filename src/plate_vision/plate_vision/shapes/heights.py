@@ -28,13 +28,13 @@ FINE = 8
 STEP_PX = 1.0
 """Maximum shift between two heights that are evaluated [px]."""
 
-MOST_STEPS = 24
+MAX_STEPS = 24
 """Maximum number of heights that are evaluated."""
 
 FEWEST_POINTS = 12
 """Minimum number of points on a hole's contour."""
 
-LEAST_SHIFT_PX = 0.02
+MIN_SHIFT_PX = 0.02
 """Shift of the top below which no correction is needed [px]."""
 
 MARGIN_PX = 3.31
@@ -124,9 +124,9 @@ def footprint(
 
 def _steps(shift_px: float) -> int:
     """Return the number of places along a shift [px] to evaluate: one if it is too small."""
-    if shift_px < LEAST_SHIFT_PX:
+    if shift_px < MIN_SHIFT_PX:
         return 1
-    return int(min(np.ceil(shift_px / STEP_PX) + 1, MOST_STEPS))
+    return int(min(np.ceil(shift_px / STEP_PX) + 1, MAX_STEPS))
 
 
 def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:

@@ -152,7 +152,7 @@ void bind_outlines(nb::module_& m) {
 void bind_placing(nb::module_& m) {
     m.attr("NEAR_PX") = NEAR_PX;
     m.attr("OUTSIDE_PX") = OUTSIDE_PX;
-    m.attr("MOST_OUTSIDE") = MOST_OUTSIDE;
+    m.attr("MAX_OUTSIDE") = MAX_OUTSIDE;
 
     m.def("support", [](In<float, 2> free, In<float, 2> border, In<double, 2> to_px,
                         In<double, 2> rim, In<double, 2> inner, In<double, 1> pose) {
@@ -182,7 +182,7 @@ void bind_placing(nb::module_& m) {
 }
 
 void bind_segmentation(nb::module_& m) {
-    m.attr("LEAST_AREA_PX2") = LEAST_AREA_PX2;
+    m.attr("MIN_AREA_PX2") = MIN_AREA_PX2;
 
     m.def("deviation", [](Colours lab, Colours bare, double chroma, Array<uint8_t, 2> out) {
         const size_t channels = lab.shape(2);

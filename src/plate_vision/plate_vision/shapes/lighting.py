@@ -28,7 +28,7 @@ FACTORS = (0.2, 5.0)
 """Range of the light relative to that of the known plate. Below it parts are as dark as the plate;
 above it the image is overexposed."""
 
-LEAST_SHOWN = 0.15
+MIN_SHOWN = 0.15
 """Minimum visible fraction of the plate. Parts may cover 60 %, shadows some of the rest."""
 
 COVERED_WEIGHT = 0.25
@@ -43,7 +43,7 @@ SMOOTH = np.array([1, 2, 3, 2, 1]) / 9
 MODES = 4
 """Maximum number of modes."""
 
-LEAST_MODE = 0.1
+MIN_MODE = 0.1
 """Minimum height of a mode, relative to the largest."""
 
 APART = 3
@@ -198,11 +198,11 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     if len(likely) > 1:
         likely.sort(key=lambda one: -one[0] * lit.connected(one[1]))
     share = float(np.mean(likely[0][2])) if likely else 0.0
-    if share < LEAST_SHOWN:
+    if share < MIN_SHOWN:
         low, high = FACTORS
         raise ImageError(
             f"light: {100 * share:.0f} % of the plate look like the bare plate, allowed: "
-            f"{100 * LEAST_SHOWN:.0f} % or more, at {100 * low:.0f} to {100 * high:.0f} % of the "
+            f"{100 * MIN_SHOWN:.0f} % or more, at {100 * low:.0f} to {100 * high:.0f} % of the "
             "light during learning of the bare plate (is the light on? Was the camera moved? "
             "Otherwise call ~/learn_plate with an empty plate)"
         )
@@ -237,7 +237,7 @@ def _modes(ratio: np.ndarray, weight: np.ndarray, channels: int) -> list[float]:
     kept: list[int] = []
     for peak in peaks.tolist():
         apart = all(abs(peak - other) >= APART for other in kept)
-        if apart and found[peak] > LEAST_MODE * found[peaks[0]]:
+        if apart and found[peak] > MIN_MODE * found[peaks[0]]:
             kept.append(peak)
     return [float(low + BIN * (peak + 0.5)) for peak in kept[:MODES]]
 

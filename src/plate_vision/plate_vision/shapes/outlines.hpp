@@ -26,7 +26,7 @@ constexpr int STEPS = 11;
 
 // Minimum difference between both ends of these samples for an edge, relative to the difference of
 // part and surround. Where parts touch there is no edge, and the patch's contour is used.
-constexpr double LEAST_STEP = 0.25;
+constexpr double MIN_STEP = 0.25;
 
 // Maximum contribution of a point to a squared distance [squares of the unit, and of a tenth of the
 // part's reach]: outliers count, but to a limited extent.
@@ -36,7 +36,7 @@ constexpr double CLIP = 16.0;
 constexpr double STILL = 0.003;
 
 // Minimum assumed RMS deviation of points from a type's outline [units].
-constexpr double LEAST_ERROR = 0.1;
+constexpr double MIN_ERROR = 0.1;
 
 // Number of neighbouring points with correlated errors.
 constexpr double TOGETHER = 2.0;
@@ -143,7 +143,7 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
         };
         const double first = level(step - REACH_PX), last = level(step + REACH_PX);
         double best = step;
-        if (first - last > LEAST_STEP) {
+        if (first - last > MIN_STEP) {
             const double half = 0.5 * (first + last);
             double gap = std::numeric_limits<double>::infinity(), old = first;
             for (int k = 1; k < STEPS; k++) {
@@ -447,7 +447,7 @@ inline double turn_scatter(View<const double, 2> edges, View<const double, 2> po
     }
     if (!number) return std::numeric_limits<double>::infinity();
     for (double& square : squares) square /= number;
-    const double rest = std::max(squares[0], LEAST_ERROR * unit * (LEAST_ERROR * unit));
+    const double rest = std::max(squares[0], MIN_ERROR * unit * (MIN_ERROR * unit));
     const double bend = (squares[1] + squares[2] - 2 * squares[0]) / (2 * step * step);
     if (bend <= 0) return std::numeric_limits<double>::infinity();
     return std::sqrt(TOGETHER * rest / (number * bend) * std::max(full / bend, 1.0));

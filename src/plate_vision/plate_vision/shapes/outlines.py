@@ -22,7 +22,7 @@ disc in the 6th and 12th, a square in the 4th, 8th, 12th and 16th."""
 POINTS = 64
 """Number of points on the contour of a patch: 1 px apart for a part of 20 px."""
 
-LEAST_HOLE = 0.02
+MIN_HOLE = 0.02
 """Minimum area of a hole, relative to the part. A highlight may look like a smaller one."""
 
 FEWEST_POINTS = 12
@@ -130,7 +130,7 @@ def patch_rings(
     for i in [outer, *(i for i in range(len(contours)) if tree[0, i, 3] == outer)]:
         ring = contours[i][:, 0]
         share = count if i == outer else max(round(count * len(ring) / length), FEWEST_POINTS)
-        small = i != outer and cv2.contourArea(contours[i]) < LEAST_HOLE * whole
+        small = i != outer and cv2.contourArea(contours[i]) < MIN_HOLE * whole
         if len(ring) >= 4 and not small:
             points = np.empty((share, 2))
             _kernels.find_edge(field, ring, i != outer, points)

@@ -15,7 +15,7 @@ import numpy as np
 HALF = 0.5
 """Fraction of a pixel covered by the part at which the outline runs."""
 
-MOST_SHIFT_PX = 1.5
+MAX_SHIFT_PX = 1.5
 """Maximum distance between the edge of the mask and the outline [px]."""
 
 SMOOTH_PX = 0.8
@@ -25,7 +25,7 @@ between neighbouring pixels."""
 MARGIN_PX = 4
 """Width of the margin around a patch in its window [px]."""
 
-LEAST_HOLE_PX2 = 6.0
+MIN_HOLE_PX2 = 6.0
 """Minimum area of a hole that is reported [px2]. Smaller ones are noise."""
 
 
@@ -131,7 +131,7 @@ class Patch:
         holes = [
             contours[i]
             for i in range(len(contours))
-            if family[0][i][3] >= 0 and cv2.contourArea(contours[i]) >= LEAST_HOLE_PX2
+            if family[0][i][3] >= 0 and cv2.contourArea(contours[i]) >= MIN_HOLE_PX2
         ]
         fall = cv2.Sobel(cover, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(cover, cv2.CV_32F, 0, 1) / 8
         origin = np.array(self.corner) - 2
@@ -151,5 +151,5 @@ def _to_the_edge(
     square = np.sum(steep**2, axis=1, keepdims=True)
     shift = (HALF - cover[y, x])[:, None] * steep / np.maximum(square, 1e-6)
     length = np.hypot(*shift.T)[:, None]
-    shift *= np.minimum(1, MOST_SHIFT_PX / np.maximum(length, 1e-9))
+    shift *= np.minimum(1, MAX_SHIFT_PX / np.maximum(length, 1e-9))
     return np.asarray(contour[:, 0] + shift)

@@ -11,7 +11,7 @@ import numpy as np
 from .background import Background, colours_like, model_background, steepness
 from .segmentation import find_patches
 
-MOST_PIXELS = 1_000_000
+MAX_PIXELS = 1_000_000
 """Maximum number of pixels; larger images are reduced first. Parts remain large enough."""
 
 ROUND = 0.95
@@ -50,7 +50,7 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
     """Return the complete patches (n,) OUTLINE of an image (H, W) or (H, W, 3) uint8 without any
     description of the parts."""
     full = np.array(image.shape[1::-1])
-    factor = int(np.ceil(np.sqrt(full[0] * full[1] / MOST_PIXELS)))
+    factor = int(np.ceil(np.sqrt(full[0] * full[1] / MAX_PIXELS)))
     if factor > 1:
         size = np.maximum(full // factor, 1)
         image = cv2.resize(image, size.tolist(), interpolation=cv2.INTER_AREA)

@@ -20,7 +20,7 @@ constexpr double NEAR_PX = 1.3;
 constexpr double OUTSIDE_PX = 1.6;
 
 // Maximum fraction of a part that is outside the group.
-constexpr double MOST_OUTSIDE = 0.06;
+constexpr double MAX_OUTSIDE = 0.06;
 
 // A value below any count of contour points, for places that are excluded.
 constexpr int16_t BARRED = -30'000;
@@ -29,7 +29,7 @@ constexpr int16_t BARRED = -30'000;
 constexpr int PLACES = 16;
 
 // Maximum width of a frame around the group [px].
-constexpr double MOST_MARGIN = 1e4;
+constexpr double MAX_MARGIN = 1e4;
 
 // 1 if a point of a part is outside the free area, else 0.
 inline int is_outside(double free) { return free < -OUTSIDE_PX; }
@@ -128,7 +128,7 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
     const double scale = std::max(length_of(to_px(0, 0), to_px(0, 1)),
                                   length_of(to_px(1, 0), to_px(1, 1)));
     const double reach = scale * std::max(farthest(rim, pole), farthest(inner, pole));
-    if (!(reach < MOST_MARGIN)) throw std::invalid_argument("the part is too large");
+    if (!(reach < MAX_MARGIN)) throw std::invalid_argument("the part is too large");
     const int margin = 2 + static_cast<int>(reach);  // the frame contains every placed part
     constexpr double FAR = -std::numeric_limits<double>::infinity();
     const int framed = width + 2 * margin;
@@ -142,7 +142,7 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
             on_rim[at] = is_on_rim(border(j, i));
             if (free(j, i) >= depth) begin[j] = std::min(begin[j], i), end[j] = i + 1;
         }
-    const int most = 2 * MOST_OUTSIDE * inner.size(0);
+    const int most = 2 * MAX_OUTSIDE * inner.size(0);
     std::vector<int16_t> best(height * width), counts(width + PLACES);
     std::vector<int> best_turn(height * width), inner_at(inner.size(0)), rim_at(rim.size(0));
     for (int turn = 0; turn < turns.size(0); turn++) {

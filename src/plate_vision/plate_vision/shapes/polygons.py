@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from plate_core.rig import MOST_CORNERS, is_simple
+from plate_core.rig import MAX_CORNERS, is_simple
 
 from ..errors import TeachError
 from .outlines import distances, make_outline
@@ -46,7 +46,7 @@ STAY = 0.05
 
 
 def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: float) -> np.ndarray:
-    """Return a polygon (n, 2) [m] with at most `MOST_CORNERS` corners along a ring (k, 2) [m].
+    """Return a polygon (n, 2) [m] with at most `MAX_CORNERS` corners along a ring (k, 2) [m].
 
     `reach` is the part's [m], `scale` the picture's [px/m].
 
@@ -63,7 +63,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         corner = cv2.approxPolyDP(contour, loose, True)[:, 0].astype(float) * fine
         if len(corner) < 3:
             raise TeachError(f"type {name}: its {what} is a line, allowed: a part with an area")
-        if len(corner) <= MOST_CORNERS and is_simple(corner):
+        if len(corner) <= MAX_CORNERS and is_simple(corner):
             break
         loose *= 1.1
     corner, rms = _fitted(corner, ring)
@@ -86,7 +86,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
     if off > max(COARSE * reach, FINE_PX / scale):
         many = len(cv2.approxPolyDP(contour, 1.0, True))
         raise TeachError(
-            f"type {name}: its {what} has {many} corners, allowed: {MOST_CORNERS}, with a mean "
+            f"type {name}: its {what} has {many} corners, allowed: {MAX_CORNERS}, with a mean "
             f"error of {scale * off:.1f} px"
         )
     return corner

@@ -10,7 +10,7 @@
 namespace plate {
 
 // Minimum area of a part: a disc of 3 px radius.
-constexpr double LEAST_AREA_PX2 = 30;
+constexpr double MIN_AREA_PX2 = 30;
 
 // Minimum contrast of a part, relative to the maximum deviation of the background.
 constexpr double STRONG = 1.2;
@@ -89,7 +89,7 @@ inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2>
         const int* histogram = histograms[k];
         int total = 0, above = 0;
         for (int level = 1; level < 256; level++) total += histogram[level];
-        if (total < LEAST_AREA_PX2) continue;
+        if (total < MIN_AREA_PX2) continue;
         // The upper half is that of the range below the largest tenth of the deviations.
         int high = 255, middle = 255;
         for (int passed = 0; high > 0 && passed + histogram[high] < 0.1 * total; high--)

@@ -21,17 +21,17 @@ from .grouping import CONVEX, Piece, pieces_of, traits
 from .patch import HALF, Patch
 from .shadows import Lamp, find_faces, find_lamp, find_sides, take_out_shadows
 
-LEAST_AREA_PX2: float = _kernels.LEAST_AREA_PX2
+MIN_AREA_PX2: float = _kernels.MIN_AREA_PX2
 """Minimum area of a part: a disc of 3 px radius."""
 
-MOST_PATCHES = 250
+MAX_PATCHES = 250
 """Maximum number of patches that are evaluated, the largest ones. More are noise, or texture that
 has moved."""
 
-LEAST_DEPTH_PX = 1.8
+MIN_DEPTH_PX = 1.8
 """Minimum distance of the inside of a part from its contour [px]. A scratch is thinner."""
 
-LEAST_HOLE_PX2 = 6
+MIN_HOLE_PX2 = 6
 """Minimum area of a hole. A smaller one is a speck on the part."""
 
 NEAR_PX = 12
@@ -57,10 +57,10 @@ FILLED = 0.3
 DUST = 0.04
 """Area of dust, relative to that of a typical part."""
 
-LEAST_SIDE_PX = 8
+MIN_SIDE_PX = 8
 """Minimum side of an image [px]. Smaller images show no complete part."""
 
-LEAST_RIM_PX = 12
+MIN_CONTOUR_PX = 12
 """Minimum length of a part's contour [px]."""
 
 ROUND = 0.8
@@ -146,7 +146,7 @@ def segment(
     (n, 2) [px]. If `whole` (H, W) bool is given, only its pixels count, and no shadows are removed.
     """
     lab = colours_like(image, background)
-    if min(lab.shape[:2]) < LEAST_SIDE_PX:
+    if min(lab.shape[:2]) < MIN_SIDE_PX:
         return Segments([], None, np.zeros(lab.shape[:2], np.int32), np.zeros(1, bool))
     limit = background.limit
     away = deviation(lab, background.lab, background.chroma)
@@ -230,14 +230,14 @@ def _patches(
     windows = [
         _window(number, contours, family[0], cover, away)
         for number, contour in enumerate(contours)
-        if family[0][number][3] < 0 and len(contour) >= LEAST_RIM_PX
+        if family[0][number][3] < 0 and len(contour) >= MIN_CONTOUR_PX
     ]
     windows = _without_inner(_largest(windows))
     pixels = cover.size if region is None else int(np.count_nonzero(region.usable))
     solids = [(window.solid, window.amount, lab[window.place]) for window in windows]
     return [
         patch
-        for piece in pieces_of(solids, LEAST_AREA_PX2, noise, pixels)
+        for piece in pieces_of(solids, MIN_AREA_PX2, noise, pixels)
         if (patch := _patch(piece, windows[piece.rank], region)) is not None
     ]
 
@@ -250,11 +250,11 @@ def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
 
 
 def _largest(windows: list[Window]) -> list[Window]:
-    """Return the `MOST_PATCHES` largest windows."""
-    if len(windows) <= MOST_PATCHES:
+    """Return the `MAX_PATCHES` largest windows."""
+    if len(windows) <= MAX_PATCHES:
         return windows
     size = [-np.count_nonzero(window.solid) for window in windows]
-    kept = np.sort(np.argsort(size, kind="stable")[:MOST_PATCHES])
+    kept = np.sort(np.argsort(size, kind="stable")[:MAX_PATCHES])
     return [windows[k] for k in kept.tolist()]
 
 
@@ -355,7 +355,7 @@ def _window(
     while child >= 0:
         contour = contours[child]
         left, top, wide, high = cv2.boundingRect(contour)
-        if (wide - 2) * (high - 2) < LEAST_HOLE_PX2:  # fast rejection: noise has thousands
+        if (wide - 2) * (high - 2) < MIN_HOLE_PX2:  # fast rejection: noise has thousands
             child = family[child][0]
             continue
         part = np.s_[top - y0 : top - y0 + high, left - x0 : left - x0 + wide]
@@ -364,7 +364,7 @@ def _window(
         cv2.drawContours(one, [contour], 0, 0, 1, offset=(-left, -top))
         enclosed[part] |= one
         level = deviation_here[part][(one > 0) & (own[part] < HALF)]
-        if len(level) >= LEAST_HOLE_PX2 and np.median(level) < HOLE * full:
+        if len(level) >= MIN_HOLE_PX2 and np.median(level) < HOLE * full:
             area, hull = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour))
             around = 4 * np.pi * area / max(cv2.arcLength(contour, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
@@ -392,7 +392,7 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     # A piece cut off around a hole is not a part if it is thin.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < LEAST_DEPTH_PX:
+    if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:
         return None
     # Pixels at the contour with less than half cover belong to the adjacent piece.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0

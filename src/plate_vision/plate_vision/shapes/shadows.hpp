@@ -16,7 +16,7 @@ namespace plate {
 constexpr double DARKEST = 0.45;
 
 // Minimum number of even pixels of a part and of a shadow.
-constexpr int LEAST_EVEN = 12;
+constexpr int MIN_UNIFORM = 12;
 
 // Maximum deviation of a shadow, relative to that of the part that casts it.
 constexpr double LIGHTER = 0.8;
@@ -28,7 +28,7 @@ constexpr double DARKER = 0.3;
 constexpr double HALFWAY[] = {0.3, 0.7};
 
 // Minimum number of pixels of a shadow's edge for a measurement of its slope.
-constexpr int LEAST_SEEN = 4;
+constexpr int MIN_SEEN = 4;
 
 // Shadow candidates in an image. By pixel (h, w): whether it is like a darker plate; whether it is
 // also light enough for a shadow; and the slope of the lightness [L/px]. By patch (count,): maximum
@@ -114,7 +114,7 @@ inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
         for (int level = 0; level < 255; level++) {
             below += histogram[level];
             first += static_cast<double>(level) * histogram[level];
-            if (below < LEAST_EVEN || total - below < LEAST_EVEN) continue;
+            if (below < MIN_UNIFORM || total - below < MIN_UNIFORM) continue;
             const double low = first / below, high = (moment - first) / (total - below);
             const double between = below * (total - below) * ((high - low) * (high - low));
             if (between > most) {
@@ -164,7 +164,7 @@ inline void find_fade(View<const uint8_t, 2> away, View<const uint8_t, 2> around
         });
     for (int k = 0; k < count; k++) {
         const auto& [light, dark, seen] = patches[k];
-        fade[k] = seen >= LEAST_SEEN ? fade[k] / seen : 0;
+        fade[k] = seen >= MIN_SEEN ? fade[k] / seen : 0;
         if (light.count == 0 || dark.count == 0) continue;
         const double dx = light.x / light.count - dark.x / dark.count;
         const double dy = light.y / light.count - dark.y / dark.count;

@@ -59,17 +59,17 @@ THICK = 0.6
 """Minimum thickness of a part, relative to that of its shadow. A thin dark side is a side face of a
 high part seen obliquely, and the light side is its top."""
 
-LEAST_AREA_PX2 = 30
+MIN_AREA_PX2 = 30
 """Minimum area of a patch whose edges are evaluated."""
 
 
 SQUARE = np.ones((3, 3), np.uint8)
 """Kernel of the morphological operations: a pixel and its eight neighbours."""
 
-LEAST_CAST = (0.06, 0.75)
+MIN_CAST = (0.06, 0.75)
 """Range of the fraction of a patch that is shadow, for a measurement of the shadow's length."""
 
-LEAST_PART = 0.2
+MIN_PART = 0.2
 """Minimum fraction of a patch whose colour shows that it is not shadow."""
 
 ONE_LAMP = 0.85
@@ -87,7 +87,7 @@ DEEP = 30.0
 """Minimum deviation of a shadow whose length is subtracted [L]: a fifth of the light. A fainter or
 softer one surrounds a part on all sides, and is recognised by its softness."""
 
-SHORTEST_PX = 1.0
+MIN_PX = 1.0
 """Minimum length of a shadow that is subtracted [px]."""
 
 FACE = 0.9
@@ -205,7 +205,7 @@ def find_faces(
         y, x = rows[patch == k], columns[patch == k]
         ((dx, dy),) = rise(np.array([[np.mean(x), np.mean(y)]]))
         length = float(np.hypot(dx, dy))
-        if length < SHORTEST_PX:
+        if length < MIN_PX:
             continue
         here = np.s_[y.min() : y.max() + 1, x.min() : x.max() + 1]
         own, light = labels[here] == k, sides.lit[here] & (away[here] < bound[k])
@@ -248,7 +248,7 @@ def find_lamp(
         Whether a patch certainly has no shadow: see `find_faces`.
     """
     count = len(sides.total)
-    large = sides.total >= LEAST_AREA_PX2
+    large = sides.total >= MIN_AREA_PX2
     large[0] = False
     if faces is not None:
         large &= ~faces
@@ -261,9 +261,9 @@ def find_lamp(
     patch, shaded = labels[rows, columns], cast[rows, columns] > 0
     own = ~sides.lit[rows, columns]
     shade = np.bincount(patch[shaded], minlength=count)
-    if np.count_nonzero(large & (shade > LEAST_CAST[0] * sides.total)) < fewest:
+    if np.count_nonzero(large & (shade > MIN_CAST[0] * sides.total)) < fewest:
         return None
-    grey = np.bincount(patch[own], minlength=count) < LEAST_PART * sides.total
+    grey = np.bincount(patch[own], minlength=count) < MIN_PART * sides.total
     # In a part as grey as a shadow, the darker side is the part.
     bound, *_ = _two_sides(sides, away, labels)
     darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
@@ -274,8 +274,8 @@ def find_lamp(
         np.bincount(patch[own], minlength=count),
     )
     fraction = shade / np.maximum(sides.total, 1)
-    clear = large & (fraction > LEAST_CAST[0]) & (fraction < LEAST_CAST[1])
-    clear &= body > LEAST_PART * sides.total
+    clear = large & (fraction > MIN_CAST[0]) & (fraction < MIN_CAST[1])
+    clear &= body > MIN_PART * sides.total
     if np.count_nonzero(clear) < fewest:
         return None
     at = np.stack([columns, rows]).astype(float)
@@ -305,7 +305,7 @@ def find_lamp(
     length = reach[clear] - part[clear]
     usual = float(np.median(length))
     spread = float(np.median(np.abs(length - usual)))
-    if usual < SHORTEST_PX or spread > SPREAD * usual or level < DEEP:
+    if usual < MIN_PX or spread > SPREAD * usual or level < DEEP:
         return None
     return Lamp(level, usual * unit, 1.5 * spread)
 
@@ -336,9 +336,9 @@ def take_out_shadows(
     """
     like, lit, slope, steepest, largest, total, balance = sides
     count = len(total)
-    _clear_bright(away, like, labels, (balance > 0) & (total >= LEAST_AREA_PX2))
+    _clear_bright(away, like, labels, (balance > 0) & (total >= MIN_AREA_PX2))
     width = largest / np.maximum(steepest, 1)
-    large = np.flatnonzero((total >= LEAST_AREA_PX2) & (steepest > 0))
+    large = np.flatnonzero((total >= MIN_AREA_PX2) & (steepest > 0))
     cut = np.zeros(count, bool)
     if not len(large):
         return cut

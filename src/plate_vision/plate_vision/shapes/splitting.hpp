@@ -16,7 +16,7 @@ namespace plate {
 constexpr double THIN_PX = 2.2, THINNER = 0.3;
 
 // Maximum number of necks that are kept for a patch.
-constexpr int MOST_NECKS = 200;
+constexpr int MAX_NECKS = 200;
 
 // Two parts, numbered from 1, and the width of the neck between them, relative to the narrower
 // part.
@@ -25,7 +25,7 @@ struct Neck {
 };
 
 // Maximum number of steps of the distance by which pixels are sorted.
-constexpr double MOST_STEPS = 1e6;
+constexpr double MAX_STEPS = 1e6;
 
 struct Basins {
     int count;
@@ -45,7 +45,7 @@ inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels)
     inside.resize(count), steps.reserve(count);
     for (int i : inside) {
         const double step = static_cast<double>(depth.data[i]) * levels;
-        if (!(step < MOST_STEPS)) throw std::invalid_argument("the patch is too deep");
+        if (!(step < MAX_STEPS)) throw std::invalid_argument("the patch is too deep");
         steps.push_back(step);
         top = std::max(top, steps.back());
     }
@@ -103,7 +103,7 @@ inline Basins find_basins(View<const float, 2> depth, double neck, double least_
                 if (here >= neck * lower || lower - here < least_drop || thin) {
                     if (floods[own].peak < floods[other].peak) std::swap(own, other);
                     floods[other].parent = own;
-                } else if (meetings.size() < MOST_NECKS) {
+                } else if (meetings.size() < MAX_NECKS) {
                     const bool known =
                         std::any_of(meetings.begin(), meetings.end(), [&](const Meeting& old) {
                             const int a = root(old.one), b = root(old.other);

@@ -19,7 +19,7 @@ NECK = 0.78
 """Maximum width of a neck between two parts, relative to the width of the narrower one. The neck of
 a bracket or a screw is as wide as its arm."""
 
-LEAST_DROP_PX = 0.6
+MIN_DROP_PX = 0.6
 """Minimum difference between half widths of a part and the neck [px]. Less is noise."""
 
 LEVEL = 0.8
@@ -57,7 +57,7 @@ def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndar
     )
     depth = np.where(outer > 0, inner + 0.02 * outer, 0).astype(np.float32) / ZOOM
     labels = np.zeros(depth.shape, np.int32)
-    count, necks = _kernels.find_basins(depth, NECK, LEAST_DROP_PX, LEVELS_PX, labels)
+    count, necks = _kernels.find_basins(depth, NECK, MIN_DROP_PX, LEVELS_PX, labels)
     own = labels[ZOOM // 2 :: ZOOM, ZOOM // 2 :: ZOOM][1:-1, 1:-1]
     return np.ascontiguousarray(own), count, necks
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from plate_core.rig import MOST_HOLES, PartType, read_part_types
+from plate_core.rig import MAX_HOLES, PartType, read_part_types
 from plate_core.yaml_fields import Fields
 
 from ..camera.lens import Calibration
@@ -38,7 +38,7 @@ from .patch import Patch
 from .polygons import simplified
 from .segmentation import find_patches
 
-MOST_PICTURES = 5
+MAX_PICTURES = 5
 """Maximum number of pictures of one type: more have little effect."""
 
 RIM_POINTS = 256
@@ -76,7 +76,7 @@ equal."""
 TURNED_PX = 0.25
 """Minimum of this limit for small parts [px]."""
 
-MOST_SYMMETRY = 12
+MAX_SYMMETRY = 12
 """Maximum symmetry of a part that is not round."""
 
 PICTURE_PX = 320
@@ -211,9 +211,9 @@ def learn_type(
         If there is no example, or none with complete parts that do not touch; if examples differ
         too much; or if the outline needs more corners than are allowed.
     """
-    if not 1 <= len(examples) <= MOST_PICTURES:
+    if not 1 <= len(examples) <= MAX_PICTURES:
         count = len(examples) or "no"
-        raise TeachError(f"type {name}: {count} examples, allowed: 1 to {MOST_PICTURES}")
+        raise TeachError(f"type {name}: {count} examples, allowed: 1 to {MAX_PICTURES}")
     shown: list[_Shown] = []
     unused: list[str] = []
     for example in examples:
@@ -528,9 +528,9 @@ def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
 
 def _symmetry(mean: Outline, scale: float) -> int:
     """Return the number of directions in which a mean outline looks the same, up to
-    `MOST_SYMMETRY`."""
+    `MAX_SYMMETRY`."""
     edges = mean.edges
-    for count in range(MOST_SYMMETRY, 1, -1):
+    for count in range(MAX_SYMMETRY, 1, -1):
         turned = _turned(mean, np.array([0, 0, 2 * np.pi / count]))
         square = distances(edges, turned.points)[:, 0] ** 2
         rest = math.sqrt(max(float(np.mean(ring)) for ring in np.split(square, mean.ends[:-1])))
@@ -549,8 +549,8 @@ def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> 
         If it would need too many corners or holes.
     """
     rings = mean.rings
-    if len(rings) > MOST_HOLES + 1:
-        raise TeachError(f"type {name}: {len(rings) - 1} holes, allowed: at most {MOST_HOLES}")
+    if len(rings) > MAX_HOLES + 1:
+        raise TeachError(f"type {name}: {len(rings) - 1} holes, allowed: at most {MAX_HOLES}")
     outer = make_outline(rings[:1])
     radius = math.sqrt(outer.area / math.pi)
     around = np.hypot(*(outer.points - outer.centre).T)

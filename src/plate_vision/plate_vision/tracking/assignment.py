@@ -37,7 +37,7 @@ PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
 SWING_M = 2e-3
 """Additional standard deviation half way to the prediction, because parts oscillate in a cycle."""
 
-MOST_WAYS = 2.0
+MAX_FRACTION = 2.0
 """Maximum fraction of a predicted displacement that is applied. Above 1 it is an extrapolation
 beyond the instant of the prediction."""
 
@@ -180,7 +180,7 @@ def _known_gains(
     known = [tracks[i] for i in rows]
     last = np.array([track.history[-1][0] for track in known])
     images = np.array([1.0 + track.missed for track in known])[:, None]
-    fraction = np.minimum((stamp - last) / (expected.stamp - last), MOST_WAYS)[:, None]
+    fraction = np.minimum((stamp - last) / (expected.stamp - last), MAX_FRACTION)[:, None]
     begin = np.array([track.position for track in known])
     end = expected.position[[row[track.id] for track in known]]
     square = _square(begin + fraction * (end - begin), seen)
