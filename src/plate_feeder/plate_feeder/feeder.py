@@ -15,32 +15,33 @@ loop without ROS uses it like this::
 The rules:
 
 - The planner gets parts ready (`FEED`) until it has nothing left to do and rests. Then it is
-ordered
-  to keep resting (`REST`), so that a robot need not wait. While a command waits, the plate is
-  ordered to rest as soon as one part is ready.
+  ordered to keep resting (`REST`), so that a robot need not wait. While a command waits, the plate
+  is ordered to rest as soon as one part is ready.
 - A part is offered only from a status that was made under an order to rest, and that reports the
-  plate at rest. An order is not changed before a status has confirmed it. So a status of an earlier
-  rest is never taken for one of the present rest.
-- From the reply on, the part is reserved and the plate rests, until `part_taken`, `prepare_part` or
-  the end of its validity. Only one part is reserved, for one client. If the same client requests
-  the next part, or a purge, the reservation ends; other clients get `BUSY`. Only its client may
-  report the part, and knows its id. If this client has disconnected, any client that knows the id
-  may.
+  plate at rest. The mode of an order is not changed before a status has confirmed it. So a status
+  of an earlier rest is never taken for one of the present rest. The picks of an order and `hidden`
+  change at once if the mode stays.
+- From the reply on, the part is reserved and the plate rests. The reservation ends with
+  `part_taken`, with the next `get_part`, `prepare_part` or `purge` of its client, or at the end of
+  its validity. Only one part is reserved, for one client; these commands of other clients get
+  `BUSY`. Only its client may report the part. The feeder sends the part's id only to this client.
+  If this client has disconnected, any client that knows the id may report the part.
 - After a `stop` nothing starts before `resume`, which a person calls.
-- A part that was reserved is not offered again before an image, `SEEN_ANEW_S` younger than the
-  newest one at the end of the reservation, shows it ready. After `MAX_FAILURES` failed picks at
-  one place a part is not offered until it is elsewhere. Meanwhile one more part is requested,
-  because the planner counts this one as ready.
+- A part that was reserved is not offered again until a later image shows it ready. The stamp of
+  this image exceeds the newest one at the end of the reservation by at least `SEEN_ANEW_S`. After
+  `MAX_FAILURES` failed picks at one place, a part is not offered until it is elsewhere. In both
+  cases one more part of its class is requested, because the planner counts this one as ready.
 - Among several parts the one with the fewest failed picks is offered; among equals the one nearest
   to the centre of its pick window.
-- The hopper is opened for the parts missing to `fill` if there are fewer parts than `least`, or
-none
-  of the class that a command waits for. It is not opened while a part is reserved or the plate is
-  purged, nor within `FALLEN_S` of its closing, nor before an image taken without a reservation: the
-  planner counts no new parts while a robot hides some. Until then no part within two spreads of the
-  place where parts fall is offered, and the plate does not count as purged. The hopper is closed
-  when a purge begins and when the task ends. After `MAX_OPENINGS` openings without new parts it
-  counts as empty; each new command opens it once more.
+- The hopper is opened for the parts missing to `fill` if there are fewer parts than `least`, or if
+  a command waits for a class of which no part is there. It is not opened while a part is reserved,
+  while the plate is purged, or while messages of the planner are missing.
+- After an opening it is not opened again until `FALLEN_S` after it closes, and until an image
+  without a reservation arrives: the planner counts no new parts while a robot hides some. Until
+  then no part within `SPREADS` spreads of the place where parts fall is offered, and the plate does
+  not count as purged.
+- The hopper is closed when a purge begins and when the task ends. After `MAX_OPENINGS` openings
+  without new parts it counts as empty; each new command permits one more opening.
 """
 
 from __future__ import annotations
@@ -65,12 +66,12 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""Age difference to the newest known image above which an image was certainly taken after now [s]:
-images are late."""
+"""An image whose stamp exceeds the newest known one by at least this was certainly taken after now
+[s], although images arrive late."""
 
 SEEN_ANEW_S = 1.0
-"""Age difference above which an image also does not show parts that are gone now [s]: the tracker
-keeps a missing part for some images."""
+"""An image whose stamp exceeds the newest known one by at least this also does not show parts that
+are gone now [s]: the tracker keeps a missing part for some images."""
 
 SILENT_S = 1.0
 """Maximum time between two statuses of a running task [s]: ten typical cycles."""
@@ -220,7 +221,7 @@ class Feeder:
         *,
         now: float,
     ) -> Reply | None:
-        """Wait for a part.
+        """Request a part. The reply comes with a later `step`, or at once if it is a refusal.
 
         Parameters
         ----------

@@ -2,12 +2,13 @@
 
 1. `predict_start` predicts the state of the parts and the plate when the cycle begins.
 2. `form_goal` converts the request (forces or targets) to intervals of displacements.
-3. `search` finds a plate motion that meets the goal.
-4. `leaves_plate` rejects a motion that carries a part off the plate. `search` then tries a smaller
-   fraction of the goal.
+3. `search` finds a plate motion for the goal.
+4. `leaves_plate` checks whether the motion carries a part off the plate. If so, `Controller`
+   searches again for a smaller fraction of the goal. If the smallest fraction fails too, it returns
+   a cycle at rest.
 
-Each step takes its state as arguments and returns the new state. Only the solvers keep state
-between calls: their last motion, from which the next search starts, and a random generator.
+Between calls, `Controller` keeps the predicted velocities of the parts. The solvers keep their last
+motion, from which the next search starts, and a random generator.
 """
 
 from __future__ import annotations
@@ -40,19 +41,21 @@ WAY_TOLERANCE = 2e-4
 this error."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
-"""Fractions of a goal, tried in this order until no part leaves the plate."""
+"""Fractions of a goal, tried in this order until no part leaves the plate. With forces,
+the displacements and rotations are multiplied by the fraction. Targets stay, but their weights are
+multiplied by its square (`Goal.times`)."""
 
 GOOD_MISS = 0.15
 """Maximum acceptable error (root mean square), as a fraction of the requested displacement. If the
 error is larger, the solver searches from further starts."""
 
 EXACT_MISS = 0.02
-"""The same fraction for requests in which a part has zero tolerance."""
+"""The same fraction for force requests in which a part has zero tolerance on both axes."""
 
 COAST_S = 0.03
 """Time by which the parts are extrapolated with their final velocities at the end of a cycle [s].
-It credits a part that moves towards its target. It is 0 if all parts are near their targets,
-because they would otherwise keep oscillating there."""
+It credits a part that moves towards its target. It is used only if a part is far from its
+target. Near their targets, parts would otherwise keep oscillating. Forces do not use it."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
@@ -71,8 +74,9 @@ class Answer:
     Attributes
     ----------
     cycle : PlateCycle
-        It starts and ends at rest at home. If the state of the plate is certain, it starts from
-        that state and has a tail.
+        It starts and ends at rest at home, with two exceptions. A motion of sinusoids starts in
+        `Wanted.plate` if that is given. It ends in any state if the end is free (`Goal.free_end`).
+        The cycle has a tail if it starts in motion or has a free end.
     solution : Solution or None
         None if nothing was requested.
     message : str
@@ -147,8 +151,8 @@ class Controller:
             solver.reset()
 
     def warm_up(self) -> None:
-        """Solve test requests with each method, so that the first real request finds all tables and
-        libraries loaded. Forgets all parts and solutions."""
+        """Solve test requests with each method, so that the first real request finds the tables
+        for forces and all libraries loaded. Forgets all parts and solutions."""
         rest = PlateCycle.rest(IDLE_S)
         rotated = Parts.make(("part_0",), np.zeros((1, 2)))
         requests = [Wanted.make(rotated, torque=np.array([1e-6]))]
@@ -213,7 +217,7 @@ class Controller:
 def search(
     solver: MotionSolver, goal: Goal, fraction: float, period: float, miss: float, until: float
 ) -> Solution:
-    """Search for a motion that meets a fraction of a goal.
+    """Search for a motion that meets a goal reduced by `Goal.times`.
 
     Parameters
     ----------
@@ -221,7 +225,7 @@ def search(
         Its last motion and its random generator are the state of the search.
     goal : Goal
     fraction : float
-        Fraction of the goal, 0 to 1.
+        Fraction of the goal, 0 to 1, as in `Goal.times`.
     period : float
         Length of the cycle [s].
     miss : float
@@ -236,9 +240,10 @@ def search(
 
 
 def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
-    """Whether a part would cross the edge of the plate, or move further beyond it, in the cycle.
+    """Whether a part would end beyond the edge of the plate, and farther out than it started.
 
-    The centre of a part must stay half a radius inside the edge.
+    The centre of a part must end half a radius inside the edge. Only the predicted end is checked,
+    with `Goal.coast`.
 
     Parameters
     ----------

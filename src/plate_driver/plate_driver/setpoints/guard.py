@@ -24,7 +24,8 @@ the tail of an earlier one, and the next cycle continues that one. The solver ke
 """
 
 EXPERIMENT_CYCLES = 9
-"""Number of plays of a calibration cycle: one more than is measured. Total below 10 s."""
+"""Number of plays of a calibration cycle: one more than settling and measurement need. Total
+below 10 s."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class Statistics:
     factor : float
         Minimum scaling factor of a cycle.
     late : float
-        Maximum delay of a cycle after the end of the last one [s].
+        Maximum time by which the interval since the previous table was sent exceeded the period of
+        that table's cycle [s].
     since : int
         Value of `cycles` at the last report.
     problems : tuple of str
@@ -59,7 +61,7 @@ class Statistics:
     problems: tuple[str, ...] = ()
 
     def accepted(self, fit: Fit, late: float = 0.0) -> Statistics:
-        """Count a cycle that was sent `late` [s] after the end of the last one."""
+        """Count a cycle with the delay `late` [s], as defined for the attribute."""
         new = replace(
             self,
             cycles=self.cycles + 1,
@@ -169,7 +171,8 @@ class Guard:
             If the plate cannot execute the cycle.
         """
         thermal = self.thermal.at_time(self.rig, now)
-        # One more play than that is possible, because the current table is played to its end.
+        # Upper bound: two plays more than `hold_cycles`, with fades. The current table is played to
+        # its end.
         longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         allowed = thermal.allowed_load(self.rig, longest)
         table, fit = prepare(
@@ -218,8 +221,8 @@ class Guard:
     def over(self, now: float, times: float = 1.0) -> bool:
         """Return whether no more cycles arrive.
 
-        True if `times` times the duration of the last table has passed, or if the clock was set
-        back. A simulated clock at 0 has not been received yet and is ignored.
+        True if `times` times `lasts_s` has passed since the last table was sent, or if the clock
+        was set back. A simulated clock at 0 has not been received yet and is ignored.
         """
         if self.table is None:
             return False

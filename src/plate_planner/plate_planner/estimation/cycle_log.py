@@ -21,13 +21,15 @@ SNAP = 0.25
 """Tolerance of an image's stamp around the expected end of a cycle, as a fraction of the cycle."""
 
 MEMORY_S = 1.5
-"""Time for which runs are kept [s]. It exceeds the maximum image latency and the longest cycle."""
+"""Time for which runs are kept [s]. It exceeds the maximum image latency and the longest usual
+cycle."""
 
 MIN_S, MAX_S = 0.005, 10.0
-"""Minimum and maximum length of a cycle or tail that a driver plays [s]."""
+"""Minimum and maximum length of a cycle or tail that the log accepts [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
-"""Range of stamp intervals that are accepted as a period [s]. Periods by design are 0.02 to 0.2."""
+"""Range of stamp intervals and of reported periods that are accepted as a period [s]. The solver's
+default periods are 0.1 to 0.4."""
 
 SAME_TIME_S = 3.0
 """Maximum difference between the stamps of an image and of a cycle start [s]. It exceeds the
@@ -67,7 +69,9 @@ class Sent:
 
 @dataclass(frozen=True)
 class CycleLog:
-    """The cycles that the plate ran, oldest first.
+    """The cycles that the plate ran or is expected to run, oldest first.
+
+    A report replaces the expectation for its time.
 
     Attributes
     ----------
@@ -258,7 +262,7 @@ class CycleLog:
         """Return the log at an image's stamp t [s]. Without reports, a cycle starts at the stamp.
 
         After the end of a cycle, the newest cycle follows if it arrived in time; otherwise the
-        driver's rule `next_cycle` applies. If answers have a delay, an older answer follows.
+        rule `next_cycle` applies. If answers have a delay, an older answer follows.
         """
         if self.reported:
             log = self
@@ -362,13 +366,13 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
 
 
 def _same(one: PlateCycle, other: PlateCycle) -> bool:
-    """Whether two cycles are equal up to rounding."""
+    """Whether two cycles have equal knot poses up to rounding. Times are not compared."""
     a, b = one.knot_pose, other.knot_pose
     return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
 
 
 def _playable(cycle: PlateCycle) -> bool:
-    """Whether the lengths of a cycle and its tail are in the range that a driver plays."""
+    """Whether the lengths of a cycle and its tail are in the range that the log accepts."""
     return all(MIN_S <= part.period <= MAX_S for part in cycle.parts)
 
 

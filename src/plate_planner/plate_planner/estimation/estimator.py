@@ -28,8 +28,8 @@ not detected although they are present. Their number corresponds to `MEMORY_S` i
 at cycle starts."""
 
 FRESH = 1.5
-"""Maximum age of a request in periods. A request that is older does not describe the running
-cycle."""
+"""Maximum age of a request, in periods. A request that is older does not describe the running
+cycle. It is also the maximum time over which a mean drift or spin is measured, in periods."""
 
 SETTLE_S = 0.05
 """Delay after the plate has come to rest until all parts are at rest [s]."""
@@ -43,8 +43,8 @@ STARTS_S = 1e-3
 stamp is the time of the camera trigger, so the image was taken at its stamp."""
 
 LATE = 0.01
-"""Maximum difference between an image's stamp and the time of a prediction, as a fraction of the
-prediction's span. A later or earlier image is not compared with the prediction."""
+"""Maximum difference between `Estimator.stamp` and the time of a prediction, as a fraction of the
+prediction's span. Parts at a later or earlier time are not compared with the prediction."""
 
 FEWER = 0.02
 """Tolerance of the image rate, as a fraction of the cycle rate."""
@@ -69,7 +69,8 @@ def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
 class LastRequest:
     """The last request: drift (M, 2) [m/s, plate_home] of each part, and its stamp [s].
 
-    `force` (M, 2) [N] are the corresponding mean forces.
+    The stamp is `Estimator.stamp` when the request was recorded. `force` (M, 2) [N] are
+    the corresponding mean forces.
     """
 
     ids: tuple[str, ...] = ()
@@ -140,11 +141,11 @@ class DriftBias:
         Parameters
         ----------
         parts : Parts
-            M parts at an image's stamp.
+            M parts at `Estimator.stamp`.
         seen : (M,) bool
             Whether the image shows the part. Other parts are not updated.
         t : float
-            Stamp [s]. There is no update if the prediction is for another time.
+            `Estimator.stamp` [s]. There is no update if the prediction is for another time.
         latency : float or None
             Image latency assumed now [s]. There is no update if it is unknown or has changed.
         axes : (M, 2, 2)
@@ -300,7 +301,7 @@ class Estimator:
     def record_cycle(
         self, cycle: PlateCycle, arrival: float, requested: float | None = None
     ) -> Estimator:
-        """Record a cycle sent to the plate, as in `CycleLog.hear`."""
+        """Record a cycle sent to the plate, as in `CycleLog.record_cycle`."""
         return replace(self, log=self.log.record_cycle(cycle, arrival, requested))
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> Estimator:
@@ -456,7 +457,8 @@ class Estimator:
 
     @property
     def next_rest(self) -> float:
-        """Time at which the plate comes to rest if that answer requests no motion [s]."""
+        """Time at which the plate comes to rest if the answer to the last image requests no motion
+        [s]."""
         tail = self.log.until_answer.runs[-1][1].tail if self.log.known else None
         return self.next_start + (tail.period if tail is not None else 0.0)
 

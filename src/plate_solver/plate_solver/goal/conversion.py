@@ -35,7 +35,8 @@ class RequestFacts:
     lasting : bool
         Whether targets are requested. Later cycles may complete them.
     rotating : int or None
-        Number of parts with a requested rotation; None if no rotation is requested.
+        Number of parts with a requested rotation. None if there are no angle targets and all
+        torques are 0.
     far : bool
         Whether a part is farther than `NEAR_M` from its target. A rotation counts as the arc length
         at the edge of the part.
@@ -83,8 +84,9 @@ def form_goal(
     Raises
     ------
     PlateError
-        If a value is not finite or exceeds `MAX_REQUEST`, if the high end of an interval is below
-        its low end, or if a weight, a tolerance, the clearance or the period is negative.
+        If a value is not finite or exceeds `MAX_REQUEST` (a force tolerance may be infinite), if
+        the high end of an interval is below its low end, if a weight, a tolerance or the clearance
+        is negative, or if `forces.period` is not positive.
     """
     request = wanted.request
     if isinstance(request, Targets):
