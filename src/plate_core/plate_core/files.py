@@ -82,7 +82,7 @@ def _explained(path: str | Path, error: type[PlateError]) -> Iterator[None]:
         raise
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except (OSError, ValueError) as problem:  # ValueError: the text is not a valid path
+    except (OSError, ValueError) as problem:  # a ValueError means that the text is not a valid path
         raise error(f"{path}: cannot be read ({problem})") from None
 
 

@@ -93,7 +93,7 @@ class Number:
         """Return the checked value as a float."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError
-        if not self.low <= value <= self.high:  # also true for NaN
+        if not self.low <= value <= self.high:  # this condition is also true for NaN
             raise ValueError
         return float(value)
 
@@ -486,7 +486,7 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     except RecursionError:
         raise error(f"{path}: broken YAML: nested too deeply") from None
-    except ValueError as problem:  # raised by the scanner for an escape beyond Unicode
+    except ValueError as problem:  # PyYAML's scanner raises it for an escape beyond Unicode
         raise error(f"{path}: broken YAML: {problem}") from None
     if mistake:
         raise error(f"{path.name}: {mistake}")

@@ -125,7 +125,8 @@ class CycleStarts:
         if last.table != new.table:
             if later < before - MARGIN_S:
                 return 0.0, f"began {later:.3g} s after the last table, allowed: {before:.3g} s"
-            if abs(off) > MARGIN_S:  # the plate rested between the tables
+            # The plate rested between the tables, so no delay can be computed.
+            if abs(off) > MARGIN_S:
                 return 0.0, ""
         slip = self.slip + off
         if abs(slip) > MARGIN_S:

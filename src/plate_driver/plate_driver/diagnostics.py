@@ -42,8 +42,8 @@ class DriverDiagnostics:
         self._playback, self._intake, self._calibration = playback, intake, calibration
         self._problems, self._clocks, self._period_s = problems, clocks, period_s
         self._ready_since = 0.0
-        self._values: dict[str, str] = {}  # of the last diagnostics
-        self._retries = 0  # messages repeated between the last two diagnostics
+        self._values: dict[str, str] = {}  # values of the last diagnostics
+        self._retries = 0  # number of messages repeated between the last two diagnostics
 
     def begin(self, now: float) -> None:
         """Restart the time without cycles at `now` [s, playback]."""
@@ -51,7 +51,8 @@ class DriverDiagnostics:
 
     def record_ready(self, ready: bool, now: float) -> None:
         """Record at `now` [s, playback] whether cycles are accepted or a calibration runs."""
-        self._ready_since = min(self._ready_since, now) if ready else now  # a clock may be set back
+        # `min` is needed because a clock may be set back.
+        self._ready_since = min(self._ready_since, now) if ready else now
 
     def finding(self, status: DriverStatus, failure: Exception | None) -> Finding:
         """Return the severity level and its reason. `failure` is the error of the last lifecycle

@@ -120,7 +120,7 @@ class CycleIntake:
         """
         number, status = self._latch.number, self.observe()
         self._freshness = self._freshness.with_cycle(source, self._clocks.steady_s())
-        if status.state is not DriverState.READY:  # this reason precedes all others
+        if status.state is not DriverState.READY:  # report this reason before any other
             self._playback.count_refused()
             raise NotReadyError(f"the driver is {status.text}")
         try:
@@ -137,11 +137,11 @@ class CycleIntake:
         self, cycle: PlateCycle, stamp_ns: int, transport: TransportThread, number: int
     ) -> Fit:
         now = self._clocks.playback_s()
-        if self._clocks.simulated():  # the clock may arrive after the cycle
+        if self._clocks.simulated():  # the message with the time may arrive after the cycle
             now = max(now, 1e-9 * stamp_ns)
         guard, fit = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
         if cycle.moves:
-            self._poll_tasks()  # last: the task of this cycle may have ended by now
+            self._poll_tasks()  # poll last, because the task of this cycle may have ended meanwhile
             guard = guard.lasting(self._clocks.steady_s() + self._remaining_s(cycle, stamp_ns))
         self._playback.send(transport, guard, number)
         if guard.correction is not None:
@@ -153,7 +153,7 @@ class CycleIntake:
         if problem := self._second_publisher():
             raise CycleError(problem)
         clock_ns, simulated = self._clocks.stamp_ns(), self._clocks.simulated()
-        if simulated:  # the clock may arrive after the cycle
+        if simulated:  # the message with the time may arrive after the cycle
             clock_ns = max(clock_ns, stamp_ns)
         remaining = self._freshness.remaining_s(stamp_ns, clock_ns, cycle.period)
         return math.inf if simulated else remaining

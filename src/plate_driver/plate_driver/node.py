@@ -154,13 +154,13 @@ class DriverNode(SafeLifecycleNode[Options]):
             DIAGNOSTICS_PERIOD_S,
         )
         self.raw_inputs: tuple[RawInput, ...] = ()
-        self._measured: Measured | None = None  # not published yet
-        # It also advances while simulated time stands still.
+        self._measured: Measured | None = None  # last measurement, not published yet
+        # This clock also advances while simulated time stands still.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(
             self, self._find, self._values, lambda: "plate", self._report.reported
         )
-        with urgent():  # also for the threads of the DDS participant
+        with urgent():  # the threads of the node's DDS participant must be urgent too
             self._safety = SafetyNode(self)
 
     @property
@@ -251,7 +251,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             super().close()
         finally:
             self._safety.close()
-            self.transports.close()  # a stop may have opened one
+            self.transports.close()  # a stop during `super().close()` may have opened a transport
 
     def destroy_node(self) -> None:
         """Destroy this node and the safety node."""
@@ -291,7 +291,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Process a task_status of `size` bytes; `data` is its beginning."""
         try:
             msg = deserialized(data, TaskStatus)
-        except PlateError as error:  # invalid or truncated: not from the planner
+        except PlateError as error:
+            # The message is invalid or truncated, so the planner did not send it.
             self.get_logger().warning(f"task_status: {error}", throttle_duration_sec=WARN_S)
             return
         stamp_ns = nanoseconds(msg.header.stamp) if size <= len(data) else None
@@ -330,7 +331,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._calibration.record(measured)
         self._record_problems(transport)
         self._inputs.poll_tasks()
-        if self.playback.guard.table is None:  # no table is expected to play
+        if self.playback.guard.table is None:  # the driver has sent no table that could play
             self._problems.clear_unplayed()
         if self.active:
             self._continue(transport)
@@ -352,7 +353,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         elif text := self.playback.check_end(now):
             if self.intake.task_runs:
                 self.get_logger().warning(text, throttle_duration_sec=WARN_S)
-            else:  # no task, so no cycles are expected
+            else:  # without a task, no cycles are expected
                 self.get_logger().debug(text, throttle_duration_sec=WARN_S)
 
     def _record_problems(self, transport: TransportThread) -> None:
@@ -376,7 +377,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         return response
 
     def _log_calibration(self, text: str, failed: bool) -> None:
-        if failed:  # two lines of code: rclpy accepts only one severity from each
+        if failed:  # rclpy accepts only one severity from each line of code
             self.get_logger().error(text)
         else:
             self.get_logger().info(text)

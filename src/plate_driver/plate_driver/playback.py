@@ -37,7 +37,8 @@ class Playback:
 
     def __init__(self, guard: Guard, latch: Latch, publish: Callable[[MotorTable], None]) -> None:
         self.guard, self._latch, self._publish = guard, latch, publish
-        self._motions: dict[int, PlateCycle] = {}  # motions of corrected tables by stamp
+        # Motions of the corrected tables, by stamp of their cycles [ns].
+        self._motions: dict[int, PlateCycle] = {}
 
     @property
     def rig(self) -> Rig:

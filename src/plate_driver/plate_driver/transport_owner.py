@@ -94,7 +94,7 @@ class TransportOwner:
                     transport, order = self._stop_without_current(cut)
                 done = transport.stopped(order, cut, end)
                 if done or transport in (self.current, self.temporary):
-                    break  # otherwise it was closed during the wait
+                    break  # if neither is true, the transport was closed during the wait
         except PlateError as error:
             done, order = False, Order().settle(str(error))
         self.latch.late = None if done else order
@@ -111,7 +111,8 @@ class TransportOwner:
         done = transport.stopped(order, cut=False, end=end)
         self.latch.late = order if transport.met and not done else None
         if not done:
-            return UNANSWERED if transport.met else ""  # without a device there is no current
+            # If no device was ever connected, the motors have no current.
+            return UNANSWERED if transport.met else ""
         end = time.monotonic() + REST_S
         while transport.report.condition not in (Condition.OFF, Condition.GONE):
             if time.monotonic() > end:

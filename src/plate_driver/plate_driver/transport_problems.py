@@ -21,7 +21,8 @@ class TransportProblems:
     def __init__(self, repeat_s: float) -> None:
         self._repeat_s = repeat_s
         self._logged: dict[str, float] = {}  # time of the last log of each problem [s]
-        self._unplayed: tuple[float, str] | None = None  # start [s] and reason
+        # Start [s] and reason of the time without a played table.
+        self._unplayed: tuple[float, str] | None = None
 
     def new(self, problems: list[str], motors_rest: bool, now: float) -> list[str]:
         """Record problems at `now` [s], and return those to log.

@@ -50,10 +50,12 @@ OPERATIONAL, PDO_OFF, NO_RTR, LED, LEADABLE = 5, 1 << 31, 1 << 30, 0x227, 0x26F
 DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
 
 STEPS = (
-    (0x6040, 0, DISABLE, 2),  # whatever its state
+    (0x6040, 0, DISABLE, 2),  # disable the drive in any state
     (0x1017, 0, BEAT_MS, 2), (0x1016, 1, OWN_NODE << 16 | SILENT_MS, 4),
-    (0x6007, 0, 3, 2), (0x605A, 0, 2, 2),  # without the host: quick stop, then no current
-    (0x60C2, 1, CYCLE_MS, 1), (0x60C2, 2, -3, 1), (0x6060, 0, 8, 1),  # cyclic synchronous position
+    # If the host is lost, do a quick stop, then switch the current off.
+    (0x6007, 0, 3, 2), (0x605A, 0, 2, 2),
+    # Mode: cyclic synchronous position.
+    (0x60C2, 1, CYCLE_MS, 1), (0x60C2, 2, -3, 1), (0x6060, 0, 8, 1),
     (0x1400, 1, PDO_OFF | RPDO, 4), (0x1600, 0, 0, 1), (0x1600, 1, 0x60400010, 4),
     (0x1600, 2, 0x607A0020, 4), (0x1600, 0, 2, 1), (0x1400, 2, 1, 1),
     (0x1800, 1, PDO_OFF | NO_RTR | TPDO, 4), (0x1A00, 0, 0, 1), (0x1A00, 1, 0x60410010, 4),
@@ -143,13 +145,14 @@ class Axis:
         setpoints would not follow the ramp of a quick stop either."""
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
-            with contextlib.suppress(PlateError):  # a bus fault is reported by the SDOs below
+            with contextlib.suppress(PlateError):  # the SDOs below report a bus fault
                 brakes = error is not None and not self._astray
                 while brakes and enabled(self._status) and master.now < end:
                     self._exchange(QUICK_STOP)
             try:
                 switch_off(master, self._motor, self._node)
-                master.write(self._node, 0x1016, 1, 0, 4)  # no longer expect our heartbeat
+                # The drive no longer expects the host's heartbeat.
+                master.write(self._node, 0x1016, 1, 0, 4)
                 self._command(PRE_OPERATIONAL)
             except PlateError as more:
                 if error is None or isinstance(error, PlateError):
@@ -175,14 +178,15 @@ class Axis:
             except Refused:
                 if index != 0x605A:
                     raise
-                master.write(node, 0x6007, 0, 2, 2)  # otherwise: no current, at once
+                # Without a quick stop, the drive must switch the current off at once.
+                master.write(node, 0x6007, 0, 2, 2)
         mode = master.read(node, 0x6061, signed=True)
         if mode != 8:
             raise PlateError(trouble_text(self._motor, Trouble.WRONG_DRIVE, 0x6061, mode))
         self._command(START)
         master.wait(1e-3 * SILENT_MS, lambda: received.state == OPERATIONAL)
         received.boots, received.emergency, self._due = 0, None, master.now
-        for _ in range(2):  # the first one may reply to another SYNC
+        for _ in range(2):  # exchange twice, because the first reply may belong to another SYNC
             self._exchange(None)
         self._missed = self._doubled = 0
 
@@ -199,7 +203,8 @@ class Axis:
             master.send(RPDO + self._node, word.to_bytes(2, "little") + target)
         master.send(SYNC)
         self.late_s = max(self.late_s, master.now - self._due)
-        self._due = max(self._due + cycle_s, master.now + cycle_s / 2)  # do not catch up
+        # Do not catch up on missed cycles.
+        self._due = max(self._due + cycle_s, master.now + cycle_s / 2)
         master.wait(self._due - master.now)
         self._missed = 0 if places else self._missed + 1
         self._doubled = self._doubled + 1 if len(places) > 1 else 0
@@ -262,7 +267,7 @@ class Axis:
             if self._master.now > end:
                 raise PlateError(trouble_text(self._motor, Trouble.NOT_ENABLED, 0, self._status))
             known = {0x21: SWITCH_ON, 0x23: OPERATE}
-            ready = self._status & 0x4F == 0x40  # switch on disabled
+            ready = self._status & 0x4F == 0x40  # whether the state is "switch on disabled"
             self._cycle(SHUTDOWN if ready else known.get(self._status & 0x6F, 0), self.position)
         self.start, self._led = self._target, True
 

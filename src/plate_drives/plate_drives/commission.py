@@ -183,7 +183,7 @@ class Dialogue:
         )
         error = 1e3 * (actual - targets)
         rms, speed = np.sqrt(np.mean(error**2)), np.gradient(targets, 1e-3 * CYCLE_MS)
-        lag = -(error @ speed) / (speed @ speed)  # [ms]
+        lag = -(error @ speed) / (speed @ speed)  # lag behind the setpoints [ms]
         needed, allowed = lag * limits.speed, 1e3 * limits.following_error_m
         print(
             f"It follows {1e3 * size:.3g} mm at {rate / 2 / np.pi:.3g} Hz within {rms:.4f} mm RMS, "
@@ -288,7 +288,7 @@ def main() -> None:
         signal.signal(each, signal.default_int_handler)
     try:
         path = rig_path(args.rig)
-        drives_of(load_rig(path))  # check before a bus is opened
+        drives_of(load_rig(path))  # check the drives before a bus is opened
         master = Master(open_bus(args.bus, args.channel, args.bitrate))
         try:
             code = commission(path, master, args.check)

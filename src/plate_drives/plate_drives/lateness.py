@@ -39,7 +39,7 @@ def measured(transport: HostTransport, seconds: float) -> np.ndarray:
                 if not late:
                     end = time.monotonic() + seconds
                 late.append(transport.load)
-                transport.values()  # this resets the maximum
+                transport.values()  # this call resets the maximum
             elif ENDED in transport.report().text:
                 break
             time.sleep(POLL_S)
@@ -63,7 +63,8 @@ def main() -> None:
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)  # a bus without drives
+    # These sockets form a bus without drives.
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     with near, far:
         transport = HostTransport(
             lambda: HostPort(program, f"nowhere {os.getpid()}", lambda _: far.dup()),

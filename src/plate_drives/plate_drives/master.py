@@ -135,7 +135,7 @@ class Master:
         for node in NODES:
             self.received[node].answers.clear()
             self._request(node, 0x40, index, 0)
-            if node % 16 == 0:  # adapters buffer few frames
+            if node % 16 == 0:  # wait, because adapters buffer only few frames
                 self.wait(0.01)
         self.wait(ANSWER_S)
         return [node for node in NODES if self.received[node].answers]

@@ -102,7 +102,7 @@ def program_of(rig: Rig) -> Path:
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
     try:
         return _built(header, drives[0].kind)[0]
-    except (OSError, subprocess.TimeoutExpired) as error:  # most likely a full disk
+    except (OSError, subprocess.TimeoutExpired) as error:  # the most likely cause is a full disk
         raise PlateError(f"the firmware cannot be compiled: {error}") from None
 
 
@@ -111,7 +111,7 @@ def open_can(channel: str) -> socket.socket:
     try:
         can = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         can.bind((channel,))
-        if error := can.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):  # it is down
+        if error := can.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):  # the interface is down
             raise OSError(error, os.strerror(error))
     except OSError as why:
         raise PlateError(f"CAN interface {channel} does not open ({why})") from None
@@ -149,14 +149,16 @@ class HostPort:
     ) -> None:
         with socket.socket(socket.AF_UNIX) as lock, opened(channel) as can:
             try:
-                lock.bind(f"\0plate_drives {channel}")  # held until the process has ended
+                # The lock is held until the process has ended.
+                lock.bind(f"\0plate_drives {channel}")
             except OSError:
                 raise PlateError(f"{channel} is still in use by another driver process") from None
             passed = (can.fileno(), *(() if ticks is None else (ticks,)))
             try:
                 self._process = subprocess.Popen(
                     [program, *map(str, passed)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                    pass_fds=(*passed, lock.fileno()), start_new_session=True,  # no Ctrl-C for it
+                    # In its own session, it does not receive Ctrl-C.
+                    pass_fds=(*passed, lock.fileno()), start_new_session=True,
                 )  # fmt: skip
             except OSError as error:
                 raise PlateError(
@@ -230,7 +232,7 @@ class HostTransport(SerialTransport):
         measured = super().poll()
         self._late_ms = max(
             self.load, self._late_ms * (1 - FADE) ** len(measured)
-        )  # a tick is 1 ms
+        )  # a tick is 1 ms, so `load` is in ms
         ready = not self._too_late and self.report().condition is Condition.READY
         if ready and self._late_ms > self.allowed_ms:
             self._too_late = self._lateness()

@@ -53,7 +53,7 @@ class Lockstep(Generic[Image, Start]):
         self._image: tuple[Image, int] | None = None  # waiting image and its stamp [ns]
         self._image_time = 0.0  # arrival of the waiting image [s, steady clock]
         self._starts: deque[Start] = deque(maxlen=STARTS_KEPT)
-        self._start_ns = -1  # stamp of the last start
+        self._start_ns = -1  # stamp of the last cycle start [ns]
 
     @property
     def image_waits(self) -> bool:

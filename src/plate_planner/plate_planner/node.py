@@ -153,7 +153,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def __init__(self) -> None:
         super().__init__("planner", PlannerParameters)
-        self._stamp = self.get_clock().now().to_msg()  # of the last image
+        self._stamp = self.get_clock().now().to_msg()  # stamp of the last image
         self._diagnostics = self.report(
             lambda now: self._health.finding(now),
             lambda: self._health.values(time.monotonic()),
@@ -248,7 +248,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Answer an image that was taken at the start of a cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
-        if parts is None:  # request rest, so that the loop continues
+        if parts is None:  # the image is unusable; request rest, so that the loop continues
             self._request(NOTHING, stamp)
             return
         # In lockstep the same image may arrive twice, before and after a goal. The task begins with
@@ -363,7 +363,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         age = seconds(stamp) - seconds(self._stamp)  # a cycle may begin without a new image
         old = age > age_limit(self._tasks.estimator.period)
         if self._has_stalled() or self._monitor.second_publishers() or old:
-            wanted = NOTHING  # the parts have moved since the image, or are on another plate
+            wanted = NOTHING  # the image no longer shows where the parts are
         self._request(wanted, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
         self._reports.publish_feed(run, bool(wanted.parts.ids), self._stamp)
         if self._markers.get_subscription_count():
@@ -491,7 +491,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         response.message = f"stopped; state before: {before}"
         if self._tasks.running is not None:
             self._end(STOP)
-        else:  # the user acknowledges the end of the last task
+        else:  # no task runs, so the call acknowledges the end of the last task
             self._tasks.forget()
             self._reports.forget_text()
             self._publish_status(Reason.STOPPED)

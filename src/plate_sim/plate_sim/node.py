@@ -247,7 +247,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._by_line = self._driven and self._rig.camera.trigger is not None
         if self._by_line and options.latency > 0:
             raise PlateError(f"latency is {options.latency:g} with a trigger_phase, allowed: 0")
-        self._next_ns = START_NS  # start of the next cycle
+        self._next_ns = START_NS  # start time of the next cycle [ns]
         self._simulation = self._scattered()
         self._warm_up()
         self._connect()
@@ -265,8 +265,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if not self._simulated_time:
             self._next_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         self._time_ns = self._moved_ns = self._next_ns
-        self._pulse_ns = 0  # last trigger pulse
-        self._due_ns = time.monotonic_ns()  # wall time of `_next_ns`
+        self._pulse_ns = 0  # time of the last trigger pulse [ns]
+        self._due_ns = time.monotonic_ns()  # wall time at `_next_ns`
         self._aim(self._next_ns)
         if not self._driven:
             self._begin_cycle()
@@ -471,7 +471,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         lockstep = self.options.lockstep
         self._hear()
         if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
-            return  # repeated reply to an earlier image
+            return  # the solver repeats its reply to an earlier image
         try:
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (rivals := self.rivals("motor_setpoints")):

@@ -35,7 +35,7 @@ __all__ = [
     "manipulability",
 ]
 
-if not TYPE_CHECKING:  # type checkers would otherwise accept any name
+if not TYPE_CHECKING:  # with this function, type checkers would accept any name
 
     def __getattr__(name: str) -> Any:
         """Import `averages` on first use. The controller does not need it."""

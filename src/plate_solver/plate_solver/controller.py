@@ -258,7 +258,7 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
     radius = np.sqrt([[kind.area_m2 / np.pi] for kind in part_types(rig, ids)])
     edge = rig.plate.half - 0.5 * radius
     middle = goal.position + goal.displacement
-    asked = np.abs(middle) - goal.tolerance > edge  # the goal is beyond the edge
+    asked = np.abs(middle) - goal.tolerance > edge  # whether the goal itself is beyond the edge
     out = (np.abs(end) > edge) & ~(asked & (end * middle > 0))
     return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))
 

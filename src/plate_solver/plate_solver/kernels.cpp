@@ -16,7 +16,7 @@ void bind_sinusoids(nb::module_& m);
 void bind_unreachable(nb::module_& m);
 
 NB_MODULE(_kernels, m) {
-    nb::set_leak_warnings(false);  // the interpreter may still hold objects when it ends
+    nb::set_leak_warnings(false);  // at exit, the interpreter may still hold objects
     bind_average_rotations(m);
     bind_average_sinusoids(m);
     bind_cycle_map(m);

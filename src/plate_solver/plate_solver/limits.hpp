@@ -11,7 +11,7 @@ namespace plate {
 
 constexpr int MOTORS = 4;
 
-// As in limits.py.
+// The same values as in limits.py.
 constexpr double MARGIN = 0.98, CERTAIN = 0.999;
 constexpr double EQUAL_WEIGHT[] = {1.0};
 
@@ -60,7 +60,8 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
     for (int k = 0; k < pose.count; k++) {
         const double angle = pose(k, 2), spin = twist(k, 2), spin_rate = accel(k, 2);
         double s = 0, c = 1;
-        if (!linear && std::abs(angle) < 0.1) {  // the usual case: series with an error of 1e-9
+        // For the usual small angles, use a series with an error of 1e-9.
+        if (!linear && std::abs(angle) < 0.1) {
             s = angle * (1 - angle * angle * (1.0 / 6 - angle * angle / 120));
             c = 1 - angle * angle * (0.5 - angle * angle / 24);
         } else if (!linear) {

@@ -125,7 +125,7 @@ def within_limits(
             f"to stop from the cycle's start, the plate needs {least:.3g} times its limits, "
             f"allowed: {CERTAIN:g}"
         )
-    for _ in range(4):  # utilisation is nearly linear in the fraction
+    for _ in range(4):  # few rounds suffice, because utilisation is nearly linear in the fraction
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
         times, *states = cycle.knots
         nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]

@@ -78,7 +78,8 @@ def know_plate(
         If too little of the plate is visible: it is too dark, or the camera was moved.
     """
     if plate.requested:
-        alike = [one for one in plate.images if one.shape == image.shape]  # all grey or all colour
+        # `np.stack` needs one shape: all grey or all colour.
+        alike = [one for one in plate.images if one.shape == image.shape]
         images = (*alike, image)
         if len(images) < plate.requested:
             return replace(plate, images=images), vision, None

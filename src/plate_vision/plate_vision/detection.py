@@ -492,7 +492,8 @@ def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
     found = _outlines(image, region)
     options = _if_alike(found)
     if options is not None:
-        bright = bool(np.any(found["contrast"] > 0))  # all are brighter, or all darker
+        # All parts are brighter than the plate, or all are darker.
+        bright = bool(np.any(found["contrast"] > 0))
         grey = grey_levels(image)
         view = PartView.even(options.radius_px)
         plate = fit_light(255 - grey if bright else grey, region, options.min_plate_grey)

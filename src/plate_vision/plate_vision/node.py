@@ -229,7 +229,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._rig = load_rig(values.rig_file)
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
-        self._lens_problem = ""  # until a camera_info is accepted
+        self._lens_problem = ""  # reason why the last camera_info was refused, or ""
         for doubt in doubts(self._rig, "camera", "parts"):
             self.get_logger().warning(doubt.text)
         if values.camera_file:
@@ -292,7 +292,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._early: float | None = None
         self._outline: OutlineCheck | None = None
         self._faint: Finding | None = None
-        self._faint_count, self._faint_at = 0, -math.inf  # of the last search
+        self._faint_count, self._faint_at = 0, -math.inf  # result of the last search
         if self._location is None:
             self._place_camera()
         self._aiming.begin()
@@ -464,7 +464,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 teaching, self._vision, Path(self.options.teach_file)
             )
             self._teaching = teaching
-            if untyped:  # the parts so far have names of discs
+            if untyped:  # the parts tracked so far have names of discs
                 self._tracker = Tracker(self._tracker.options)
             self._rig = replace(self._rig, types={**self._rig.types, part.name: part})
             response.success = True
@@ -525,7 +525,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             for name, (x, y), pixels in zip(
                 parts.ids, place_px.tolist(), scale.tolist(), strict=True
             )
-            if part_class(name) not in NAMELESS  # those are among `things`
+            if part_class(name) not in NAMELESS  # parts without a class are already among `things`
         ]
         for one, size in zip(things, radius.tolist(), strict=True):
             reason = str(one["reason"])
@@ -590,7 +590,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         """Count faint patches as large as round parts. The result is the smaller count of two
         consecutive searches; a photograph counts alone."""
         if self._vision.catalogue is not None:
-            return  # types are found by comparison with the bare plate
+            return  # types are recognised by comparison with the bare plate
         taken, things, _ = self._counts()
         vision, place = self._vision, [track.position for track in self._tracker.found]
         known_px = vision.calibration.to_image(np.array(place).reshape(-1, 2))
@@ -743,7 +743,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _warn(self, text: str) -> None:
         if self.options.photographs:
-            self.get_logger().warning(text)  # for each photograph
+            self.get_logger().warning(text)  # `show` is called for each photograph
         else:
             self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 

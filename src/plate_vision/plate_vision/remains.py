@@ -99,7 +99,7 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
-    hole[0] = False  # label 0: the objects themselves
+    hole[0] = False  # label 0 marks the objects themselves
     if count > 1 and np.any(hole):
         odd[hole[labels]] = 1
     # Remove specks after filling: otherwise a hole next to the edge would open.

@@ -220,7 +220,7 @@ def observe(
     after = update(
         tracker, stamp, centre, label, angle, quality, expected=expected, overlooked=things
     )
-    if after is tracker:  # the same image again
+    if after is tracker:  # the tracker has already used this image
         return tracker
     doubtful = tracker.doubtful + 1 if discs.doubtful and discs.shadow is None else 0
     after = replace(after, shadow=discs.shadow, doubtful=doubtful)
@@ -295,7 +295,8 @@ def follow_plate(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     now, image = locate_plate(location, image)
     if now.region_pose is not location.region_pose:
-        rig = replace(now.rig, types={})  # the catalogue is kept
+        # Do not build the catalogue again: the present one is used below.
+        rig = replace(now.rig, types={})
         placed = make_vision(rig, vision.options, calibration=now.home, pose=now.region_pose)
         vision = replace(placed, catalogue=vision.catalogue, background=vision.background)
     return now, vision, image

@@ -63,7 +63,8 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     found = doubts(rig)
-    print(report(rig, path.name, found), flush=True)  # before the drawing, which takes longer
+    # Print before the drawing starts, because it takes longer.
+    print(report(rig, path.name, found), flush=True)
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
     try:
         from .drawing import draw  # imported here, because matplotlib may be missing
@@ -155,7 +156,8 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
     """
     omega, limits = 2 * np.pi * hz, rig.limits
     pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
-    radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0  # lever arm
+    # Lever arm [m] of a corner.
+    radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0
     travel = float(np.max(np.abs(motor_levers(rig) @ pose)))
     if travel < 1e-9:
         return Shake(0.0, 0.0, 0.0, "no motor in this direction")

@@ -40,13 +40,15 @@ def _draw_plate(axes: Axes, rig: Rig) -> None:
     axes.add_patch(Polygon(rig.plate.corners, facecolor="#eeeeee", edgecolor="black"))
     for motor in rig.motors:
         point, way = np.array(motor.point), np.array(motor.direction)
-        out = way if way @ point > 0 else -way  # draw outside the plate, away from its centre
+        # Draw the arrow outside the plate, away from the centre.
+        out = way if way @ point > 0 else -way
         (x, y), (far_x, far_y) = point, point + 0.14 * size * out
         style = "<|-" if way @ out < 0 else "-|>"
         arrow = {"arrowstyle": style, "color": "#b2182b", "lw": 2}
         axes.annotate("", (far_x, far_y), (x, y), arrowprops=arrow, annotation_clip=False)
         axes.plot(x, y, "o", color="#b2182b", markersize=4)
-        beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)  # offset from the arrow [points]
+        # Offset of the name from the arrow [points].
+        beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)
         axes.annotate(
             motor.name, ((x + 2 * far_x) / 3, (y + 2 * far_y) / 3), beside, ha="center",
             textcoords="offset points", va="center" if beside[0] else "bottom",
@@ -80,7 +82,7 @@ def _draw_image(axes: Axes, rig: Rig) -> None:
         middle = to_image(rig, np.zeros((1, 2)))[0]
         axes.add_patch(Circle((middle[0], middle[1]), part_radius_px(rig), color="#666666"))
     except np.linalg.LinAlgError:
-        pass  # `doubts` has already reported that these corners belong to no plate
+        pass  # `doubts` has already reported that these corners cannot be those of a plate
     points = np.vstack([corners, [[0, 0], [camera.width_px, camera.height_px]]])
     low, high = points.min(axis=0) - 30, points.max(axis=0) + 30
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")

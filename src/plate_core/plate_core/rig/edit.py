@@ -37,7 +37,7 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     PlateError
         If the file cannot be written, or the changed file fails `expected` or is not a rig file.
     """
-    path = path.resolve()  # follow a symbolic link
+    path = path.resolve()  # if the file is a symbolic link, change its target
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -57,7 +57,7 @@ def edited(text: str, values: Values) -> str:
     """Return a rig file's text with new values. Missing keys are added at the end of their mapping,
     in its style."""
     root: Any = yaml.compose(text, yaml.SafeLoader)
-    edits = []  # (start, end, new text)
+    edits = []  # list of (start, end, new text)
     for keys, new in values.items():
         mapping = root
         for key in keys:
@@ -70,7 +70,7 @@ def edited(text: str, values: Values) -> str:
                 edits.append((_start(mapping, key), _end(old), f": {value}"))
             elif mapping.flow_style:
                 edits.append((last.end_mark.index, last.end_mark.index, f", {key}: {value}"))
-            else:  # insert after the last item's line
+            else:  # insert the new text after the line of the last item
                 at = text.find("\n", _end(last))
                 at = len(text) if at < 0 else at
                 edits.append((at, at, f"\n{indent}{key}: {value}"))

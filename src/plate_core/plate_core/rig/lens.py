@@ -129,7 +129,8 @@ class Lens:
                     f"{self.model}"
                 )
             values = (0.0,) * (5 if 5 in counts else counts[0])
-        if not np.all(np.abs([*values, *self.focal_px, *self.centre_px]) <= BIGGEST):  # no NaN
+        # This condition also refuses NaN.
+        if not np.all(np.abs([*values, *self.focal_px, *self.centre_px]) <= BIGGEST):
             raise RigError(
                 f"lens: K has {self.focal_px + self.centre_px} for fx, fy, cx, cy, distortion is "
                 f"{values}, allowed: numbers from {-BIGGEST:g} to {BIGGEST:g}"
@@ -292,7 +293,7 @@ class Lens:
             bent = t * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
             slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
             steep = (slope / (1 + safe) - bent / r) / (2 * safe)  # d(bent / r)/d(r2)
-            first = k1 - 1 / 3  # Taylor series near the axis
+            first = k1 - 1 / 3  # Taylor series for points near the axis
             return np.where(far, bent / r, 1 + first * r2), np.where(far, steep, first)
         k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))

@@ -67,7 +67,7 @@ def force_per_accel(rig: Rig) -> np.ndarray:
     """
     load = rig.motor_loads[2]
     half = rig.plate.half
-    turn = np.linspace(0, 1, TURN_STEPS + 1) / float(np.hypot(*half))  # r theta'' up to 1 m/s2
+    turn = np.linspace(0, 1, TURN_STEPS + 1) / float(np.hypot(*half))  # r theta'' from 0 to 1 m/s2
     return np.array([np.max(_support(np.abs(row), half, turn)) for row in load])
 
 

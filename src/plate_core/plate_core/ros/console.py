@@ -61,7 +61,7 @@ def _open_closed() -> None:
 
 
 def _write_out(read: int, kept: int) -> None:
-    with contextlib.suppress(OSError):  # the reader of stderr has closed it
+    with contextlib.suppress(OSError):  # the reader of stderr may have closed it
         while data := os.read(read, CHUNK):
             while data:
                 data = data[os.write(kept, data) :]

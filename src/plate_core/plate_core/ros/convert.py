@@ -199,7 +199,8 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
             [to.low[:, 0], to.high[:, 0], to.low[:, 1], to.high[:, 1], angles.low, angles.high,
              to.weight, angles.weight]
         )  # fmt: skip
-    free = np.where(forces.torque == 0, np.inf, 0.0)  # no torque requested: no limits
+    # Where no torque is requested, torque has no limits.
+    free = np.where(forces.torque == 0, np.inf, 0.0)
     rows = np.column_stack(
         [state[:, :2], parts.angle, state[:, 2:], parts.velocity, parts.spin, parts.friction_limit,
          low[:, 0], high[:, 0], low[:, 1], high[:, 1], forces.torque - free,
@@ -318,7 +319,7 @@ def _intervals(
     exceeds its upper bound."""
     ends = np.array([[getattr(each, key) for key in keys] for each in forces], dtype=float)
     ends = ends.reshape(-1, len(keys))
-    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # also true for NaN
+    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # this condition is also true for NaN
     if np.any(wrong):
         row, column = np.argwhere(wrong)[0]
         low, high = ends[row, 2 * column : 2 * column + 2]
@@ -345,7 +346,7 @@ def _checked(
         raise PlateError(f"{what}: ids are {list(ids)}, allowed: each part once")
     rows = [[getattr(item, key) for key in keys] for item in items]
     array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
-    sane = np.abs(array) <= MOST  # false for NaN
+    sane = np.abs(array) <= MOST  # this condition is false for NaN
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(

@@ -74,7 +74,7 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     then all are activated, each time in this order. An error message starts with the node's name.
     """
     nodes: list[Any] = []
-    code = 1  # exit code after a defect
+    code = 1  # this exit code is used after a defect
     try:
         with never_held():
             code = _run(makes, nodes, args)
@@ -122,14 +122,15 @@ def _run(
         spinning = True
         while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
             executor.spin_once(timeout_sec=POLL_S)
-        for node in nodes:  # messages can still be sent: the results of goals that end here
+        for node in nodes:  # goals end here, so their results must still be sent
             if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
                 node.trigger_deactivate()
         for _ in range(LAST_ROUNDS if rclpy.ok() else 0):
             executor.spin_once(timeout_sec=0.01)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (PlateError, InvalidParameterTypeException) as error:  # rclpy raises the latter
+    except (PlateError, InvalidParameterTypeException) as error:
+        # Rclpy raises an InvalidParameterTypeException.
         if len(makes) > 1:
             failed = (n.get_name() for n in nodes if getattr(n, "failure", None) is error)
             being_made = [*makes, ""][len(nodes)]
@@ -158,5 +159,5 @@ def _init(args: Sequence[str] | None) -> None:
             args=list(args) if args is not None else None,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-    except RuntimeError as error:  # the class is RCLError, which has no public name
+    except RuntimeError as error:  # rclpy raises RCLError, which has no public name
         raise PlateError(str(error).splitlines()[0]) from None

@@ -79,7 +79,8 @@ def logged(transition: Transition) -> Transition:
     def wrapper(self: Any, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             return transition(self, state)
-        except Exception as error:  # all exceptions, so that the error state always has a reason
+        except Exception as error:
+            # Catch all exceptions, so that the error state always has a reason.
             self.failure = error
             wrong_input = isinstance(error, PlateError)
             if not self.starting:  # `start_nodes` raises this error, so do not log it twice
@@ -117,7 +118,7 @@ class RclpyLifecycleNode(LifecycleNode):
         try:
             # mypy does not know mangled names.
             return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
-        except RuntimeError as error:  # the class is RCLError, which has no public name
+        except RuntimeError as error:  # rclpy raises RCLError, which has no public name
             wanted = request.transition.label or request.transition.id
             self.get_logger().error(f"transition {wanted} refused: {error}")
             response.success = False
@@ -195,7 +196,7 @@ def deserialized(data: bytes, kind: type) -> Any:
     """
     try:
         return deserialize_message(data, kind)
-    except Exception:  # includes errors of conversions
+    except Exception:  # also catch errors of conversions
         raise PlateError(f"{kind.__name__}: {len(data)} bytes are not a valid message") from None
 
 
@@ -219,7 +220,7 @@ class UnlockedSubscription:
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, keep: int) -> None:
-        check_is_valid_msg_type(kind)  # loads the type's support
+        check_is_valid_msg_type(kind)  # this call loads the type support of `kind`
         name = node.resolve_topic_name(topic)
         with node.handle:
             self._handle: Any = rclpy_implementation.Subscription(

@@ -53,7 +53,8 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     pieces = []
     for begin, step in zip(place[:-1], length, strict=True):
         trial = begin + step * np.linspace(0, 1, FEWEST_CHORDS)
-        bend = np.max(np.hypot(*spline(trial, 2).T))  # about 1/radius, since the speed is near 1
+        # The curvature is about this value, because the speed is near 1.
+        bend = np.max(np.hypot(*spline(trial, 2).T))
         pieces.append(begin + step * np.linspace(0, 1, _chords(1 / max(bend, 1e-9), step), False))
     ends = place[:0] if closed else place[-1:]
     return np.asarray(spline(np.concatenate([*pieces, ends])))

@@ -53,7 +53,8 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
     they can."""
     least = rig.edge_margin(label).least_m
     room, (x, y) = rig.plate.half - least, point
-    if abs(x) <= room[0] + ROUNDING_M and abs(y) <= room[1] + ROUNDING_M:  # false for NaN
+    # This condition is false for NaN.
+    if abs(x) <= room[0] + ROUNDING_M and abs(y) <= room[1] + ROUNDING_M:
         return ""
     away = float(np.min(rig.plate.half - np.abs(point)))
     return (

@@ -149,11 +149,12 @@ def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
 
     (low, high), centre = pick_window(pick, rig), Point(0, 0)
     outline = Polygon(rig.part_type(pick.label).polygon)
-    if not outline.contains(centre):  # for example, an L-shaped part
+    if not outline.contains(centre):  # the centre may be outside, for example in an L-shaped part
         return ""
     free = clearance_m / 2 + outline.exterior.distance(centre)
     most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
-    if np.hypot(*(high - low)) < 2 * free:  # the window's diagonal is too short for two parts
+    # If two parts do not fit on the diagonal, the window has room for only one.
+    if np.hypot(*(high - low)) < 2 * free:
         most = 1
     if pick.ready <= max(most, 1):
         return ""
@@ -245,7 +246,8 @@ def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     if count < 2:
         return np.full(count, np.inf)
     apart = np.hypot(*(parts.position[:, None] - parts.position[None]).transpose(2, 0, 1))
-    gap = apart - reach[:, None] - reach[None]  # gap of the circumscribed discs: a lower bound
+    # The gap of the circumscribed discs is a lower bound.
+    gap = apart - reach[:, None] - reach[None]
     np.fill_diagonal(gap, np.inf)
     if all(kind.radius_m for kind in types):
         return np.asarray(gap.min(axis=1))

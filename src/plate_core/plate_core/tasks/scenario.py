@@ -412,7 +412,8 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
             if isinstance(region, Bin)
             for point in region.corner
         ]
-        edge = dict.fromkeys(reach, 0.0)  # corners of bins may be on the plate's edge
+        # Corners of bins may be on the plate's edge, so no margin is needed.
+        edge = dict.fromkeys(reach, 0.0)
         _check_on_plate(scenario, corners, rig.plate.half, edge)
         _check_bins(scenario, task, rig)
         _check_regions(scenario, task, rig.plate.half)

@@ -46,7 +46,7 @@ class CalibrationRun:
         self._playback, self._latch, self._clocks, self._log = playback, latch, clocks, log
         self._experiment: Experiment | None = None
         self._path = ""
-        self._outcome, self.failed = "", False  # of the last calibration
+        self._outcome, self.failed = "", False  # result of the last calibration
 
     @property
     def running(self) -> bool:

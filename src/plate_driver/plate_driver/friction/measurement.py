@@ -407,7 +407,8 @@ class FrictionMeasurement:
         trial, gravity = self.trials[-1], self.rig.friction.gravity
         guess = dict(self.guess)
         for name, value in trial.lag.items():
-            known = guess.get(name, np.inf) * gravity  # far above it slip hardly depends on mu
+            # Far above this acceleration, slip hardly depends on mu.
+            known = guess.get(name, np.inf) * gravity
             slid = value > max(SLID_M, NOISE_FACTOR * trial.error)
             if slid and trial.push.accel < ABOVE * known:
                 _check_slip(trial, name, gravity)
@@ -461,7 +462,8 @@ class FrictionMeasurement:
         for axis in (0, 1):
             there = make_push(self.rig, axis, 1, accel, self.slow)
             step = float(np.max(slip(there, mu, 0.0, gravity)))
-            room = {sign: self._room(axis, -sign) for sign in (1, -1)}  # against the push
+            # Parts slip in the direction opposite to the push.
+            room = {sign: self._room(axis, -sign) for sign in (1, -1)}
             sign = max(room, key=lambda one: room[one])
             count = int(np.clip(min(room[sign], TRAVEL_M) / max(step, 1e-6), 1, MAX_STEPS))
             back = make_push(self.rig, axis, -sign, accel, self.slow)
@@ -515,7 +517,8 @@ class FrictionMeasurement:
 
     def _dynamic(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
-        from scipy.optimize import least_squares  # the driver starts in half the time without it
+        # Without this import, the driver starts in half the time.
+        from scipy.optimize import least_squares
 
         trials = self._of(name, Stage.DISTANCE)
 
@@ -531,7 +534,7 @@ class FrictionMeasurement:
             if one.push.axis == other.push.axis:
                 shared = -0.5 * one.push.sign * other.push.sign
                 correlation[k, k + 1] = correlation[k + 1, k] = shared
-        slopes = fit.jac[:, 0]  # in standard errors of a lag
+        slopes = fit.jac[:, 0]  # derivatives with respect to mu, in standard errors of a lag
         noise = slopes @ correlation @ slopes / (slopes @ slopes) ** 2
         uneven = max(0.0, float(np.var(local, ddof=1) - np.mean(errors**2))) / len(trials)
         return float(fit.x[0]), float(np.sqrt(noise + uneven))
@@ -556,7 +559,8 @@ class FrictionMeasurement:
             return np.nan
         local, _, away = self._local(name)
         along = [trial.push.axis == slid.push.axis for trial in self._of(name, Stage.DISTANCE)]
-        local, away = local[along], away[along]  # friction may differ along x and y
+        # Use pushes along the same axis, because friction may differ along x and y.
+        local, away = local[along], away[along]
         mu = float(np.mean(local[away <= np.min(away) + HERE_M]))
         least = grip = mu * self.rig.friction.gravity
         if held is not None and held.lag_at(mu) > _visible(held):

@@ -67,7 +67,8 @@ class FrictionServer:
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
         self._plays: PlateCycle | None = None
-        self._after_ns: int | None = None  # stamps of images at rest; None: not known yet
+        # Images with later stamps show parts at rest; None: not known yet.
+        self._after_ns: int | None = None
         self._images: list[Parts] = []
         self._since = 0.0  # start of the wait for parts at rest [s]
 
@@ -78,7 +79,7 @@ class FrictionServer:
 
     def configure(self) -> None:
         """Create the services, the topic and the subscriptions."""
-        driver, self._result = self._driver, None  # it may be of another rig
+        driver, self._result = self._driver, None  # an earlier result may belong to another rig
         self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
         driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
         self._starts_received = False
@@ -160,7 +161,7 @@ class FrictionServer:
             return
         try:
             cycle = msg_to_cycle(msg)
-        except PlateError:  # the planner warns of it
+        except PlateError:  # the planner warns of this error
             return
         if cycle.moves and abs(cycle.period - push.period) < SAME_S:
             length_s = SETTLE_S + sum(part.period for part in push.parts)
@@ -170,7 +171,8 @@ class FrictionServer:
         """Continue at `now` [s], in the time in which cycles are played."""
         driver = self._driver
         try:
-            if driver.latch.number != self._stops:  # also if they were enabled since
+            # The number also differs if the motors were enabled again since.
+            if driver.latch.number != self._stops:
                 raise PlateError("the motors were stopped")
             if self._plays is not None:
                 guard = driver.playback.guard

@@ -67,8 +67,9 @@ class RawInputs:
         cycles = UnlockedSubscription(node, JointTrajectory, "plate_cycle", DATA, max_bytes)
         tasks = UnlockedSubscription(node, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
         self.cycles, self.tasks = RawInput(cycles, on_cycle), RawInput(tasks, on_task)
-        self._waiting: deque[tuple[bytes, int, bytes]] = deque()  # received cycles in order
-        self._polled_at = 0.0  # last poll of task_status [s, steady]
+        # Received cycles, in the order of arrival.
+        self._waiting: deque[tuple[bytes, int, bytes]] = deque()
+        self._polled_at = 0.0  # time of the last poll of task_status [s, steady]
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._receive_cycles, daemon=True)
         self._thread.start()

@@ -113,7 +113,8 @@ class SafetyNode:
         with contextlib.suppress(ExternalShutdownException):
             while self._context.ok() and not self._ended:
                 try:
-                    self._executor.spin_once()  # returns at the latest when the timer fires
+                    # This call returns at the latest when the timer fires.
+                    self._executor.spin_once()
                 except ExternalShutdownException:
                     raise
                 except Exception as error:
@@ -203,7 +204,8 @@ class SafetyNode:
             response.message = f"the driver is {self._driver.status.text}, allowed: active"
             return response
         status = self._driver.status
-        if status.state is DriverState.READY:  # already enabled: do not disturb a task that may run
+        # The motors are already enabled; do not disturb a task that may run.
+        if status.state is DriverState.READY:
             response.success, response.message = True, status.text
             return response
         end = time.monotonic() + ANSWER_S

@@ -181,7 +181,8 @@ class Guard:
         thermal = thermal.under(fit.usage.thermal_load)
         sent = (*self.sent, table.cycle)[-SENT_KEPT:]
         guard = replace(self, table=table, sent=sent, sent_at=now, thermal=thermal)
-        first = 0.0 if self.table is None else self.table.length  # it is played to its end
+        # The current table is first played to its end.
+        first = 0.0 if self.table is None else self.table.length
         lasts_s = first + (guard.plays * table.cycle.period if table.tail is None else table.length)
         return replace(guard, lasts_s=lasts_s), fit
 

@@ -313,7 +313,7 @@ def _faded_in(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
 
     s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1. Its first two derivatives are 0 at both ends.
     """
-    pieces = -(-MIN_KNOTS // (len(cycle.times) - 1))  # rounded up
+    pieces = -(-MIN_KNOTS // (len(cycle.times) - 1))  # the quotient, rounded up
     steps = np.arange(pieces) / pieces
     times = (cycle.times[:-1, None] + np.diff(cycle.times)[:, None] * steps).ravel()
     times = np.append(times, cycle.period)

@@ -99,7 +99,8 @@ class SetpointStream:
         """Return the stream after sending up to `time` [s] or slightly later, and the new knots."""
         stream, knots = self, []
         while stream.time < time and not stream.ended:
-            if stream.at == len(stream.knots):  # its end equals the next start
+            # The end of this cycle equals the start of the next one.
+            if stream.at == len(stream.knots):
                 after = stream._after()
                 if after is None:
                     ticks = (stream.begin + stream.knots[-1].ticks + REST_TICKS) % TICKS

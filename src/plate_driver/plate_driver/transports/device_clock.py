@@ -105,7 +105,7 @@ class DeviceClock:
         begun = replace(
             self, earliest=earliest, latest=latest, at=now, since=(now, own), told_us=device_us
         )
-        if back > 0:  # messages arrive in order
+        if back > 0:  # messages arrive in order, so a jump back is an error
             return begun._found(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
         if not self.known:
             return begun
@@ -115,7 +115,7 @@ class DeviceClock:
         if earliest > latest + TICK_S:
             ran, passed = own - self.since[1], now - self.since[0]
             return begun._found(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
-        middle = (earliest + latest) / 2  # the bounds may cross by up to a tick
+        middle = (earliest + latest) / 2  # rounding may let the bounds cross by up to a tick
         bounds = min(earliest, middle), max(latest, middle)
         return replace(begun, earliest=bounds[0], latest=bounds[1], since=self.since)
 

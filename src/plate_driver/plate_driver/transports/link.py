@@ -284,7 +284,7 @@ class Link:
             return replace(link, trouble=message)
         if isinstance(message, Pulse):
             if now - message.host_ns * 1e-9 > MAX_ROUND_TRIP_S:
-                return link  # after a stall of the host, or for another host's heartbeat
+                return link  # the host has stalled, or the pulse answers another host's heartbeat
             clock, line = link.clock.heard(message, now), link.line.heard(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
@@ -310,7 +310,7 @@ class Link:
             why += f"allowed: version {VERSION} and {MOTORS} motors"
             return self._failing(DriverReason.WRONG_DEVICE, why)
         if device.session != self.session:
-            return self  # an answer to an earlier session
+            return self  # the message answers an earlier session
         if self.device is not None and device.boot != self.device.boot:
             return self._failing(DriverReason.DEVICE_RESET, "device was reset")
         queue = tuple(p for p in self.queue if not isinstance(p.message, Hello))
@@ -434,7 +434,7 @@ class Link:
             return self
         telemetry = self.fresh_telemetry
         if self.follows and (telemetry is None or telemetry.waiting == self.follows):
-            return self  # the device would refuse it before that table plays
+            return self  # the device would refuse the next table before the last one plays
         return replace(self, next_table=())._asked(*self.next_table)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:
@@ -482,7 +482,7 @@ class Link:
         if self.device is None or not queue or not isinstance(queue[0].message, Knots):
             return [p for p in queue[:1] if not self._in_flight(p, now)]
         knots = [p for p in queue if isinstance(p.message, Knots)]
-        if self.line.lossy and not self.in_turn:  # resend all: most are lost
+        if self.line.lossy and not self.in_turn:  # send all knots again, because most are lost
             return sorted(knots, key=lambda p: p.sent_at)
         return [p for p in knots if not self._in_flight(p, now)]
 

@@ -231,20 +231,22 @@ class SerialTransport:
         self._limits, self._trigger = limits, trigger
         self._unfit: Report | None = None
         self._boot: int | None = None
-        self._reset = False  # the device was reset and not enabled since
-        self._clock_fault = ""  # reason of a stop, until the next enable
+        self._reset = False  # whether the device was reset and not enabled since
+        # Problem of the device's clock that stopped the motors; "" after the next enable.
+        self._clock_fault = ""
         self._closed = False
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
-        self._stream_began: float | None = None  # on the device's clock [s]
-        self._next: SetpointStream | None = None  # begins when the current stream has ended
+        self._stream_began: float | None = None  # start of the stream on the device's clock [s]
+        # Stream that begins when the current one has ended.
+        self._next: SetpointStream | None = None
         self.least_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
         self._reader = Reader()
         self._link = Link.begun(self._session, clock(), baud, trigger)
         self._stops: list[Order] = []
-        self._request: Order | None = None  # an enable or a home
+        self._request: Order | None = None  # pending enable or home
         self._cut = False
         self._table = 0
         self._sent: dict[int, MotorTable] = {}
@@ -325,7 +327,7 @@ class SerialTransport:
         self.least_lead_s = min(self.least_lead_s, self._lead(now))
         try:
             data = self._port.read(READ_BYTES)
-            now = self._clock()  # no byte arrived later than this
+            now = self._clock()  # no byte of `data` arrived later than this
             reader, packets = self._reader.fed(data)
             self.refused += reader.refused - self._reader.refused
             self._reader = reader
@@ -350,7 +352,8 @@ class SerialTransport:
         elif self._link.refusal:
             self._note(self._link.refusal)
             self._link = self._link.without_refusal()
-            self._streamed = None  # later setpoints would leave a gap, and the device brakes
+            # End the stream: with a gap in the setpoints, the device would brake.
+            self._streamed = None
         return measured
 
     def report(self) -> Report:
@@ -369,7 +372,8 @@ class SerialTransport:
         condition = CONDITIONS[telemetry.state]
         if self._clock_fault:
             halting = condition in (Condition.OFF, Condition.BRAKING)
-            condition = condition if halting else Condition.GONE  # the stop is in transit
+            # The stop has not reached the device yet.
+            condition = condition if halting else Condition.GONE
             return Report(condition, DriverReason.DEVICE_CLOCK, self._clock_fault)
         if telemetry.state is State.OFF and self._reset:
             return Report(condition, DriverReason.DEVICE_RESET, "the device was reset")
@@ -447,7 +451,8 @@ class SerialTransport:
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
             return order.settle(report.text)
-        if self._stops or self._link.fresh_telemetry is None:  # which stop it clears is unknown
+        # It is unknown which stop this enable would clear.
+        if self._stops or self._link.fresh_telemetry is None:
             return order.settle("the device has not reported the last stop yet; call enable again")
         if self._request is not None:
             return order.settle("another enable or home is not answered yet")
@@ -623,7 +628,7 @@ class SerialTransport:
                 self._link = self._link.streaming(self._table, first)
             return
         if telemetry.table != self._table or not self._link.clock.known:
-            return  # it does not play yet, or the device's clock is unknown
+            return  # the table does not play yet, or the device's clock is unknown
         if self._stream_began is None:
             self._stream_began = telemetry.device_us * 1e-6
         if stream.ended:
@@ -688,7 +693,8 @@ def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Kn
             break
     if table.cycle.tail is None:
         return (first, *rest), 0, follows
-    end = len(table.cycle.times) - 1  # this knot occurs twice
+    # The tail's first knot equals the cycle's last knot, so it is omitted.
+    end = len(table.cycle.times) - 1
     return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks, follows
 
 

@@ -72,9 +72,9 @@ class Latch:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._reason, self._number = DriverReason.NONE, 0
-        self._enabling: list[int] = []  # numbers of the stops that running enables clear
+        self._enabling: list[int] = []  # numbers of the stops that the running enables will clear
         self.late: Order | None = None  # the last stop, if it was not acknowledged in time
-        self.enabled_ns = 0  # wall time of the last opening [ns], different each time
+        self.enabled_ns = 0  # wall time of the last enable [ns]; it differs each time
 
     @property
     def reason(self) -> DriverReason:
@@ -160,11 +160,12 @@ class TransportThread:
         self._measured_at = float("-inf")
         self._enables: list[_Enable] = []
         self._stop = Order().settle()  # last stop
-        self._owed: list[bool] = []  # postponed stops: whether to cut the power
+        self._owed: list[bool] = []  # one entry per postponed stop: whether to cut the power
         self._troubles: list[str] = []
         self._thread = threading.Thread(target=self._run, name="transport", daemon=True)
         self.report: Report = transport.report()
-        self.met = self.report.condition is not Condition.GONE  # device ever connected
+        # Whether a device was ever connected.
+        self.met = self.report.condition is not Condition.GONE
 
     @property
     def motors(self) -> bool:
@@ -206,7 +207,8 @@ class TransportThread:
         if measured:
             self._measured_at = measured[-1].time
             if self.report.condition is Condition.OFF:
-                self._latch.late = None  # the motors are off, even if no answer arrived
+                # The motors are off, even if the device has not acknowledged the stop.
+                self._latch.late = None
 
     def _follow(self) -> None:
         """Open the latch when the motors of a running enable are ready."""
@@ -223,7 +225,8 @@ class TransportThread:
             self._latch.enable_ended(each.number)
             each.told.settle(failure)
             if not opened and (not settled or each.order.done):
-                self._tried(self._transport.stop)  # the enable is void: no motor may stay on
+                # The enable has failed, so switch off every motor that it switched on.
+                self._tried(self._transport.stop)
 
     def _tried(self, ask: Callable[[], T]) -> T | None:
         """Call `ask` with the lock held. Return None if it raises an unexpected exception.
@@ -235,10 +238,10 @@ class TransportThread:
             return ask()
         except PlateError:
             raise
-        except Exception as error:  # see above
+        except Exception as error:  # the docstring gives the reason
             why = f"the transport has a defect: {error!r}"
             self.report = Report(Condition.GONE, DriverReason.DEFECT, why)
-            with contextlib.suppress(Exception):  # the same defect, most likely
+            with contextlib.suppress(Exception):  # this call most likely fails by the same defect
                 self._transport.stop()
             self._on_defect(error)
             return None

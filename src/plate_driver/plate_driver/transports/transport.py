@@ -36,10 +36,10 @@ GROUP = "plate_driver.transports"
 class Condition(Enum):
     """State of the motors."""
 
-    GONE = "gone"  # unknown: the motor controller does not answer
-    OFF = "off"  # without current
-    ENABLING = "enabling"  # moving home
-    READY = "ready"  # held at home, or playing: a table is accepted
+    GONE = "gone"  # the motor controller does not answer, so its state is unknown
+    OFF = "off"  # the motors have no current
+    ENABLING = "enabling"  # the plate moves home
+    READY = "ready"  # the plate is held at home or plays; a table is accepted
     BRAKING = "braking"
 
 

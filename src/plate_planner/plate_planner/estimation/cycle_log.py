@@ -168,7 +168,7 @@ class CycleLog:
         """The predicted log when the answer to the running cycle begins. Answers sent earlier begin
         before it."""
         log, before = self, [one.cycle for one in self.sent][::-1]
-        for k in reversed(range(self.delay)):  # the newest one last
+        for k in reversed(range(self.delay)):  # the newest answer comes last
             cycle = log.next(before[k : k + 1])
             log = replace(log, runs=(*log.runs, (log.end, cycle)))
         return log
@@ -245,7 +245,7 @@ class CycleLog:
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
         requested = self.sent[answer].requested
-        late = sum(  # short cycles at rest, and tails, do not delay others
+        late = sum(  # do not count short cycles at rest and tails, because they do not delay others
             start > requested + SNAP * run.period and run.moves and not _is_tail(run)
             for start, run in kept
         )
@@ -273,7 +273,7 @@ class CycleLog:
         if self.runs and t < (self.runs[0][0] if self.begin == self.last_report else self.begin):
             log = CycleLog()  # the clock restarted
         elif self.runs and t > self.end + MEMORY_S:
-            # No image for a long time.
+            # No image has arrived for a long time.
             log = CycleLog(sent=self.sent, answered=self.answered, awaited=self.awaited)
         if not log.runs:
             return log._begin(t)
@@ -291,7 +291,8 @@ class CycleLog:
         The stamp may be early by up to `SNAP` of a cycle, and late by up to the rest of a cycle. If
         the plate is at rest, the stamp is returned.
         """
-        ahead = (self.end, self.runs[-1][1])  # the cycle that follows may not be reported yet
+        # The start of the following cycle may not be reported yet.
+        ahead = (self.end, self.runs[-1][1])
         for begin, cycle in (ahead, *reversed(self.runs)):
             taken = begin + phase * cycle.period
             if taken <= t + SNAP * cycle.period:

@@ -309,7 +309,8 @@ class Estimator:
         `CycleLog.started`."""
         latency = self.latency
         if self.rig.camera.trigger is not None and not self.log.reported:
-            latency = LatencyHypotheses.of(0.0)  # exposure times are known now
+            # With reported cycle starts, the exposure times are known.
+            latency = LatencyHypotheses.of(0.0)
         return replace(self, log=self.log.started(cycle, begin, triggered), latency=latency)
 
     def update(self, parts: Parts, t: float, coast: Coast = COAST) -> Estimator:
@@ -425,7 +426,7 @@ class Estimator:
         """Start of the plate's rest [s], from reported cycles, sent cycles or requests."""
         if self.log.known:
             return self.log.resting_since
-        requested = self.request.stamp  # executed in the cycle after the image
+        requested = self.request.stamp  # the request is executed in the cycle after its image
         return requested + 2 * self.period if requested <= self.stamp else -np.inf
 
     @property
@@ -439,8 +440,9 @@ class Estimator:
         if not log.known:
             return self._known_rest
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
-        reports = log.last_report > self.taken - MEMORY_S  # False: no recent report
-        unanswered = log.answered < requested < self.taken + MEMORY_S  # False: clock set back
+        reports = log.last_report > self.taken - MEMORY_S  # false if no start was reported recently
+        # False also if the clock was set back.
+        unanswered = log.answered < requested < self.taken + MEMORY_S
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
         return np.inf if may_come or (reports and log.last_report < shown) else log.resting_since
 

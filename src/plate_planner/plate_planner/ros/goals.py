@@ -34,7 +34,7 @@ class GoalServers:
         on_goal: Callable[[Any], None],
         on_cancel: Callable[[Any], CancelResponse],
     ) -> None:
-        self._results: dict[bytes, TaskStatus] = {}  # not delivered yet, by goal
+        self._results: dict[bytes, TaskStatus] = {}  # results that are not delivered yet, by goal
         self._servers = [
             ActionServer(
                 node, action, name, self._result, handle_accepted_callback=on_goal,

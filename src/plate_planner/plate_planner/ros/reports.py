@@ -37,7 +37,7 @@ class TaskReports:
     def begin(self) -> None:
         """Forget the published targets, the last image and the logged text."""
         self._published_targets: tuple[PartTarget, ...] | None = None
-        self._shown: dict[str, Part] = {}  # parts of the last image by id
+        self._shown: dict[str, Part] = {}  # parts of the last image, by id
         self._logged_text = ""
 
     def record_image(self, msg: Parts) -> None:

@@ -255,7 +255,8 @@ class Inputs:
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
         seen = self.reports.get("detector")
-        wrong = seen is not None and seen.level is Level.ERROR  # wrong positions
+        # The detector reports that positions are wrong.
+        wrong = seen is not None and seen.level is Level.ERROR
         if seen is not None and wrong and seen.at - max(seen.since, began) > ERROR_TIMEOUT_S:
             return Failure(Reason.CUT_OFF, f"detector: {seen.message}")
         name = self._cut_off(now, began, period)

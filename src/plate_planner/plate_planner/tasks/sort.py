@@ -166,8 +166,9 @@ class Sorter(TaskRules):
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
-            lane[:] = 0  # all move in one direction
-        lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0  # corner dominates
+            lane[:] = 0  # if all parts move in one direction, lanes are not needed
+        # A higher weight of the corner overrides the lane.
+        lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0
         upper = hand * sign[:, 0] > 0
         middle = LANE_AT * half[1]
         low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
@@ -221,7 +222,7 @@ def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
     edges."""
     outline = shapely.Polygon(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
-    room = rig.plate.half - edge_m + clear  # the grid begins `clear` inside
+    room = rig.plate.half - edge_m + clear  # the first grid point is `clear` inside these bounds
     low, high = np.reshape(outline.bounds, (2, 2))
     low, high = np.maximum(low, -room), np.minimum(high, room)
     best = np.zeros((0, 2))

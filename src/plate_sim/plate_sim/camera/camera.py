@@ -349,7 +349,8 @@ class Camera:
             if robot is not None:
                 draw_parts(canvas, self._light, self._places, robot, _robot_outlines())
             if self._defocus_px:
-                from scipy.ndimage import gaussian_filter  # takes 0.2 s, and most images are sharp
+                # The import takes 0.2 s, and most images are sharp.
+                from scipy.ndimage import gaussian_filter
 
                 gaussian_filter(canvas, self._defocus_px, output=canvas)
             if lighting.level != 1:

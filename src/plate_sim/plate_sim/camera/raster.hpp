@@ -29,7 +29,7 @@ struct Outlines {
     View<const int64_t, 1> pieces, first, hole, end;
 };
 
-// `Sprites` of raster.py.
+// Compiled counterpart of `Sprites` in raster.py.
 struct Sprites {
     View<const int64_t, 2> window;
     View<const double, 1> scale;
@@ -156,7 +156,7 @@ struct Positions {
     Vec middle;
     double spread = 0.0;
 
-    // Positions of shape i of a path (s, n, 2).
+    // Positions of shape i: the copies along its path in `path` (s, n, 2).
     Positions(View<const double, 3> path, int i, int copies) : centre(copies) {
         const int last = path.size(0) - 1;
         middle = {0.5 * (path(0, i, 0) + path(last, i, 0)),

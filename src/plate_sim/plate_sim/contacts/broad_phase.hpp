@@ -25,8 +25,8 @@ struct NearPairs {
     std::vector<Pair> pairs;
     double skin = INFINITE;  // maximum approach [m] for which the list is valid
     double gap = INFINITE;   // minimum gap [m] of any two parts, at most the skin
-    std::vector<double> x, y;  // positions of the parts when it was made (marks)
-    std::vector<int> order;    // all parts in order of x at that time
+    std::vector<double> x, y;  // positions of the parts when the list was made (marks)
+    std::vector<int> order;    // all parts in order of x when the list was made
 
     // Rebuild the list.
     void find(const State& state, Bodies bodies, View<const bool, 1> here) {
@@ -43,7 +43,8 @@ struct NearPairs {
             const int i = order[a];
             most = std::max(most, bodies[i].reach);
             int b = a;
-            for (; b > 0 && x[i] < x[order[b - 1]]; b--)  // insertion sort: fast if little changed
+            // An insertion sort is fast if the order has changed little.
+            for (; b > 0 && x[i] < x[order[b - 1]]; b--)
                 order[b] = order[b - 1];
             order[b] = i;
         }

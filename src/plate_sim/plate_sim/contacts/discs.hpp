@@ -50,7 +50,7 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
     const double closing = -(wx * dx + wy * dy);
     double far = std::sqrt(distance2), ago = 0.0;
     const double depth = lack / (size + far);
-    if (closing > 0) {  // |d - ago w| = size: when they touched
+    if (closing > 0) {  // solve |d - ago w| = size for the time since the first touch
         ago = lack / (closing + std::sqrt(closing * closing + (wx * wx + wy * wy) * lack));
         const bool within = ago <= step;
         if (!within) ago = step;

@@ -120,7 +120,7 @@ struct Contacts {
     View<const bool, 1> here;  // (M,): which parts are on the plate
     Outlines outlines;
     Rules rules;
-    double step;                // [s]
+    double step;                // duration of a step [s]
     const double* half;         // the plate's half sides (2,) [m]
     std::vector<Pair> close{};  // work buffer
     std::vector<int> edge{};
@@ -167,7 +167,8 @@ struct Contacts {
             const double reach = bodies[i].reach + bodies[j].reach, size = (1 + MARGIN) * reach;
             margin = std::min(margin, MARGIN * reach);
             close[count] = {i, j};
-            count += dx * dx + dy * dy < size * size;  // no branch: it would be mispredicted
+            // No branch here, because the processor would mispredict it.
+            count += dx * dx + dy * dy < size * size;
         }
         return count;
     }

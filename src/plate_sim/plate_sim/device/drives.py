@@ -61,7 +61,7 @@ class _Node:
     zero: int  # position at home [counts]
     operational: bool = False
     status: int = OFF
-    order: int = 0  # controlword and target of the last RPDO, applied at SYNC
+    order: int = 0  # `order` and `goal` are those of the last RPDO, applied at SYNC
     goal: int = 0
     target: int = 0
     objects: dict[tuple[int, int], int] = field(default_factory=dict)
@@ -91,7 +91,8 @@ class _Node:
         if not self.operational:
             return []
         told = struct.pack("<Hi", self.status, counts)
-        kept = self.status if self.order & 2 else OFF  # disable voltage
+        # Without bit 1 (enable voltage), the drive switches off.
+        kept = self.status if self.order & 2 else OFF
         self.status = NEXT.get((self.status, self.order), kept)
         self.target = self.goal
         return [(TPDO + self.drive.node, told)]
@@ -115,7 +116,8 @@ class SimulatedDrives:
         self.zeros = np.array(zeros)
         """Positions of the drives at home [counts]."""
         self._state = np.zeros((3, len(drives)))
-        self._from = self._to = np.zeros(len(drives))  # setpoints of this bus cycle [m]
+        # Last and present setpoints of this bus cycle [m].
+        self._from = self._to = np.zeros(len(drives))
         self._into = 0.0
         self._now_ms = 0
 
@@ -210,8 +212,8 @@ class _ODrive:
     state: int = IDLE
     errors: int = 0
     fed_ms: int = 0
-    goal: float = 0.0  # [turns]
-    speed: float = 0.0  # [turns/s]
+    goal: float = 0.0  # requested position [turns]
+    speed: float = 0.0  # requested speed [turns/s]
 
     def told(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
         """Execute a message, and return the reply."""
@@ -300,7 +302,7 @@ class BusJudge:
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self._zeros, self._targets = zeros, np.zeros(len(drives), int)
         self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
-        self._led: list[np.ndarray] = []  # the last three targets with current [m]
+        self._led: list[np.ndarray] = []  # last three targets while the motors had current [m]
         self.shares = np.zeros(3)
         """Maximum requested fractions of the limits of stroke, speed and acceleration."""
 

@@ -29,7 +29,7 @@ namespace firmware {
 namespace {
 
 class Device;
-Device* running;  // device that the hal functions access; the GIL is held
+Device* running;  // device that the hal functions access, while the GIL is held
 
 class Device {
 public:

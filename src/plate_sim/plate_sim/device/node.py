@@ -120,7 +120,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._begin_ns = self.get_clock().now().nanoseconds - 1_000 * now_us
         self._steady_ns = time.monotonic_ns() - 1_000 * now_us
         self._late_ms = self._lost_ms = 0.0
-        self._terminal.read()  # bytes received without power are lost
+        self._terminal.read()  # a device without power loses received bytes
 
     def rest(self) -> None:
         """Switch the device off. It loses its state."""

@@ -68,7 +68,8 @@ class Recorder:
     def __init__(self, now: float = 0.0) -> None:
         self._start = now
         self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
-        self._whole: Segment | None = None  # segment of the table that started with it
+        # The whole table as a segment, from the start of its play.
+        self._whole: Segment | None = None
         self._play: tuple[int, int] | None = None
 
     @property

@@ -74,7 +74,7 @@ class PseudoTerminal:
             return b""
         try:
             return os.read(self._ends[0], READ_BYTES)
-        except OSError:  # nothing there
+        except OSError:  # no bytes are waiting
             return b""
 
     def write(self, data: bytes) -> None:

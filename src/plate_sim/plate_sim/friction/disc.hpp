@@ -67,7 +67,7 @@ inline Push disc_force(double s, double w) {
         weight *= 2;
         const double product = a * b;
         a = 0.5 * (a + b), b = std::sqrt(product);
-        if (!(c > MEANS * a)) break;  // a NaN also ends the loop
+        if (!(c > MEANS * a)) break;  // this condition also ends the loop for NaN
         c = 0.5 * (a - b);
     }
     // K = pi/(2 a), and E = K (1 - k2/2 - total)

@@ -115,7 +115,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double px = x + half * (vx + ux), py = y + half * (vy + uy);
                 const Slip z = slip(plate[2], px, py, ux, uy, uc);
                 // Check that it slides fast enough, and nearly in one direction (see `alike`).
-                const double size2 = s.a2[i] + g2 * a.turn * a.turn;  // equals `dot(a, a, g2)`
+                // This sum equals `dot(a, a, g2)`.
+                const double size2 = s.a2[i] + g2 * a.turn * a.turn;
                 const double middle2 = s.b2[i] + g2 * b.turn * b.turn, end2 = dot(z, z, g2);
                 const double ab = dot(a, b, g2), az = dot(a, z, g2);
                 const double turn = std::min(ab * std::abs(ab) - STEADY * STEADY * size2 * middle2,

@@ -99,7 +99,7 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
     rest, triangles = list(range(len(outline))), []
     while len(rest) > 3:
         ears = [k for k in range(len(rest)) if _is_ear(outline, rest, k)]
-        if not ears:  # only corners in a line are left
+        if not ears:  # all remaining corners are on a line
             break
         corners = [[rest[k - 1], rest[k], rest[(k + 1) % len(rest)]] for k in ears]
         best = int(np.argmax([_slimness(outline[corner]) for corner in corners]))

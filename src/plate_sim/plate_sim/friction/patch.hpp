@@ -233,7 +233,7 @@ PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2,
         return {0, 0, 0};
     Slip d = free;
     const double size2 = free.x * free.x + free.y * free.y + gyration2 * free.turn * free.turn;
-    if (size2 > 16 * dv * dv) {  // it keeps sliding: start with forces along the slip
+    if (size2 > 16 * dv * dv) {  // a fast part keeps sliding, so start with forces along the slip
         const double share = 1 - dv / std::sqrt(size2);
         d = {share * free.x, share * free.y, share * free.turn};
         point_along(d, dv, all);

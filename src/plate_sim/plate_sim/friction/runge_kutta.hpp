@@ -101,12 +101,12 @@ inline Step runge_kutta(Table table, double t, int k, double h, const Point& par
     return stages<1>(table, t, k, h, part, limit, n, v, f);
 }
 
-// State after tau [s] with constant friction [m/s2].
+// Returns the state after tau [s] with constant friction [m/s2].
 inline Point even(const Point& part, Vec force, double tau) {
     return {part.place + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
 }
 
-// Slip along and across n [m/s] after tau [s] with constant friction.
+// Returns the slip along and across n [m/s] after tau [s] with constant friction.
 inline Vec straight(Table table, double t, int k, double tau, const Point& part, Vec force, Vec n) {
     const Vec w = slip(table, t + tau, k, even(part, force, tau));
     return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};

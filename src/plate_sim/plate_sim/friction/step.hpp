@@ -36,7 +36,7 @@ struct Body {
     double mu_g, gyration2, radius, reach, slim, mass_inverse;
     std::int64_t first_point, end_point, first_piece, end_piece;
 
-    // Whether it is a disc with uniform pressure.
+    // Whether the body is a disc with uniform pressure.
     bool even() const { return first_point == end_point; }
 };
 static_assert(sizeof(Body) == 10 * sizeof(double));
@@ -235,7 +235,8 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     const Slip middle = slip(plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy,
                              m.vx + 0.5 * fall.x, m.vy + 0.5 * fall.y, m.spin);
     double dv = slow;
-    if (ground.slope != 0) [[unlikely]] {  // friction at the rms slip in the middle
+    // Use the friction at the RMS slip in the middle of the step.
+    if (ground.slope != 0) [[unlikely]] {
         const double speed = std::sqrt(dot(middle, middle, g2));
         dv = slow * ground.share(std::max(0.0, speed - 0.5 * slow * ground.share(speed)));
     }

@@ -231,6 +231,6 @@ def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
 def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Return derivatives (m, DEGREE + 1, d) of polynomials, `offset` (m,) [s] later."""
     order = np.arange(DEGREE + 1)
-    power = order - order[:, None]  # [i, j]: power of t by which j enters i
+    power = order - order[:, None]  # [i, j]: power of t with which derivative j enters derivative i
     scale = np.array([1 / factorial(p) for p in order])[np.maximum(power, 0)] * (power >= 0)
     return np.asarray((scale * offset[:, None, None] ** np.maximum(power, 0)) @ derivatives)

@@ -32,7 +32,7 @@ class PlateMotion:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        # Read-only, like those of a cycle.
+        # Make the arrays read-only, like those of a cycle.
         times = np.array(self.times, dtype=float)
         times.setflags(write=False)
         object.__setattr__(self, "times", times)
@@ -70,7 +70,7 @@ class PlateMotion:
     def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
         """Return the part of a motion from `begin` to `end` [s], both within it."""
         times = motion.times
-        # A knot within rounding of an end is that end.
+        # If a knot equals an end up to rounding, drop the knot.
         first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1
         last = int(np.searchsorted(times, end - ROUNDING_S, "left"))
         knots = np.concatenate([[begin], times[first + 1 : last], [end]])

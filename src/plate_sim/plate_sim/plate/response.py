@@ -154,7 +154,7 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
     (u, n, (DEGREE + 2) n)
         Matrices that map the stacked state and input derivatives to the state one step later.
     """
-    from scipy.linalg import expm  # few plates have a suspension, and its import takes 0.2 s
+    from scipy.linalg import expm  # Few plates have a suspension, and importing SciPy takes 0.2 s.
 
     size = len(system)
     whole = np.kron(np.eye(DEGREE + 2, k=1), np.eye(size))

@@ -31,7 +31,7 @@ struct Shapes {
 // Inputs and outputs of one plate, see bodies.py: states (M, 6), mu g (M,), `here` (M,) and records
 // (k, M, 6), all in the caller's order of parts.
 struct Job {
-    const double *times, *factors;  // of `Course`
+    const double *times, *factors;  // arguments of `Course`
     int legs, steps, cycles, every;
     GroundEffect ground;
     View<double, 2> states;
@@ -71,7 +71,7 @@ struct Extent {
 
     // Upper bound of the approach [m] of any two parts since they were at their marks.
     double approach() const {
-        if (high[2] < low[2]) return 0.0;  // no parts
+        if (high[2] < low[2]) return 0.0;  // there are no parts
         const double wide = high[2] - low[2], tall = high[3] - low[3];
         return std::sqrt(wide * wide + tall * tall);
     }
@@ -80,7 +80,7 @@ struct Extent {
     bool within(const PlateSample& plate, const double* half) const {
         const double x = std::max(std::abs(low[0] - plate.x), std::abs(high[0] - plate.x));
         const double y = std::max(std::abs(low[1] - plate.y), std::abs(high[1] - plate.y));
-        const double turn = std::abs(plate.theta);  // upper bound of its sine
+        const double turn = std::abs(plate.theta);  // upper bound of the sine of theta
         return ROUNDED * (x + turn * y) <= half[0] && ROUNDED * (y + turn * x) <= half[1];
     }
 };
@@ -127,7 +127,8 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
     const Course course(job.times, job.factors, job.legs);
     const double step = course.period() / job.steps;
     const std::vector<PlateSample> plate = samples(course, 2 * job.steps);
-    std::vector<int> order(count);  // sorted by position: results do not depend on names
+    // Sort parts by position, so that results do not depend on names.
+    std::vector<int> order(count);
     std::iota(order.begin(), order.end(), 0);
     std::stable_sort(order.begin(), order.end(), [&](int i, int j) {
         return std::pair(job.states(i, X), job.states(i, Y)) <
@@ -148,7 +149,8 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
     together &= job.ground.even();
-    const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);  // without the walls
+    // Parts without the walls.
+    const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);
     const int points = shapes.mesh.size(1);
     std::vector<double> forces(7 * points);
     std::copy_n(shapes.mesh.data, 4 * points, forces.data());
@@ -177,7 +179,8 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
             end = std::min(end, at + job.every - since);
         }
         if (together) {
-            const double gap = rules.walls ? 0 : near.gap;  // with walls every step checks contacts
+            // If the plate has walls, every step checks contacts.
+            const double gap = rules.walls ? 0 : near.gap;
             const int cruised =
                 cruise(parts, &plate[2 * at], step, job.ground, half, gap, left, end - at);
             made += cruised, at += cruised;

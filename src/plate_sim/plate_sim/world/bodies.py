@@ -296,7 +296,7 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
             states[..., own] = each
         if np.abs(states).max(initial=0.0) <= LARGEST:
             return states
-    return np.stack([_columns(*start) for start in starts])  # raises a detailed error
+    return np.stack([_columns(*start) for start in starts])  # `_columns` raises a detailed error
 
 
 def _columns(

@@ -82,7 +82,7 @@ class FrictionField:
         """
         if self.share == 0:
             return np.asarray(mu * self.part)
-        from scipy.special import erf  # uneven friction is rare, and the import takes 0.2 s
+        from scipy.special import erf  # Uneven friction is rare, and the import takes 0.2 s.
 
         place = to_plate(pose, position)
         # The sum of many waves is normal with variance 1. erf makes it uniform from -1 to 1.

@@ -87,7 +87,7 @@ class Hand:
         if not part_id and len(state.ids) >= MAX_PARTS:
             raise PlateError(f"{len(state.ids)} parts exist, allowed: at most {MAX_PARTS}")
         room = self._rig.plate.half - self._rig.part_type(label).reach_m
-        if not np.all(np.abs(position) <= room + 1e-9):  # also refuses NaN
+        if not np.all(np.abs(position) <= room + 1e-9):  # this condition also refuses NaN
             raise PlateError(
                 f"place is ({position[0]:g}, {position[1]:g}) m, allowed for {label}: |x| up to "
                 f"{room[0]:g}, |y| up to {room[1]:g} m"

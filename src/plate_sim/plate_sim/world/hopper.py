@@ -77,7 +77,7 @@ class Dropped:
 
 def check_duration(duration_s: float) -> None:
     """Raise a PlateError if a hopper cannot be opened for this time [s]."""
-    if not 0 <= duration_s <= MAX_OPEN_S:  # also refuses NaN
+    if not 0 <= duration_s <= MAX_OPEN_S:  # this condition also refuses NaN
         raise PlateError(
             f"duration is {duration_s:g} s, allowed: 0 (closes it) to {MAX_OPEN_S:g} s"
         )
@@ -165,7 +165,8 @@ class Lying:
         near = near[apart[near] < self.reach[near] + kind.reach_m]
         other, shape = self.shape[near], kind.placed(place, angle)
         met = shapely.distance(other, shape) < self.radius[near] + kind.radius_m
-        met |= shapely.relate_pattern(other, shape, "T********")  # their interiors meet
+        # The pattern is true if the interiors intersect.
+        met |= shapely.relate_pattern(other, shape, "T********")
         return [int(i) for i in near[met]]
 
 
@@ -218,5 +219,5 @@ class Dispenser:
         assert self._hopper is not None
         if np.count_nonzero(state.on_plate) >= MAX_PARTS:
             return None
-        rng = self._rng.spawn(1)[0]  # random numbers of one part do not depend on others
+        rng = self._rng.spawn(1)[0]  # the random numbers of one part do not depend on other parts
         return drop_part(self._hopper, state, self._rig, rng)

@@ -182,7 +182,7 @@ class Robot:
         self._go(np.array([x, y]), now, shown)
         if to == Move.OVER:
             return state, Grip(True, message=f"the robot is over ({x:.4f}, {y:.4f}) m")
-        rng = self._rng.spawn(1)[0]  # random numbers of one grip do not depend on others
+        rng = self._rng.spawn(1)[0]  # the random numbers of one grip do not depend on other grips
         slips = bool(rng.random() < failure)
         result = grip(state, self._rig, gripper, slips, self._marked)
         row = np.array([name == result.id for name in state.ids], bool)

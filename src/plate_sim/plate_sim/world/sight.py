@@ -114,7 +114,7 @@ class CameraView:
         """Apply other disturbances. Call `know` afterwards."""
         before, self._disturbances, self._noise = self._disturbances, disturbances, noise
         if any(getattr(before, name) != getattr(disturbances, name) for name in DRAWN):
-            self.__dict__.pop("_camera", None)  # its cached images are outdated
+            self.__dict__.pop("_camera", None)  # the images of the cached camera are outdated
         self._camera.noise = noise
 
     @cached_property
@@ -143,7 +143,7 @@ class CameraView:
         middle = begin + interval * rng.random()
         while True:
             jitter = world.stamp_jitter * rng.standard_normal()
-            # A camera driver's stamps increase.
+            # Stamps increase, as those of a real camera driver do.
             last = max(middle + world.latency + jitter, last + FINEST_STAMP_S)
             yield Shot(middle, last, middle + max(world.latency, shown / 2))
             middle += interval

@@ -94,7 +94,7 @@ class Simulation:
                 f"image_rate is {disturbances.image_rate:g} with a trigger_phase, allowed: 0, "
                 "because the motor controller triggers the camera"
             )
-        # The order is part of each seed's run.
+        # Keep this order: it determines the results of each seed.
         layout, pixels, field, images, parts, stamps, hand, hopper, robot = np.random.default_rng(
             seed
         ).spawn(9)

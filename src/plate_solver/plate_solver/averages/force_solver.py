@@ -137,7 +137,8 @@ class ForceSolver(MotionSolver):
         aim = easiest_force(request, self.library)
         found = self._solve(replace(request, force=aim))
         error = request.force - (aim - found.residual)
-        if not found.success:  # other forces within the tolerance may be feasible
+        # The request may still be feasible with other forces within the tolerance.
+        if not found.success:
             found = replace(found, status=Status.FAILED)
         return judged(request, found, error, self.options.tolerance)
 

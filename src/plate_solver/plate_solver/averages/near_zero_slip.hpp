@@ -83,7 +83,7 @@ inline double square(Complex a) { return a.real * a.real + a.imag * a.imag; }
     found[n - 1] = dip_of(square[n - 2], square[n - 1], square[0]);
     int count = 0;
     const auto collect = [&](int first, int last) {
-        for (int k = first; k < last; k++) {  // without branches
+        for (int k = first; k < last; k++) {  // a loop without branches
             const bool hit = found[k] > 0;
             found[count] = k;
             count += hit;
@@ -250,7 +250,7 @@ inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient
 
 struct Excess {
     double x, y;
-    bool good;  // false: use panels, for example because another dip is close
+    bool good;  // if false, use panels, for example because another dip is close
 };
 
 // Computes the error of the mean over n steps [mu m g] due to the dip near a time t with exp(i t) =

@@ -144,7 +144,7 @@ def largest_fraction(
 
 def _along(asked: np.ndarray, missed: np.ndarray) -> float:
     """Return the achieved fraction of a request, in its direction."""
-    size = float(np.sum(asked**2))  # bounded, because the request was scaled to fit
+    size = float(np.sum(asked**2))  # this sum is bounded, because the request was scaled to fit
     return float(np.sum((asked - missed) * asked)) / size if size > 0 else 0.0
 
 

@@ -8,10 +8,10 @@
 
 namespace plate {
 
-// As in request.py.
+// The same values as in request.py.
 constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
 
-// As `RequestFlags` in request.py.
+// Compiled counterpart of `RequestFlags` in request.py.
 struct RequestFlags {
     bool sound = true, moving = false, curled = false, slack = false, within = true;
     double loaded = 0;
@@ -34,7 +34,8 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
             flags.moving |= velocity(i, axis) != 0;
             flags.slack |= free != 0;
             flags.within &= wanted <= free;
-            least = scaled_length(least, std::max(wanted - free, 0.0));  // cannot overflow
+            // `scaled_length` does not overflow.
+            least = scaled_length(least, std::max(wanted - free, 0.0));
         }
         flags.loaded = std::max(flags.loaded, least);
     }

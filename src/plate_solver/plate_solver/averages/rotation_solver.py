@@ -94,7 +94,7 @@ class RotationSolver(ForceSolver, RotationCycles):
         family, found = best
         self._last = request.position, Start(family, found.parameters)
         cycle, error = self._judged(request, family, found.parameters)
-        if np.max(np.abs(error)) > tolerance:  # the samples missed a dip
+        if np.max(np.abs(error)) > tolerance:  # the samples of the search missed a dip of the slip
             fine = family.finer(FINE)
             found = fit_mean_force(
                 request, fine, found.parameters, tolerance / 10, options.iterations

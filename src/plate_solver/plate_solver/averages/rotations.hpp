@@ -21,7 +21,8 @@ constexpr Damping PATIENT = [] {
 struct SequenceForces {
     Sequences family;
     View<const double, 2> position, velocity;  // (M, 2)
-    std::vector<int> asked;                    // requested rows: force x, force y, curl of a part
+    // Indices of the requested components in the list of all forces x, all forces y and all curls.
+    std::vector<int> asked;
     View<const double, 1> wanted, scale;       // (R,)
 };
 

@@ -12,7 +12,7 @@
 
 namespace plate {
 
-constexpr int DEGREE = 10;  // of the slip's Taylor polynomials for the panels
+constexpr int DEGREE = 10;  // degree of the slip's Taylor polynomials for the panels
 
 // Quadratures, see sinusoid_force.py.
 enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };

@@ -110,7 +110,8 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         this number of requested force components."""
         if self.options.at_rest:
             return *self._rest_key(constraints), True
-        number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
+        # N harmonics have rank 6 N - 2.
+        number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))
         return number, self.options.period or HARMONIC_S * number, False
 
     def _solve(self, request: Request) -> Solution:
@@ -167,7 +168,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         def attempt(start: np.ndarray, _: int) -> tuple[Fit, float, int, bool]:
             found = fit_curl(request, family, start, tolerance / 10, most)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
-            if good:  # coarse samples do not resolve dips, so refine
+            if good:  # coarse samples do not resolve dips of the slip, so use fine ones
                 found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)

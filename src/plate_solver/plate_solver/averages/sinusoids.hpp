@@ -45,7 +45,7 @@ constexpr double LEG_ERROR = 0.03;
 
 // A basis of h sinusoidal motions of N harmonics.
 struct Motions {
-    Matrix waves, taylor;  // as in `Rules`
+    Matrix waves, taylor;  // the same as in `Rules`
     int few, pieces;
     Matrix span;                // (2 N, h)
     Looks steps, knots, hull;   // basis at equal steps, at the knots, and at control points
@@ -108,7 +108,8 @@ public:
             found = finished(fit, done, tried);
         }
         if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
-            is_warm = false, backwards = true;  // search again from other starts
+            // The finished motion misses the tolerance, so search again from other starts.
+            is_warm = false, backwards = true;
             const auto [other, more, others] = search(fresh(FIRST));
             found = finished(other, done + more, tried + others);
         }
@@ -121,7 +122,8 @@ private:
     const View<const double, 2> pool;
     const Request request;
     const int size, parts;
-    bool moving, is_warm = false, backwards = false;  // backwards: take motions from the pool's end
+    // Backwards: take motions from the end of the pool.
+    bool moving, is_warm = false, backwards = false;
     std::vector<double> wanted;
     Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // buffers
     Looked looked;
@@ -194,7 +196,7 @@ private:
         return theta;
     }
 
-    // Returns a fresh start that was led towards the request by continuation.
+    // Returns a fresh start that continuation has moved towards the request.
     std::vector<double> led(int number) {
         std::vector<double> theta = fresh(number), part = wanted;
         const double left = LEG_ERROR * std::sqrt(squared(wanted) / (2 * parts));
@@ -209,7 +211,8 @@ private:
     // forces.
     std::vector<double> fresh(int number) {
         const int count = pool.size(0), most = motions.candidates;
-        const int first = number / (HOPS + 1) * most % count;  // differs for every fresh start
+        // Every fresh start begins at another place in the pool.
+        const int first = number / (HOPS + 1) * most % count;
         double least = 1e300, sign = 1;
         int index = first;
         std::vector<double> error;
@@ -233,7 +236,8 @@ private:
                 const Damping& damping, double tolerance, int iterations) {
         const auto evaluate = [&](std::vector<double>& trial, std::vector<double>& error) {
             if (moving) to_full_amplitude(trial);
-            force_error(grid, force, trial, error, &now);  // with cheap derivatives
+            // Also computes the derivatives, because they cost little more.
+            force_error(grid, force, trial, error, &now);
         };
         const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };
         return levenberg_marquardt<double>(evaluate, slopes, std::move(theta), damping, tolerance,
@@ -315,7 +319,9 @@ private:
         Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
         to_full_amplitude(found.theta);
         set_coefficients(found.theta);
-        for (int round = 0; round < 4; round++) {  // rotation has a quadratic effect: nearly linear
+        // Few rounds suffice, because the utilisation is nearly linear in the factor: only rotation
+        // has a quadratic effect.
+        for (int round = 0; round < 4; round++) {
             const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);
             if (used <= CERTAIN) break;
             const double factor = 0.9999 * CERTAIN / used;

@@ -32,7 +32,7 @@ constexpr double NOTHING = -std::numeric_limits<double>::infinity();
 
 // Points on a great circle, as one array per coordinate.
 struct Circle {
-    std::vector<double> cosine, sine;  // of equally spaced angles
+    std::vector<double> cosine, sine;  // cosine and sine of equally spaced angles
     std::vector<double> x, y, z;
 
     explicit Circle(int count) : cosine(count), sine(count), x(count), y(count), z(count) {
@@ -119,7 +119,8 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
 // one step, to cover points between those given.
 PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
-    std::vector<double> round(points + 2 * reach);  // circle plus `reach` on both sides
+    // Values on the circle, repeated by `reach` points on both sides.
+    std::vector<double> round(points + 2 * reach);
     for (int i = 0; i < static_cast<int>(round.size()); i++)
         round[i] = values[(i + points - reach) % points];
     std::vector<double> before((reach + 1) * SIDE_BY_SIDE);  // maximum up to the middle

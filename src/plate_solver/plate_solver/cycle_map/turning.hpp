@@ -205,7 +205,8 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
             const double inverse = 1 / (std::max(q, bound) + TINY);
             const double g = bound * inverse;
             const double down = slips ? g * inverse * inverse : 0.0;  // minus d gain / d (q^2/2)
-            const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;  // by q^2/2
+            // Derivative with respect to q^2/2.
+            const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;
             const double lever = j / gyration2, turns = dw / gyration2;
             at[0] = g - down * dx * bx, at[wide] = -down * dx * by;
             at[2 * wide] = -down * dx * j * dw;

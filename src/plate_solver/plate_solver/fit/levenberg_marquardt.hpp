@@ -10,10 +10,10 @@ namespace plate {
 
 // Options of the damping, in units of the mean squared row of the Jacobian.
 struct Damping {
-    double first, least, most;  // the search stops if it needs more than `most`
+    double first, least, most;  // if the damping exceeds `most`, the search stops
     double shrink, grow;        // factors after an accepted and after a rejected step
-    int stall_steps;            // the search stops if this number of steps leaves
-    double stall_fraction;      // more than this fraction of the squared error
+    int stall_steps;            // if the last `stall_steps` steps leave more than
+    double stall_fraction;      // `stall_fraction` of the squared error, the search stops
 };
 
 // Options for expensive evaluations: more damping is tried, and the search never counts as stalled.

@@ -13,7 +13,7 @@ namespace plate {
 // linear error, many moving parts could push one that is at its target over the edge.
 constexpr double STEEP_M = 0.01;
 
-// Requested end coordinates (C,) of M parts: as `Ends` in ends.py.
+// Requested end coordinates (C,) of M parts: see `Ends` in ends.py.
 struct Ends {
     View<const double, 1> low, high, weight, edge_low, edge_high;
     View<const int64_t, 2> pair;

@@ -142,7 +142,8 @@ class Goal:
         low, high = middle - self.tolerance, middle + self.tolerance
         weighed = np.broadcast_to(self.weight, shape) > 0
         beyond = np.where(weighed, [-high, low], -np.inf)
-        below, above = np.maximum(self.edge, beyond)  # a goal beyond a wall moves the wall
+        # If a goal is beyond a wall, the wall moves to it.
+        below, above = np.maximum(self.edge, beyond)
         gap = self.position[None] - self.position[:, None]
         clear = np.broadcast_to(self.clear, (len(middle), len(middle)))
         near = np.hypot(gap[..., 0], gap[..., 1]) < clear + COMING_M

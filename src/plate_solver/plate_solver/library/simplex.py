@@ -93,7 +93,7 @@ def least_time(
     if start is not None and len(start) == rows:
         basis = np.array(start)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
-    if used < 0:  # no start, or its columns are dependent now
+    if used < 0:  # there is no start, or the columns of the start are dependent now
         basis = np.arange(count, count + rows)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
     chosen = _kernels.columns_of(matrix, basis)

@@ -47,7 +47,7 @@ inline Ramps ramps_of(const Parameters& theta, const Sequences& family) {
     return ramps(view_of(twists), family.limits.half, family.loads, family.accel);
 }
 
-// Returns the knot times and the twists at the knots, as `timeline`.
+// Returns the knot times and the twists at the knots: see `timeline`.
 inline Line line_of(const Parameters& theta, const Sequences& family) {
     const Matrix twists = twists_of(theta, family);
     return timeline(holds_of(theta, family), view_of(twists), ramps_of(theta, family).length,

@@ -27,7 +27,7 @@ constexpr Damping DAMPING{.first = 1.0, .least = 1e-6, .most = 1e3, .shrink = 3.
 // precision.
 struct Motions {
     MatrixOf<float> pose, twist;  // (h, n): the basis at the middles of steps
-    MatrixOf<float> twist_bins;   // (bins, h): its means over bins of steps
+    MatrixOf<float> twist_bins;   // (bins, h): means of `twist` over bins of steps
     Looks looks;                  // the basis where limits are checked
     double scale[3];              // coefficients of a parameter along x, y and theta
     double dt;                    // length of a step [s]
@@ -41,7 +41,7 @@ struct Motions {
 // Motion of the plate from its initial state to rest, without the basis.
 struct Settling {
     MatrixOf<float> pose, twist;  // (3, n) at the middles of steps
-    Looked looked;                // where limits are checked
+    Looked looked;                // motion at the instants where limits are checked
     bool moves;                   // whether the motion is not zero
 };
 
@@ -51,7 +51,7 @@ struct Problem {
     const Settling& settling;
     View<const float, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
-    double coast;  // [s]
+    double coast;  // time by which the ends are extrapolated [s]
     double most;   // maximum limit utilisation during the search, as a fraction
 
     int blocks() const { return start.size(0); }
@@ -138,7 +138,7 @@ private:
     const Motions& motions;
     Room& room;
     int blocks, axes;
-    double settling_use = 0;  // fraction of the limits
+    double settling_use = 0;  // utilisation of the limits by the settling motion, as a fraction
     View<float, 3> steps;
 
     double use_of(const Looked& at) const {

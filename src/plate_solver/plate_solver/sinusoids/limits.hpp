@@ -12,7 +12,7 @@
 
 namespace plate::sinusoids {
 
-// As in limits.py.
+// The same values as in limits.py.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
 // The basis of one degree of freedom at the n instants where limits are checked: (h, n) each, and

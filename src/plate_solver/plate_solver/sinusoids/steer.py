@@ -108,7 +108,8 @@ class SinusoidSteering:
         self._clock = clock
         self.cut_short = 0
         self._finishing = 0.0  # duration of the final corrections of the last call [s]
-        self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}  # twists
+        # Twists of the last result, by key.
+        self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}
         self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -211,7 +212,8 @@ class SinusoidSteering:
                 index += 1
             found = running.popleft()()
             if found is None:
-                self.cut_short += most > 0  # count each search once
+                # Each search counts once, because `most` is 0 afterwards.
+                self.cut_short += most > 0
                 most = 0
             else:
                 iterations += found.iterations

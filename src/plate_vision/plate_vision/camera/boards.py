@@ -461,7 +461,7 @@ def _fit_opencv(
         slopes[rows, : 4 + count] = slope[:, 6 : 10 + count]
         slopes[rows, 4 + count + 6 * k : 10 + count + 6 * k] = slope[:, :6]
     free = np.ones(slopes.shape[1], bool)
-    free[4 : 4 + count] = bend != 0  # coefficients at 0 are fixed
+    free[4 : 4 + count] = bend != 0  # coefficients of 0 are not fitted
     deviation = np.zeros(len(free))
     deviation[free] = _deviation(slopes[:, free], np.concatenate(errors))
     return matrix, bend, errors, deviation[: 4 + count]

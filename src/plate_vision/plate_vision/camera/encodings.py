@@ -230,7 +230,7 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     image = np.asarray(image)
     check_image(image)
     grey = image if image.ndim == 2 else image[:, :, 1]
-    return np.ascontiguousarray(grey)  # once here, instead of in each kernel
+    return np.ascontiguousarray(grey)  # make it contiguous once here, instead of in each kernel
 
 
 def check_pixels(width: int, height: int, what: str = "image:") -> None:

@@ -232,7 +232,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     """
     try:
         done = cv2.imwrite(str(path), picture)
-    except cv2.error:  # unknown suffix
+    except cv2.error:  # OpenCV raises this for an unknown suffix
         done = False
     if not done:
         raise ImageError(

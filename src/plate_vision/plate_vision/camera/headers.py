@@ -124,10 +124,11 @@ def _jpeg(content: bytes) -> Header | None:
         if content[place] != 0xFF:
             break
         mark = content[place + 1]
-        if mark == 0xFF:  # padding
+        if mark == 0xFF:  # skip a padding byte
             place += 1
             continue
-        if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):  # a frame's header
+        # This segment is a frame's header.
+        if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", content, place + 5)
             return Header("JPEG", width, height, orientation)
         (size,) = struct.unpack_from(">H", content, place + 2)

@@ -156,7 +156,8 @@ def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     foot = corners[:, :, None] + at[:, None] * along[:, :, None]
     place = foot[..., None, :] + across[:, None] * outward[:, :, None, None]
     crossing = _crossings(_values(grey, place), across)
-    line = _lines(at, crossing)  # offset at the edge's first corner, and its change to the last
+    # Offset at the edge's first corner, and the change of the offset up to the edge's last corner.
+    line = _lines(at, crossing)
     first = corners + line[..., :1] * outward
     last = corners + along + line.sum(axis=2, keepdims=True) * outward
     return _intersect(np.roll(first, 1, axis=1), np.roll(last, 1, axis=1), first, last)

@@ -70,7 +70,7 @@ using DiscFit = std::array<double, UNKNOWNS>;
 // the neighbours, and the fraction of each pixel that no neighbour covers.
 struct DiscWindow {
     int size = 0, most;
-    double all = 0;  // number of pixels of the window, including unusable ones
+    double all = 0;  // number of all pixels in the window, usable or not
     std::vector<float> numbers;
 
     float* x() { return numbers.data(); }
@@ -397,7 +397,7 @@ template <bool SHADOW, bool HIGH>
     out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
     const double whole = std::max(count, 1.0) * std::max(window.all, 1.0) / window.size;
     out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
-    // Each coordinate is determined by half of the contour.
+    // Half of the contour determines each coordinate.
     const double slopes_xy = 0.5 * (normal[X][X] + normal[Y][Y]);
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }

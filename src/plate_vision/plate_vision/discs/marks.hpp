@@ -84,7 +84,7 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         const auto [darkest, lightest] = std::minmax_element(inner.begin(), inner.end());
         const double below = *darkest, above = *lightest;
         const double clear = MARK_SIGMAS * noise * empty;
-        // Fast check that does not need the median.
+        // First a fast check, because it does not need the median.
         if (above - below < std::max(CONTRAST * (empty - above), clear)) continue;
         const double part = median(inner);
         const double contrast = above - part > part - below ? above - part : below - part;

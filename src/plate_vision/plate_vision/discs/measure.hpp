@@ -46,7 +46,7 @@ struct RoundWindow {
         bool inner;
     };
     std::vector<float> x, y;
-    std::vector<int> offsets;  // in the image, from the centre pixel
+    std::vector<int> offsets;  // offsets of the pixels in the image's memory, from the centre pixel
     std::vector<Pixel> pixels;
     int reach, inner = 0;
 

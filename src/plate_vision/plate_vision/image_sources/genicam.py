@@ -58,7 +58,7 @@ def open_producer(file: str) -> Any:
     try:
         harvester.add_file(file, check_existence=True, check_validity=True)
         harvester.update()
-    except Exception as error:  # the manufacturer's library raises many kinds
+    except Exception as error:  # the manufacturer's library raises many kinds of exceptions
         raise CameraError(
             f"{file}: cannot be used ({error}), allowed: a GenTL file, .cti"
         ) from None
@@ -160,7 +160,7 @@ class GenicamSource(Camera):
             raise CameraError(f"{where}, but the camera has no such feature")
         try:
             node.value = value
-        except Exception as error:  # from GenApi, or from the manufacturer's library
+        except Exception as error:  # GenApi or the manufacturer's library raised it
             ends = [getattr(node, end, None) for end in ("min", "max")]
             symbols = getattr(node, "symbolics", None)
             allowed = ", ".join(symbols) if symbols else " to ".join(map(str, ends))
@@ -189,11 +189,11 @@ class GenicamSource(Camera):
                     f"image: size is {shape[1]} x {shape[0]} px, allowed: "
                     f"{self.settings.width} x {self.settings.height} px"
                 )
-            data = np.array(component.data)  # a copy: the camera reuses the buffer
+            data = np.array(component.data)  # copy the data, because the camera reuses the buffer
             pixels = data.reshape(shape if data.size == shape[0] * shape[1] else (*shape, 3))
             try:
                 taken = 1e-9 * float(buffer.timestamp_ns)
-            except Exception:  # from the manufacturer's library: the camera has no clock
+            except Exception:  # the manufacturer's library raises it if the camera has no clock
                 taken = arrival
         # The minimum delay of the last images is the offset between the camera's and host's clocks.
         self._offsets.append(arrival - taken)
@@ -217,7 +217,8 @@ class GenicamSource(Camera):
     def state(self) -> Mapping[str, object]:
         """Return the current exposure and gain."""
         found: dict[str, object] = {"exposure_us": "unknown", "gain": "unknown"}
-        with suppress(Exception):  # from GenApi: the camera is unplugged, or has no such feature
+        # GenApi raises an error if the camera is unplugged or lacks this feature.
+        with suppress(Exception):
             found["gain"] = self._nodes.Gain.value
             found["exposure_us"] = f"{self._exposure_us():g}"
         return {

@@ -156,7 +156,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def begin(self) -> None:
         """Start the reader."""
         self._watch = Watch()
-        self._lock = threading.Lock()  # guards the state below between reader and reports
+        # The reader's thread and the reports share the attributes below.
+        self._lock = threading.Lock()
         self._fault = ""
         self._refused, self._refused_total, self._why = 0, 0, ""
         self._ended = False
@@ -178,7 +179,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
     def release(self) -> None:
         """Close the device. A reader that still waits for an image closes it itself."""
-        self.rest()  # not called yet if ROS has shut down
+        self.rest()  # if ROS has shut down, nothing has called `rest` yet
         if not self._open or (self._thread is not None and self._thread.is_alive()):
             return
         self._open = False
@@ -211,11 +212,13 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             except ImageError as error:
                 self._refuse(str(error))
                 continue
-            except Exception as error:  # also from a library: the reader must not stop silently
-                if not self.context.ok():  # ROS has shut down
+            except Exception as error:
+                # Also catch errors of libraries, so that the reader does not stop silently.
+                if not self.context.ok():  # if ROS has shut down, the error is a consequence
                     break
                 self._fail(error)
-                if not source.live:  # opened again, it would start from the first picture
+                # If the source were opened again, it would start from the first picture.
+                if not source.live:
                     break
                 self._close(source)
                 stop.wait(RETRY_S)
@@ -229,7 +232,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._open = False
         try:
             source.close()
-        except Exception as error:  # from a library
+        except Exception as error:  # a library raised it
             self._fail(error)
 
     def _publish(self, frame: Frame) -> None:
@@ -264,7 +267,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
         camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
         info = camera_to_info(camera, image.header)
-        if self._lens is not None and size_px != self._lens_px:  # a picture of another size
+        # This picture has another size than the last one.
+        if self._lens is not None and size_px != self._lens_px:
             self._lens, self._lens_px = load_lens(self.options.camera_file, size_px), size_px
         lens = self._lens
         if lens is not None:

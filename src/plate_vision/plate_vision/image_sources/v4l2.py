@@ -90,7 +90,8 @@ class V4l2Source(Camera):
         self._device: V4l2Device | None = None
         self._capture: Any = None
         self._form, self._rate = "", 0.0
-        self._at_start: bool | None = None  # stamp at the start of the exposure; None: arrival
+        # Whether stamps refer to the exposure's start; None: stamps are arrival times.
+        self._at_start: bool | None = None
         self._stamps_known = False
 
     def open(self) -> None:
@@ -211,7 +212,7 @@ class V4l2Source(Camera):
                     f"{self.path}: {name} cannot be switched; try v4l2-ctl -d {self.path} "
                     "--list-ctrls-menus"
                 )
-        if AUTO_PRIORITY in has:  # it would reduce the rate in the dark
+        if AUTO_PRIORITY in has:  # automatic priority would reduce the image rate in the dark
             device.set(AUTO_PRIORITY, 0)
         given = (
             ("exposure_us", EXPOSURE, values.exposure_us > 0, EXPOSURE_US),

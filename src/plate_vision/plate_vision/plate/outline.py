@@ -312,7 +312,7 @@ def _steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
     of the strongest rising ones; NaN for missing ones."""
     reach = np.arange(-4, 5)
     kernel = -reach * np.exp(-(reach**2) / 4.5)
-    kernel = 2 * kernel / np.sum(np.abs(kernel))  # its response to a step is the step's height
+    kernel = 2 * kernel / np.sum(np.abs(kernel))  # the response to a step equals the step's height
     slope = np.stack([np.convolve(row, kernel[::-1], mode="valid") for row in profile])
     at = offset[4:-4]
     noise = 1.4826 * float(np.nanmedian(np.abs(slope - np.nanmedian(slope))))
@@ -415,7 +415,9 @@ def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
     middle, slope, bow = outline.edges[seen].T
     away = (middle[:, None] + slope[:, None] * ends).ravel()
     motion = np.linalg.lstsq(terms, away, rcond=None)[0]
-    if len(seen) < 4:  # shift and stretch across the missing edge are not separable: equal stretch
+    # An edge is missing. The shift and the stretch across this edge are not separable, so the
+    # stretch is assumed equal along both axes.
+    if len(seen) < 4:
         same = np.column_stack([terms[:, :3], terms[:, 3] + terms[:, 4]])
         found = np.linalg.lstsq(same, away, rcond=None)[0]
         motion = np.array([*found, found[3]])
@@ -515,7 +517,8 @@ class OutlineCheck:
         if finding is not None or not seen:
             finding, text = judge_outline(*facts, fitting_flips(image, grid))
         if moving and finding is None and self.finding is not None:
-            finding, text = self.finding, self.text  # only a plate at rest cancels a finding
+            # An image of a moving plate does not cancel a finding.
+            finding, text = self.finding, self.text
         agrees = finding is None and seen and not moving
         return replace(
             self, measured=(), moving=False, finding=finding, text=text, done=True, agrees=agrees
@@ -589,7 +592,7 @@ def _moved_text(found: Deviation) -> str:
     (x, y), (along, across) = found.shift, found.stretch
     is_ = ["it"]
     if np.hypot(x, y) >= SHIFT_TEXT_M:
-        x_mm, y_mm = (round(1e3 * way, 1) + 0.0 for way in (x, y))  # no -0.0
+        x_mm, y_mm = (round(1e3 * way, 1) + 0.0 for way in (x, y))  # adding 0.0 turns -0.0 into 0.0
         is_.append(f"is shifted by ({x_mm:.1f}, {y_mm:.1f}) mm")
     if abs(found.turn) >= TURN_TEXT_RAD:
         is_.append(f"is rotated by {np.degrees(found.turn):.1f} degrees")

@@ -141,8 +141,9 @@ class AimingView:
         self._focus = Focus()
         self._lens: LensJob | None = None
         self._home, self._wants_home = "", False
-        self._home_is_old = False  # it was found before the lens
-        self._corners: tuple[tuple[float, float], ...] = ()  # found, and not written
+        self._home_is_old = False  # whether `home` was found before the last change of the lens
+        # Corners that were found but not written yet.
+        self._corners: tuple[tuple[float, float], ...] = ()
         self._measured_at = self._image_at = -math.inf
 
     def rest(self) -> None:
@@ -174,7 +175,7 @@ class AimingView:
         try:
             self._step(image, situation)
             msg = self._message(image, stamp, refused, situation)
-        except Exception as error:  # log a fault of the view: the future would hide it
+        except Exception as error:  # log a fault of the view, because the future would hide it
             text = f"aim: {type(error).__name__}: {error}"
             self._run_on_graph(
                 lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0)
@@ -205,7 +206,7 @@ class AimingView:
         except CalibrationError as error:
             text = str(error)
         seen_px = np.empty((0, 2)) if corners is None else corners[1]
-        if self._lens is lens:  # not discarded meanwhile
+        if self._lens is lens:  # the user has not discarded it meanwhile
             self._lens = replace(lens, pictures=pictures, text=text, seen_px=seen_px)
 
     def _find_home(self, image: np.ndarray, situation: Situation) -> None:
@@ -235,7 +236,8 @@ class AimingView:
         assert lens.pictures is not None
         try:
             fit = lens.pictures.fit(lens.model)
-        except Exception as error:  # also OpenCV's, otherwise the state would remain FITTING
+        except Exception as error:
+            # Also catch errors of OpenCV, otherwise the state would remain FITTING.
             if self._lens is lens:
                 self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
             return
@@ -243,7 +245,7 @@ class AimingView:
         text = f"focal length {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px"
         if fit.warning:
             text += f"; {fit.warning}"
-        if self._lens is lens:  # not discarded meanwhile
+        if self._lens is lens:  # the user has not discarded it meanwhile
             self._lens = replace(lens, state=LensPictures.FITTED, text=text, fit=fit)
 
     def _message(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> Aim:
@@ -254,7 +256,8 @@ class AimingView:
             checks.append(("picture", Finding(Level.ERROR, refused)))
         else:
             checks.append(("picture", Finding(Level.OK, f"{msg.width} x {msg.height} px")))
-        board = self._lens is not None  # before the camera: it hides the plate
+        # While the user shows a board to the camera, the board hides the plate.
+        board = self._lens is not None
         if (msg.width, msg.height) == situation.vision.region.size_px:
             checks += self._measured(msg, image, seconds(stamp), situation, board)
         known = [] if refused or board else situation.things
@@ -293,7 +296,7 @@ class AimingView:
         msg.part_px_min, msg.part_px_max = measured.part_px
         msg.sharpness = sharpness_of(image, measured)
         msg.sharpness_best = msg.sharpness_change = math.nan
-        if board:  # its sharpness does not compare with that of the plate
+        if board:  # the sharpness of the board and of the plate are not comparable
             return []
         outline = measure_outline(image, measured.grid)
         blur_px = math.nan if situation.moving else edge_blur_px(image, outline, measured)
@@ -434,7 +437,8 @@ class AimingView:
             return response
         self._lens = None
         self._home, self._corners = "", ()
-        self._home_is_old = before.fiducials is None  # else markers show it in each image
+        # If the rig has markers, each image shows the pose of home.
+        self._home_is_old = before.fiducials is None
         response.success = True
         response.message = f"written: {self._path}; {OTHER_NODES}"
         return response

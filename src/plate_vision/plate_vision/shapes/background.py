@@ -238,7 +238,7 @@ def model_background(image: np.ndarray) -> Background:
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for mode in _modes(values):
         if best is not None and best[2][mode]:
-            continue  # explained by the best surface so far
+            continue  # the best surface so far already explains this colour
         fit = np.zeros((design.shape[1], channels), np.float32)
         fit[0] = values[mode]
         near = NEAR_MODE

@@ -119,7 +119,7 @@ def make_template(part: PartType) -> Template:
     """Prepare a part type for comparison."""
     rings = _corner_rings(part)
     coarse = make_outline(rings)
-    # The spectrum is exact only for short edges.
+    # The spectrum is exact only for short edges, so refine the rings.
     fine = make_outline([_refined(ring, 0.05 * coarse.reach) for ring in rings])
     edges = coarse.edges
     if part.radius_m:

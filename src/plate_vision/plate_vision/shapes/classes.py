@@ -454,7 +454,8 @@ def _ways_to_lay(
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
     if own and seen and hole_check is not None:
-        return [plain, filled]  # a hole half in shadow is only partly in the outline
+        # If half of a hole is in shadow, the outline contains only a part of it.
+        return [plain, filled]
     return [plain] if own == seen else [filled]
 
 
@@ -509,7 +510,7 @@ def _measured(
         seen, body = np.ptp(outlines[i].rings[0] @ axes, axis=0), np.vstack([base, top]) @ axes
         swell = seen[1] - np.ptp(body[:, 1])
         end = np.min(body[:, 0]) + seen[0] - swell
-        if end > np.max(body[:, 0]):  # otherwise the part hides its shadow
+        if end > np.max(body[:, 0]):  # if the shadow ends within the part, the part hides it
             lengths.append(end - np.max((base @ axes)[:, 0]))
     if len(lengths) < FEWEST_NAMED:
         return lamp

@@ -290,7 +290,8 @@ def _cut_by_kind(
     usual = float(np.median([kind[0] for kind in kinds])) if kinds else np.inf
     common = [kind for kind in kinds if kind[0] > SMALLER * usual]
     done: list[Piece] = []
-    todo = sorted(pieces, key=lambda piece: -piece.inside.size)  # the smallest first
+    # `pop` takes the smallest piece first.
+    todo = sorted(pieces, key=lambda piece: -piece.inside.size)
     while todo:
         piece = todo.pop()
         if piece.area > PLATE_SIZED * pixels or any(alike(piece.traits, kind) for kind in kinds):

@@ -38,7 +38,7 @@ constexpr double STILL = 0.003;
 // Minimum assumed RMS deviation of points from a type's outline [units].
 constexpr double MIN_ERROR = 0.1;
 
-// Number of neighbouring points with correlated errors.
+// Number of neighbouring points whose errors are correlated.
 constexpr double TOGETHER = 2.0;
 
 // Number of points that are processed together.
@@ -177,7 +177,7 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
     }
 }
 
-// Measures of an outline: see `Outline` of outlines.py.
+// Properties of an outline: see `Outline` of outlines.py.
 struct OutlineMeasures {
     double area, x, y;
     std::array<Complex, HARMONICS> spectrum;
@@ -255,7 +255,8 @@ inline std::vector<double> outline_edges(View<const double, 2> points,
 struct Places {
     int size;
     std::vector<double> x, y;
-    std::vector<double> distance, right, down;  // signed; unit vectors along which it grows
+    // Signed distance; components of the unit vector along which it grows.
+    std::vector<double> distance, right, down;
 
     explicit Places(int count) : size(count) {
         for (auto* list : {&x, &y, &distance, &right, &down})

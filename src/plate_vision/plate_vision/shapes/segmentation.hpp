@@ -125,7 +125,7 @@ inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> aroun
         // A highlight on a dark part may differ less from the plate than the part does.
         const bool highlight = (brighter.data[i] > 0) != patches.bright[k] &&
                                here > std::max(BRIGHTER * contrast, strong);
-        // A second colour with less contrast: far from the background, and even.
+        // A second colour of the part has less contrast, but is far from the background and even.
         const bool weaker = here > WEAKER * contrast && slope.data[i] < EVEN * patches.steepest[k];
         cover.data[i] = highlight || weaker ? 1 : std::min(here / full, 1.f);
     });

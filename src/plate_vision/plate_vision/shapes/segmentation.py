@@ -355,7 +355,8 @@ def _window(
     while child >= 0:
         contour = contours[child]
         left, top, wide, high = cv2.boundingRect(contour)
-        if (wide - 2) * (high - 2) < MIN_HOLE_PX2:  # fast rejection: noise has thousands
+        # Reject small contours at once, because noise produces thousands of them.
+        if (wide - 2) * (high - 2) < MIN_HOLE_PX2:
             child = family[child][0]
             continue
         part = np.s_[top - y0 : top - y0 + high, left - x0 : left - x0 + wide]

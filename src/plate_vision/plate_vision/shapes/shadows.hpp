@@ -66,7 +66,7 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
                 0.5f * std::sqrt(static_cast<float>(across * across + along * along));
             found.slope(y, x) = slope;
             if (std::max({left, right, up, down}) <= plate + limit(y, x)) {
-                // Otherwise it is the edge of a highlight.
+                // If a neighbour is brighter than the plate, this is the edge of a highlight.
                 found.steepest[k] = std::max(found.steepest[k], slope);
                 found.largest[k] = std::max<float>(found.largest[k], plate - here);
             }

@@ -64,7 +64,7 @@ inline Basins find_basins(View<const float, 2> depth, double neck, double least_
                           View<int32_t, 2> labels) {
     const int height = depth.size(0), width = depth.size(1);
     struct Flood {
-        int parent;  // the flood with which it was merged, or itself
+        int parent;  // the flood with which this one was merged, or this one
         double peak;
     };
     struct Meeting {

@@ -161,7 +161,8 @@ def _teach(args: argparse.Namespace) -> None:
         text = "it is estimated from each picture, so a hole may be learned instead of its part"
         print(f"no bare plate (--bare): {text}: check the drawn outline", file=sys.stderr)
     if args.box:
-        cuts = args.scale is not None and bare is None  # then the position is not relevant
+        # With a known scale and without a bare plate, the position is irrelevant.
+        cuts = args.scale is not None and bare is None
         examples = [
             _boxed(picture, box, f"{name}, box {','.join(map(str, box))}", cuts) for box in args.box
         ]

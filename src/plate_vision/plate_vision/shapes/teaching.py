@@ -495,7 +495,7 @@ def _mean_outline(
         turns = 2 * np.pi * np.arange(symmetry) / symmetry
         mean = _average(mean, [_turned(mean, np.array([0, 0, turn])) for turn in turns])
     pose = lay_on(_as_template(mean), outlines[0], scale)[:3]
-    # Rotate the mean like the first outline.
+    # Rotate the mean so that its angle is that of the first outline.
     mean = _turned(mean, np.array([0, 0, -pose[2]]))
     return mean, np.array([pose[0], pose[1], 0.0]), scatter, unlike
 
