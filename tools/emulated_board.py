@@ -1,8 +1,9 @@
-"""Builds the firmware of firmware/boards/stm32f405, and runs it in the emulator QEMU.
+"""Build the firmware of firmware/boards/stm32f405, and run the program in the emulator QEMU.
 
 QEMU's machine `netduinoplus2` has an STM32F405. With `-icount shift=3` each instruction takes 8 ns
-of virtual time. So the length of a tick, which the firmware measures by its timer, counts
-instructions. The emulated line has no baud rate: a realistic host must limit its own rate.
+of virtual time. The firmware measures the length of a tick by its timer, so this length is
+proportional to the number of instructions. The emulated line has no baud rate, so a realistic host
+must limit its own rate.
 """
 
 from __future__ import annotations

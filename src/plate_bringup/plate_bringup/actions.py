@@ -97,7 +97,7 @@ def arguments_of(hardware: bool) -> dict[str, str]:
 
 
 def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
-    """Check the arguments on the command line, if it starts this launch file directly.
+    """Check the arguments on the command line, if the command starts this launch file directly.
 
     A launch file that includes this one may have additional arguments, which launch passes on.
 

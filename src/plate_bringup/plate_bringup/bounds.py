@@ -94,8 +94,8 @@ def speed_bounds(rig: Rig, period: float) -> SpeedBounds:
 def shift_accel(rig: Rig) -> float:
     """Return the maximum momentary acceleration of the plate along its most favourable line [m/s2].
 
-    It is limited by `accel_mps2` of the rig file and by the motors' peak force. For a rig with
-    flexures only the former counts, because flexures may support the motors.
+    It is limited by `accel_mps2` of the rig file and by the motors' peak force. If the rig has
+    flexures, only `accel_mps2` counts, because flexures may support the motors.
     """
     if rig.suspension is not None:
         return float(rig.limits.accel)
@@ -104,7 +104,7 @@ def shift_accel(rig: Rig) -> float:
 
 
 def _travel(rig: Rig) -> float:
-    """Maximum travel of the motors divided by that of the plate, along the best line [-]."""
+    """Return the maximum travel of a motor per travel of the plate, along the best line [-]."""
     return _least(motor_levers(rig))
 
 

@@ -26,15 +26,15 @@ CLOCKS_S = 3.0
 message suggests that the clocks disagree."""
 
 STANDSTILL_S = 0.25
-"""If the driver does not run for longer than this, it counts as stalled [s]. About one cycle."""
+"""Time without running after which the driver counts as stalled [s]. It is about one cycle."""
 
 ALONE_S = 1.0
-"""If two publishers have sent cycles within this time, both are refused [s], even if their names
-are equal. A solver takes longer than this to restart."""
+"""Time within which cycles of two publishers are both refused [s], even if the publishers have
+equal names. A restart of the solver takes longer than this."""
 
 RESTART_NS = 1_000_000_000
-"""An event later than this after a stamp is ignored [ns]. The stamp is then too old in any case, or
-it comes from a simulator that was restarted."""
+"""Maximum time between a stamp and a later event that is compared with it [ns]. If the time
+is longer, the stamp is too old in any case, or a simulator was restarted after the stamp."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Freshness:
     ----------
     since_ns : int
         Time when the motors last became ready or the driver last resumed after a stall, whichever
-        is later. On the clock that stamps images.
+        is later. The time is on the clock that stamps images.
     why : str
         Text that names this event.
     ended_ns : int

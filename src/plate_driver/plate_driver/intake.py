@@ -66,7 +66,7 @@ class CycleIntake:
         self.task_runs, self.refusal = False, ""
 
     def begin(self) -> None:
-        """Forget earlier cycles, except whether a task runs."""
+        """Forget earlier cycles and the last refusal. Keep the record whether a task runs."""
         self._freshness, self.refusal = Freshness(), ""
 
     def record_task(self, running: bool, stamp_ns: int | None) -> None:

@@ -42,7 +42,7 @@ class Playback:
 
     @property
     def rig(self) -> Rig:
-        """Rig whose limits the tables keep."""
+        """Rig. All tables stay within the limits of this rig."""
         return self.guard.rig
 
     def begin(self) -> None:
@@ -70,7 +70,7 @@ class Playback:
         Raises
         ------
         CycleError
-            If there was a stop since, or if the transport refuses the table.
+            If there was a stop after that, or if the transport refuses the table.
         """
         assert guard.table is not None
         transport.send(guard.table, guard.plays, number)

@@ -81,8 +81,8 @@ class TransportOwner:
     def stop(self, cut: bool) -> bool:
         """Stop the motors, or cut their power if `cut`.
 
-        Return within `ANSWER_S` whether the motors are known to stop. If they are not, the stop is
-        still tried afterwards.
+        Return within `ANSWER_S` whether the motors are known to stop. If this is not known, the
+        stop is still tried after the return.
         """
         end = time.monotonic() + ANSWER_S
         try:

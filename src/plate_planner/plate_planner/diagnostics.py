@@ -27,8 +27,8 @@ class PlannerDiagnostics:
     Attributes
     ----------
     refusal : str
-        Reason why the last invalid message was refused. Empty if none was since the last
-        diagnostics.
+        Reason why the last invalid message was refused. Empty if no message was refused since the
+        last diagnostics.
     """
 
     def __init__(self, tasks: TaskRunner, monitor: InputMonitor, triggered: bool) -> None:

@@ -39,8 +39,8 @@ class Lockstep(Generic[Image, Start]):
     unanswered : bool
         Whether the plate_cycle for the last request has not arrived yet.
     starts_required : bool
-        Whether an image waits for the report of a cycle's start. False after no start was reported
-        within the timeout, until the start of an image's cycle is reported again.
+        Whether an image waits for the report of a cycle's start. It becomes False if no start is
+        reported within the timeout, and True when the start of an image's cycle is reported again.
     """
 
     def __init__(self, enabled: bool) -> None:

@@ -58,7 +58,7 @@ NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 
 TAKEN_COAST = Coast(parts=1, unknown=1)
 """Maximum number of images without a detection for which a part is propagated, in tasks in which
-parts are added and removed: the part may have been picked."""
+parts are added and removed. The part may have been picked."""
 
 IN_MOTION_S = 0.1
 """Length of cycles that start from a moving plate [s]. If an answer takes as long, cycles start
@@ -87,7 +87,7 @@ class PlannerOptions(TaskOptions):
         If cycle starts are reported: time before the next start at which the answer is sent [s]. It
         covers solver, driver and connection.
     image_age_s : float or None
-        Age of an image at its stamp [s]; None: estimate it from the motion.
+        Age of an image at its stamp [s]. None to estimate the age from the motion.
     """
 
     default_period: float = 0.1
@@ -135,10 +135,10 @@ class Planner:
     """Planner for one scenario on one rig.
 
     Begin with `state = planner.start(planner.initial())`. If the camera is triggered at cycle
-    starts, call `state, wanted, progress = planner.plan(state, parts, t)` for every image. If it is
-    free-running, call `state = planner.see(state, parts, t)` for every image,
-    `state = planner.started(state, cycle, t)` for every cycle that the plate begins, and at the
-    time `state.due` call `state, wanted, progress = planner.answer(state)`.
+    starts, call `state, wanted, progress = planner.plan(state, parts, t)` for every image. If the
+    camera is free-running, call `state = planner.see(state, parts, t)` for every image, `state =
+    planner.started(state, cycle, t)` for every cycle that the plate begins, and at the time
+    `state.due` call `state, wanted, progress = planner.answer(state)`.
     """
 
     rig: Rig
@@ -368,8 +368,8 @@ class Planner:
     def _last_seen(
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
     ) -> Mapping[str, LastSeen]:
-        """Return each part's last position and stamp. For a part that left the plate, this is the
-        place where it left."""
+        """Return each part's last position and stamp. If a part left the plate, its last position
+        is the place where it left."""
         half = self.rig.plate.half
         off = {name for name, at in before.items() if np.any(np.abs(at.position) > half)}
         on = np.all(np.abs(parts.position) <= half, axis=1)

@@ -348,8 +348,8 @@ def _heights(rig: Rig) -> Iterator[Doubt]:
 
 
 def _order(corners: np.ndarray) -> Doubt | None:
-    """Check that the corners (4, 2) [px] are convex and in the order that a camera above the plate
-    sees."""
+    """Check that the corners (4, 2) [px] form a convex quadrilateral, and that their order is the
+    one seen by a camera above the plate."""
     sides = np.roll(corners, -1, axis=0) - corners
     after = np.roll(sides, -1, axis=0)
     turn = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]

@@ -37,9 +37,9 @@ HEADER = struct.Struct("<BH")
 class State(IntEnum):
     """State of the device."""
 
-    OFF = 0  # motors without current
+    OFF = 0  # the motors have no current
     HOMING = 1
-    READY = 2  # plate held at home
+    READY = 2  # the motors hold the plate at home
     PLAYING = 3
     BRAKING = 4
 
@@ -48,13 +48,13 @@ class Status(IntEnum):
     """The device's reply to a command."""
 
     DONE = 0
-    NO_SESSION = 1  # Hello must come first: the device has no session, or was reset
+    NO_SESSION = 1  # the device has no session or was reset, so it needs a Hello first
     OLD = 2  # a later command has already been executed
     WRONG_STATE = 3
     WRONG_TABLE = 4  # another table is open, or the index is beyond its end
     INCOMPLETE = 5  # knots are missing or damaged
-    WRONG_TIMES = 6  # not from 0, not increasing, or splice time at no knot or too late
-    LIMIT = 7  # stroke, speed, acceleration, force or heat; checked on the spline, not only knots
+    WRONG_TIMES = 6  # times start above 0 or do not rise; the splice is at no knot or too late
+    LIMIT = 7  # the spline exceeds a limit of stroke, speed, acceleration, force or heat
     JUMP = 8  # the table starts neither at rest at home nor at a future splice, or ends elsewhere
     TOO_LONG = 9
     WRONG_STOP = 10  # the number in Enable is not that of the current stop
@@ -80,11 +80,11 @@ class Trouble(IntEnum):
 
     SILENT = 1  # the drive does not reply, or its heartbeat is missing
     RESET = 2  # the drive has restarted
-    NOT_OPERATIONAL = 3  # according to its heartbeat; code: its NMT state
+    NOT_OPERATIONAL = 3  # the heartbeat reports another state; code: the NMT state
     REFUSED = 4  # the drive refuses an object during set-up; code: SDO abort
     WRONG_DRIVE = 5  # an object has a wrong value; code: this value
-    EMERGENCY = 6  # code: emergency code; object: error register
-    FAULT = 7  # according to its statusword; code: statusword
+    EMERGENCY = 6  # the drive sent an emergency; code: emergency code; object: error register
+    FAULT = 7  # the statusword reports a fault; code: statusword
     LEFT = 8  # the drive has left the operational state; code: statusword
     NOT_ENABLED = 9  # the drive does not enter the operational state; code: statusword
     KEEPS = 10  # the drive keeps its current although it was disabled; code: statusword

@@ -44,7 +44,7 @@ SETTLE = 2
 """Number of cycles until the motion is periodic."""
 
 MEASURE = 6
-"""Number of cycles measured after that."""
+"""Number of cycles that are measured after the motion has become periodic."""
 
 SLOWEST = 4
 """Number of harmonics that determine the start of a cycle, up to 3.9 Hz."""
@@ -57,7 +57,8 @@ RESPONSE_BYTES = 32_768
 """Upper estimate of the size of a response's file [bytes]."""
 
 MAX_BYTES = 1_000_000
-"""Maximum size of a response's file that is read [bytes], for many times as many harmonics."""
+"""Maximum size of a response's file that is read [bytes]. Files with many times more harmonics also
+fit."""
 
 AXES = ("x", "y", "theta")
 
@@ -65,7 +66,7 @@ FILE_ERRORS = (
     OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, BadZipFile, zlib.error,
     PlateError,
 )  # fmt: skip
-"""Exceptions when a damaged file is read."""
+"""Exceptions that can occur when a damaged file is read."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ class Calibration:
 
     @property
     def cycle(self) -> PlateCycle | None:
-        """The cycle to play now, `settle` times and then `measure` times; None at the end."""
+        """The cycle to play now. It is played `settle` times, then `measure` times. None at the
+        end."""
         done = len(self.measured)
         return self.cycles[done] if done < len(self.cycles) else None
 
@@ -142,7 +144,7 @@ class Calibration:
 
     @property
     def response(self) -> Response:
-        """Result, at the end of the calibration."""
+        """The plate's response. It is available at the end of the calibration."""
         frequency = np.arange(1, COUNT + 1) / PERIOD_S
         return identified(self.rig, frequency, np.array(self.commanded), np.array(self.measured))
 
@@ -159,8 +161,8 @@ class Experiment:
     table : int
         Number of the device's table that plays.
     samples : tuple of (time [s], q (4,), qdd (4,))
-        Samples since its start, with times on the device's clock. The conversion to host time
-        varies by milliseconds.
+        Samples since the experiment's start, with times on the device's clock. The conversion to
+        host time varies by milliseconds.
     """
 
     calibration: Calibration
@@ -175,7 +177,8 @@ class Experiment:
         return self.calibration.cycle
 
     def with_sample(self, new: Measured) -> Experiment:
-        """Return it with one more sample. It restarts if another table plays or none does."""
+        """Return the experiment with one more sample. If another table or no table plays, it
+        restarts."""
         sample = new.device_s, new.position, new.acceleration
         if new.table == 0 or new.table != self.table:
             return replace(self, table=new.table, samples=())

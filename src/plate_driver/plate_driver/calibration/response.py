@@ -23,8 +23,8 @@ SAMPLES = 512
 """Minimum number of samples per cycle, far more than twice the number of harmonics."""
 
 KNOTS_PER_WAVE = 3
-"""Number of knots per wave of the highest harmonic. The spline error is 2e-3 of it, and devices can
-store the tables."""
+"""Number of knots per wave of the highest harmonic. The spline error is 2e-3 of this harmonic, and
+devices can store the tables."""
 
 STRESS = 30.0
 """Additional relative weight of an error at the strongest harmonic of a motion."""
@@ -107,8 +107,8 @@ class Response:
         """Return the command for which the plate performs the motion of a cycle.
 
         Only harmonics up to the highest known frequency are corrected. The command begins and ends
-        at rest at home. The correction is changed as little as possible for that, mainly at
-        frequencies where the plate responds little.
+        at rest at home. For this purpose, the correction is changed as little as possible, mainly
+        at frequencies where the plate responds little.
         """
         count = int(self.frequency[-1] * cycle.period * (1 + 1e-9))
         if count == 0 or not np.any(cycle.knot_pose):

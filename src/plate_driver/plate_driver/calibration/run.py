@@ -16,7 +16,8 @@ from .calibration import Calibration, Experiment, check_writable, save_response
 __all__ = ["CalibrationRun"]
 
 PLAYS_MARGIN = 2.0
-"""If the motors take longer than this multiple of the experiment's duration, it has failed."""
+"""If the motors take longer than this multiple of an experiment's duration, the experiment
+fails."""
 
 
 class CalibrationRun:
@@ -55,7 +56,8 @@ class CalibrationRun:
 
     @property
     def text(self) -> str:
-        """Progress of the running calibration, or result of the last one. Empty without one."""
+        """Progress of the running calibration, or result of the last one. Empty if there was
+        none."""
         experiment = self._experiment
         return self._outcome if experiment is None else experiment.calibration.progress
 

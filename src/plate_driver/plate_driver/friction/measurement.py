@@ -34,7 +34,7 @@ SEARCH_FACTOR = 1.25
 """Ratio of accelerations from one push to the next in the search."""
 
 ONSET_FACTOR = 1.05
-"""The same in the onset."""
+"""Ratio of accelerations from one push to the next in the onset."""
 
 SLOW_SHARE = 0.5
 """Acceleration of slow motions, relative to the maximum at which no part slid."""
@@ -291,8 +291,8 @@ class FrictionMeasurement:
         Raises
         ------
         PlateError
-            If no part is seen, one is too near an edge, two are too near each other, or the rig's
-            limits do not allow the first push.
+            If no part is seen, a part is too near an edge, two parts are too near each other, or
+            the rig's limits do not allow the first push.
         """
         if not rest.place:
             raise PlateError("friction: the camera sees no part, allowed: one or more, at rest")
@@ -348,7 +348,7 @@ class FrictionMeasurement:
         return stages[self.stage] + weights[self.stage] * min(1.0, done / whole)
 
     def after(self, rest: Rest, played: Push | None = None) -> FrictionMeasurement:
-        """Return the measurement after its push.
+        """Return the measurement after its current push.
 
         Parameters
         ----------
@@ -633,7 +633,8 @@ class FrictionMeasurement:
 
 
 def rig_mu(rig: Rig, result: FrictionResult) -> float:
-    """Return the mu for the rig file: the mean over parts of types without a separate mu there.
+    """Return the mu for the rig file: the mean over parts of types without a separate mu in that
+    file.
 
     Raises
     ------
@@ -659,7 +660,7 @@ def _visible(trial: Trial) -> float:
 
 
 def _check_slip(trial: Trial, name: str, gravity: float) -> None:
-    """Refuse a slip beyond the maximum of the push's curve: mu does not follow from it."""
+    """Refuse a slip beyond the maximum of the push's curve, because it does not determine mu."""
     longest = float(np.max(trial.curve[1]))
     if trial.lag[name] > longest + NOISE_FACTOR * trial.error:
         accel = trial.push.accel
@@ -671,7 +672,7 @@ def _check_slip(trial: Trial, name: str, gravity: float) -> None:
 
 
 def _check_slips(trial: Trial, gravity: float) -> None:
-    """Refuse slips of a distance push from which mu does not follow."""
+    """Refuse slips of a distance push that do not determine mu."""
     for name, lag in trial.lag.items():
         _check_slip(trial, name, gravity)
         if lag <= NOISE_FACTOR * trial.error:
@@ -683,7 +684,8 @@ def _check_slips(trial: Trial, gravity: float) -> None:
 
 
 def _curve(push: Push, gravity: float) -> np.ndarray:
-    """Return values of mu, rising, and the slips of a push at these [m] (2, n)."""
+    """Return values of mu in ascending order, and the slips [m] of a push at these values, (2,
+    n)."""
     grid = push.accel / gravity * np.geomspace(1 / RANGE, 1, CURVE)
     return np.stack([grid, slip(push, grid, 0.0, gravity)])
 

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from ..node import DriverNode
 
 SETTLE_S = 0.4
-"""Delay from the end of a push to the stamps of images that count [s]: stamps may be that late."""
+"""Minimum delay from the end of a push to the stamp of an image that counts [s]. Stamps may be late
+by this time."""
 
 LATE_S = 5.0
 """Maximum delay of a push [s], if starts of cycles are reported."""
@@ -154,7 +155,7 @@ class FrictionServer:
                 self._driver.get_logger().warning(f"parts: {error}", throttle_duration_sec=2.0)
 
     def _on_start(self, msg: JointTrajectory) -> None:
-        """Note when a push has begun, to know when it ends."""
+        """Record the start of a push. It determines when the push ends."""
         self._starts_received = True
         push = self._plays
         if push is None or self._after_ns is not None:

@@ -23,7 +23,7 @@ from plate_core import PlateCycle, Rig
 from plate_core.motion import usage
 
 BRAKE = 0.4
-"""Ratio of braking to acceleration, k. With it the closed form holds up to 2.5 times the
+"""Ratio of braking to acceleration, k. With this ratio, the closed form holds up to 2.5 times the
 acceleration of the first slip."""
 
 RAMP = 0.12
@@ -36,7 +36,7 @@ LIMITS_USED = 0.9
 """Maximum fraction of all limits that a push uses."""
 
 MAX_LENGTH_M = 0.016
-"""Maximum length of a push [m]: parts then move by some millimetres."""
+"""Maximum length of a push [m]. It moves parts by some millimetres."""
 
 QUINTIC_PEAK = 10 / np.sqrt(3)
 """Peak acceleration of the quintic from rest to rest, times T^2 over its length."""

@@ -22,7 +22,8 @@ CLOSE_S = 0.05
 """Maximum time until the thread that waits for cycles ends after `close` [s]."""
 
 BUSY_S = 0.002
-"""Time between two looks whether the executor has processed a cycle, if too many wait [s]."""
+"""Time between two checks whether the executor has processed a cycle, if too many cycles wait
+[s]."""
 
 MAX_WAITING = 5
 """Maximum number of messages that wait for the executor, so that a flood leaves time for other

@@ -19,13 +19,14 @@ from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays,
 from .thermal import ThermalState
 
 SENT_KEPT = 4
-"""Number of sent cycles that may play. A table that arrives late is not played: the device plays
-the tail of an earlier one, and the next cycle continues that one. The solver keeps the same number.
+"""Number of sent cycles that may play. If a table arrives late, the device plays the tail of an
+earlier table instead, and the next cycle continues the earlier table. The solver keeps the same
+number.
 """
 
 EXPERIMENT_CYCLES = 9
-"""Number of plays of a calibration cycle: one more than settling and measurement need. Total
-below 10 s."""
+"""Number of plays of a calibration cycle. It is one more than settling and measurement need, and
+all plays together last less than 10 s."""
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ class MotorTable:
 
     @property
     def length(self) -> float:
-        """Duration [s] until the motors rest, if it is played once and no other table takes
+        """Duration [s] until the motors rest, if the table is played once and no other one takes
         over."""
         return sum(part.period for part in self.cycle.parts)
 
@@ -96,7 +96,7 @@ class MotorTable:
         return replace(self, cycle=self.cycle.tail, q=self.q[k:], qd=self.qd[k:], qdd=self.qdd[k:])
 
     def check_age(self, now: float) -> None:
-        """Check that it is not too old to be sent at `now` [s, steady clock].
+        """Check that the table is not too old to be sent at `now` [s, steady clock].
 
         Raises
         ------
@@ -194,7 +194,7 @@ def _continued(
     Raises
     ------
     CycleError
-        If it continues none of them, or must not begin in motion.
+        If the cycle continues none of them, or must not begin in motion.
     """
     if cycle.tail is None:
         raise CycleError(

@@ -29,16 +29,16 @@ quintic in between does not exceed the acceleration at the cycle's end."""
 class SetpointStream:
     """Stream of setpoints of successive cycles.
 
-    At the end of a cycle the stream continues with the newest cycle if that begins in this state.
-    Otherwise it continues with the tail. The decision is made when the first setpoint after the end
-    is sent.
+    At the end of a cycle, the stream continues with the newest cycle if that cycle begins in the
+    end state of the current one. Otherwise the stream continues with the tail. The decision is made
+    when the first setpoint after the end is sent.
 
     Attributes
     ----------
     playing : MotorTable
         Cycle or tail that is currently sent.
     knots : tuple of Knot
-        Its setpoints from 0 to its period, both ends included.
+        Setpoints of `playing` from 0 to its period, both ends included.
     newest : MotorTable
         Table to play next.
     left : int

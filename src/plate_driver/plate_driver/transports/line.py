@@ -28,11 +28,11 @@ FRAME_BYTES = 6
 """Overhead of a frame [bytes]: CRC, one byte of COBS, and the end byte."""
 
 ANSWER_S = 0.03
-"""Maximum response time of the device, in addition to the round trip [s]. It checks a whole
-table."""
+"""Maximum response time of the device, in addition to the round trip [s]. In this time, the device
+checks a whole table."""
 
 UNKNOWN_S = 0.25
-"""Assumed round trip until one is measured [s]."""
+"""Assumed round trip until the first one is measured [s]."""
 
 MAX_ROUND_S = 0.5
 """Upper limit of the round-trip estimate [s]. A stall of the host can make measured values
@@ -41,8 +41,8 @@ larger."""
 HEARTBEAT_S, QUICK_HEARTBEAT_S = 0.025, 0.01
 """Heartbeat interval on a good line and on a lossy line [s]. The device's watchdog (0.25 s)
 requires that one of 10 (good line) or 25 (lossy line) heartbeats arrives. If 5 % of the bytes are
-lost, 40 % of the heartbeats arrive complete: then 10 in a row are lost every 13 s, 25 in a row once
-in hours."""
+lost, 40 % of the heartbeats arrive complete. In this case, 10 in a row are lost every 13 s, and 25
+in a row once in hours."""
 
 HEARTBEAT_SHARE = 0.2
 """Maximum fraction of the line's capacity for quick heartbeats."""
@@ -51,14 +51,14 @@ LOSSY = 0.9
 """If a smaller fraction of heartbeats is answered, the line counts as lossy."""
 
 MEMORY = 1 / 32
-"""Weight of the newest heartbeat in the exponential average of that fraction."""
+"""Weight of the newest heartbeat in the exponential average of the answered fraction."""
 
 ROUNDING_S = 1e-6
 """Tolerance for a negative round trip [s]. Within it, the round trip counts as 0."""
 
 MAX_FRAME_S = 0.02
-"""Maximum transmission time of a message of knots [s]. A stop and heartbeats wait until it is
-sent."""
+"""Maximum transmission time of a message of knots [s]. A stop and heartbeats wait until the message
+is sent."""
 
 UNANSWERED = 0.05
 """Maximum probability that all copies of a command are lost. A lost command costs a round trip."""
@@ -211,7 +211,8 @@ class LineModel:
         return replace(self, free_at=max(now, self.free_at) + size * self.byte_s)
 
     def beaten(self, host_ns: int, now: float) -> LineModel:
-        """Return the line after a heartbeat at `now` [s]. Overdue heartbeats count as lost."""
+        """Return the line model after a heartbeat was sent at `now` [s]. Heartbeats without a pulse
+        in time count as lost."""
         late = sum(1 for _, until in self.beats if until <= now)
         kept = tuple(beat for beat in self.beats if beat[1] > now)
         until = max(now, self.free_at) + self.retry_s
@@ -219,7 +220,7 @@ class LineModel:
         return replace(self, answered=lost, beats=(*kept, (host_ns, until)))
 
     def heard(self, pulse: Pulse, now: float) -> LineModel:
-        """Return the line after a pulse that arrived at `now` [s]."""
+        """Return the line model after a pulse arrived at `now` [s] in reply to a heartbeat."""
         trip = now - pulse.host_ns * 1e-9
         if trip < -ROUNDING_S:
             return self

@@ -54,8 +54,8 @@ LATER_GREETING_S = 0.1
 """Interval between later Hellos [s]."""
 
 GIVE_UP_S = 5.0
-"""Maximum time without an answer to a command, in addition to twenty round trips [s]. For knots
-there is no maximum while the device sends messages: they only arrive late."""
+"""Maximum time without an answer to a command, in addition to twenty round trips [s]. While the
+device sends messages, there is no maximum for knots, because they only arrive late."""
 
 QUEUE_S = 0.008
 """Maximum transmission time of bytes already on the line when more are sent [s]. The next poll
@@ -138,7 +138,7 @@ class Link:
     telemetry : Telemetry or None
         Last telemetry.
     telemetry_at : float
-        Its arrival time [s].
+        Arrival time of `telemetry` [s].
     fresh_telemetry : Telemetry or None
         The same, but None from each command that changes the reported state until the next
         telemetry.
@@ -149,7 +149,7 @@ class Link:
     flight : tuple of (float, int)
         Knots in transit to the device: their arrival times [s] and lengths [bytes].
     failed : Report or None
-        Report of a link that has failed. None while it works.
+        Report of a link that has failed. None while the link works.
     refusal : str
         Text of a refusal by the device since the last `without_refusal`.
     retries : int
@@ -212,8 +212,8 @@ class Link:
         """Return the link that sends a table, to be played `repeats` times unless another one
         arrives.
 
-        The table has a tail from `splice_ticks` [TICK_S] on; 0 means no tail. If it continues the
-        table with the number `follows` in motion, it is held back until that table plays.
+        The table has a tail from `splice_ticks` [TICK_S] on; 0 means no tail. If the table
+        continues the table `follows` in motion, it is held back until `follows` plays.
 
         A running upload is finished first. Otherwise a planner with a high rate would interrupt
         every upload. If several tables wait, only the newest is kept.

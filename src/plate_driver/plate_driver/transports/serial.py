@@ -611,8 +611,8 @@ class SerialTransport:
         return self._streamed.time - (now - self._link.clock.offset_s - self._stream_began)
 
     def _feed_stream(self, now: float) -> None:
-        """Send setpoints so that the stream stays `LEAD_S` ahead of the device, or start the
-        next."""
+        """Send setpoints so that the stream stays `LEAD_S` ahead of the device, or start the next
+        stream."""
         stream, telemetry = self._streamed, self._link.fresh_telemetry
         if telemetry is None:
             return

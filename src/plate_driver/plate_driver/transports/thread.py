@@ -78,7 +78,7 @@ class Latch:
 
     @property
     def reason(self) -> DriverReason:
-        """Reason why it is closed. NONE if it is open."""
+        """Reason why the latch is closed. NONE if it is open."""
         return self._reason
 
     @property
@@ -93,14 +93,14 @@ class Latch:
 
     @property
     def unanswered(self) -> bool:
-        """Whether the last stop was not acknowledged in time and is still not."""
+        """Whether the last stop was not acknowledged in time, and is still not acknowledged."""
         late = self.late
         return late is not None and not late.done
 
     def close(
         self, reason: DriverReason, over: tuple[DriverReason, ...] = (DriverReason.NONE,)
     ) -> None:
-        """Count a stop. Its reason replaces the current one if that is in `over` or `over` is
+        """Count a stop. The current reason is replaced if it is in `over`, or if `over` is
         empty."""
         with self._lock:
             self._number += 1
@@ -116,7 +116,8 @@ class Latch:
         self._enabling.remove(number)
 
     def open(self, number: int) -> bool:
-        """Open it, unless there was a stop since the stop `number`. Return whether it is open."""
+        """Open the latch, unless there was a stop after the stop `number`. Return whether it is
+        open."""
         with self._lock:
             if number != self._number:
                 return False
@@ -169,7 +170,7 @@ class TransportThread:
 
     @property
     def motors(self) -> bool:
-        """See `Transport`, like the other three."""
+        """See `Transport`. The next three properties are defined there too."""
         return self._transport.motors
 
     @property

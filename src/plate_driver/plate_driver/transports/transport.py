@@ -113,23 +113,24 @@ class Order:
 
     @property
     def settled(self) -> bool:
-        """Whether it is done or has failed."""
+        """Whether the order is done or has failed."""
         return self._settled.is_set()
 
     @property
     def done(self) -> bool:
-        """Whether the motor controller has confirmed it."""
+        """Whether the motor controller has confirmed the order."""
         return self.settled and not self.failure
 
     def settle(self, failure: str = "") -> Order:
-        """Mark it as done, or as failed if `failure` is not empty. Only the first call counts."""
+        """Mark the order as done, or as failed if `failure` is not empty. Only the first call
+        counts."""
         if not self.settled:
             self.failure = failure
             self._settled.set()
         return self
 
     def wait(self, longest_s: float | None = None) -> bool:
-        """Wait until it is settled, and return whether it is done.
+        """Wait until the order is settled, and return whether it is done.
 
         The wait takes at most `longest_s` [s]. None means the value from the constructor.
         """
@@ -163,7 +164,7 @@ class Transport(Protocol):
     def hold_s(self) -> float: ...
 
     def open(self) -> None:
-        """Prepare it for calls of the other methods. This moves nothing.
+        """Prepare the transport for calls of the other methods. This moves nothing.
 
         A PlateError ends the configuration of the driver. Anything that may become available later,
         such as a port, is not an error: `poll` waits for it, and until then the report is GONE and
@@ -187,7 +188,7 @@ class Transport(Protocol):
         Raises
         ------
         CycleError
-            If the motors accept no table now, or not this one. The message gives the reason.
+            If the motors accept no table now, or refuse this one. The message gives the reason.
         """
 
     def stop(self, cut: bool = False) -> Order:
@@ -199,15 +200,16 @@ class Transport(Protocol):
         """
 
     def enable(self) -> Order:
-        """Switch on the motors' current once, on a person's request. Done when the motors are
-        ready.
+        """Switch on the motors' current once, on a person's request. The order is done when the
+        motors are ready.
 
         A later stop has priority, and so has a stop that this enable does not refer to. Nothing
         else may switch on the current: not `open`, `send`, or a controller that restarts.
         """
 
     def home(self) -> Order:
-        """Make the motors search for home at the next enable. Allowed only while they are off."""
+        """Make the motors search for home at the next enable. This is allowed only while they are
+        off."""
 
     def troubles(self) -> list[str]:
         """Return the problems since the last call, one line each."""
@@ -245,7 +247,7 @@ class TransportContext:
 
 @cache
 def installed() -> dict[str, EntryPoint]:
-    """Return the installed transports by name. It looks for them once: that takes 0.05 s."""
+    """Return the installed transports by name. The search is done once, because it takes 0.05 s."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 

@@ -91,8 +91,8 @@ class CycleLog:
     awaited : Sent or None
         The last cycle sent that moves the plate, until it is known to have begun.
     begun, unanswered : int
-        Number of reported cycles, and number of those that moved the plate without a new answer:
-        the previous cycle repeated, or its tail.
+        Number of reported cycles, and number of those that moved the plate without a new answer, as
+        a repeated cycle or a tail.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -223,7 +223,7 @@ class CycleLog:
         return bool(self.runs) and begin < self.begin - MEMORY_S
 
     def _is_reported(self, cycle: PlateCycle, begin: float) -> bool:
-        """Whether it was reported before that this cycle began at `begin` [s]."""
+        """Whether the start of this cycle at `begin` [s] was reported before."""
         return begin <= self.last_report and any(
             begin == start and _same(cycle, run) for start, run in self.runs
         )
@@ -234,7 +234,8 @@ class CycleLog:
         return tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
 
     def _answer_in(self, cycle: PlateCycle) -> int | None:
-        """Return the index in `sent` of the cycle that has begun; None: it was not sent."""
+        """Return the index in `sent` of the cycle that has begun. None if this cycle was not
+        sent."""
         return next((k for k, one in enumerate(self.sent) if _same(one.cycle, cycle)), None)
 
     def _delays_with(
@@ -252,8 +253,8 @@ class CycleLog:
         return (*self.delays, late)[-DELAYS_KEPT:]
 
     def _goes_on(self, cycle: PlateCycle, before: tuple[tuple[float, PlateCycle], ...]) -> bool:
-        """Whether a cycle moves the plate only because no answer arrived in time: it is the last
-        run again, or its tail, and rest was not the last answer."""
+        """Whether a cycle moves the plate only because no answer arrived in time. Then the cycle
+        repeats the last run or is its tail, and the last answer was not rest."""
         if not (before and cycle.moves) or (self.sent and not self.sent[-1].cycle.moves):
             return False
         return any(_same(cycle, part) for part in before[-1][1].parts)

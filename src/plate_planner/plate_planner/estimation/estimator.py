@@ -287,7 +287,7 @@ class Estimator:
         default_period : float
             Assumed length of a cycle until it is known [s].
         latency : float or None
-            Age of an image at its stamp [s]; None: estimate it.
+            Age of an image at its stamp [s]. None to estimate this age.
         """
         clock = CycleClock.starting(default_period)
         hypotheses = LatencyHypotheses.of(latency)

@@ -46,7 +46,7 @@ class GoalServers:
     def finish(self, goal: Any, status: TaskStatus) -> None:
         """Send the result to the client of a goal.
 
-        The goal is executed only now: rclpy would poll a coroutine that waits for the task.
+        The goal is executed only now, because rclpy would poll a coroutine that waits for the task.
         """
         self._results[bytes(goal.goal_id.uuid)] = status
         goal.execute()

@@ -30,8 +30,8 @@ LISTED = 3
 
 
 def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
-    """Whether a part belongs to no class of the task, whose classes are `labels`, nor to any other
-    class that vision knows."""
+    """Whether a part belongs neither to the task's classes `labels` nor to any other class that
+    vision knows."""
     label = part_class(part_id)
     return label in NAMELESS and label not in labels
 

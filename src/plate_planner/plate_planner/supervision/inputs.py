@@ -34,7 +34,7 @@ LOOP = ("detector", "solver", "driver", "device", "simulator")
 planned."""
 
 FEEDER_S = 1.5
-"""Timeout of a feeder's orders, which it repeats every 0.5 s [s]. After that, the plate must
+"""Timeout of a feeder's orders [s]. The feeder repeats them every 0.5 s. After that, the plate must
 rest."""
 
 FRESH_S, LIFE_S = 0.5, 0.8
@@ -81,7 +81,7 @@ class Inputs:
     starts : Input or None
         Reported cycle starts; None if reports are not required.
     orders : Input or None
-        Orders of a feeder, which repeats them; None until the first.
+        Orders of a feeder. The feeder repeats them. None until the first one.
     """
 
     parts: Input

@@ -234,7 +234,7 @@ def begin(
 
 
 STOP = Failure(Reason.STOPPED, "stopped")
-"""Stop requested by the service."""
+"""Failure that represents a stop requested by the service."""
 
 
 def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState:

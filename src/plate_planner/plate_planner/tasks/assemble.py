@@ -47,7 +47,8 @@ class Assembler(TaskRules):
         )
 
     def distance(self, parts: Parts) -> np.ndarray:
-        """Return the distance of each part (M,) from its place [m]; NaN for a part without one."""
+        """Return the distance of each part (M,) from its place [m]; NaN for a part without a
+        place."""
         aim, placed = self._aim(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
@@ -59,8 +60,8 @@ class Assembler(TaskRules):
         return Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Return each part's place (M, 2) [m], and whether it has one (M,). Without one the place
-        is its position."""
+        """Return each part's place (M, 2) [m], and whether it has one (M,). Without a place, the
+        part's position is returned."""
         place = np.array(self.task.place)
         row = assign(self.task.labels, place, parts)
         placed = row >= 0

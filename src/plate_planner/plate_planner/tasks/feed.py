@@ -6,10 +6,10 @@ stay ready, the parts nearest to being ready move to their windows and angles, a
 move over the edge to the chute. All parts keep the gripper's clearance, so heaps dissolve. When
 enough parts are ready, the plate rests and the robot may pick.
 
-The targets of wanted parts do not depend on whether unwanted parts leave. Of the unwanted parts
-only the one nearest to the chute has the same weight. Wanted parts are kept from the chute only by
-the wall that keeps parts from all edges. A stronger restraint would also stop the crowd around
-them, and no part would leave.
+The targets of wanted parts do not depend on whether unwanted parts leave. Among the unwanted parts,
+only the part nearest to the chute has the same weight as wanted parts. Wanted parts are kept from
+the chute only by the wall that keeps parts from all edges. A stronger restraint would also stop the
+crowd around them, and no part would leave.
 """
 
 from __future__ import annotations
@@ -264,8 +264,8 @@ class Feeder(TaskRules):
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
     def _left_over(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
-        """Return the side over which a part with the last position (2,) [m] left; None if it did
-        not leave."""
+        """Return the side over which a part with the last position (2,) [m] left. None if the part
+        did not leave."""
         reach = self.rig.part_type(part_class(name)).reach_m
         away = self.rig.plate.half - np.abs(place)
         axis = int(np.argmin(away))
@@ -432,8 +432,8 @@ class Aims:
 
 
 def _is_among(parts: Parts, name: str, place: tuple[float, float]) -> bool:
-    """Whether one of the parts has the class of `name` and is at its place (x, y): the same part
-    with a new id."""
+    """Whether one of the parts has the class of `name` and is at the place (x, y). It is then the
+    same part with a new id."""
     same = [part_class(each) == part_class(name) for each in parts.ids]
     away = np.hypot(*(parts.position - place).T)
     return bool(np.any(away[np.array(same, dtype=bool)] <= RENAMED_M))

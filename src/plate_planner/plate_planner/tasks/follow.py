@@ -69,8 +69,8 @@ SLOW_FROM, SLOW_TO = 0.15, 0.5
 """Errors at which the references begin to slow down, and at which they stop [max_error_m]."""
 
 LEAD_TO_M = 1e-3
-"""Minimum tolerance of the parts at the starts of their paths [m]. The error `SLOW_FROM` is used if
-it is larger, because the references can then start at full speed."""
+"""Minimum tolerance of the parts at the starts of their paths [m]. If the error `SLOW_FROM` is
+larger, it is used instead, because the references can then start at full speed."""
 
 KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.01)
 """Speeds that one, two, ... six or more parts reached on circles [m/s]: docs/results.md, (f), and
@@ -312,7 +312,7 @@ class Follower(TaskRules):
 
     @property
     def _bound(self) -> float:
-        """Upper bound a T/16 of the mean speed of a part for any motion of the plate [m/s]."""
+        """Maximum mean speed of a part [m/s]. No motion of the plate exceeds this bound, a T/16."""
         return self.rig.gamma * self.rig.friction.accel * PERIOD_S / 16
 
     def begin(self, parts: Parts, start: float) -> FollowMemory:

@@ -2,7 +2,8 @@
 
 As in `pose`, each cycle minimises the sum of squared weighted distances to the targets. A part
 without a target should stay at its home: its position at the start of the task or at its first
-detection. If all other distances are short, its weight is relatively small, so that it makes room.
+detection. If all other distances are short, the weight of such a part is relatively small, so that
+the part makes room.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ BAND = 0.3
 """Half width of the target intervals of position and angle [tolerance]."""
 
 HOME, MAX_HOME_WEIGHT, HOME_BAND_M = 2.0, 0.2, 5e-3
-"""Weight of a part without a target relative to parts with one, and its maximum [-]. So the part is
-not swept along while distances are long, and makes room when they are short. The third value is the
-deviation from its home that has no error [m]."""
+"""Weight of a part without a target relative to parts with one, and its maximum [-]. With these
+weights, the part stays in place while distances are long, and makes room when they are short. The
+third value is the deviation from its home that has no error [m]."""
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,8 @@ struct Pixels {
     }
 };
 
-// Middle of the k-th of `copies` equal intervals of a path with `last` equal pieces: the piece that
-// contains it, and its relative position in this piece, 0 to 1.
+// A path has `last` equal pieces and is divided into `copies` equal intervals. `Along` is the
+// middle of interval k: the piece with this point, and the point's position in the piece, 0 to 1.
 struct Along {
     int piece;
     double part;

@@ -113,7 +113,7 @@ inline Overlap deepest_overlap(const State& state, Bodies bodies, Outlines& outl
     return worst;
 }
 
-// All contacts of parts in steps of equal length.
+// Resolves all contacts of parts. All steps have equal length.
 struct Contacts {
     State state;
     Bodies bodies;

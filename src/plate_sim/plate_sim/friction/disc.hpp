@@ -28,7 +28,8 @@ namespace plate::disc {
 constexpr double SNAP = 1e-3;
 // Tolerance of the slip's component across the normal, relative to the velocity step.
 constexpr double CLOSE = 1e-9;
-// If two numbers differ by less than this fraction, their means are equal up to rounding.
+// If two numbers differ by less than this fraction, their arithmetic and geometric means are equal
+// up to rounding.
 constexpr double MEANS = 2e-8;
 // Maximum k^2 for the series. Its omitted terms are below 2e-10 mu m g.
 constexpr double SERIES = 0.25;

@@ -26,8 +26,8 @@ struct Stages {
 
 namespace plate {
 
-// Set the entries of part i in its group, except its state and mark. Return whether it may glide.
-// step [s].
+// Set the entries of part i in its group, except the part's state and mark. Return whether `glide`
+// can advance the part. step [s].
 inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
     constexpr double none = std::numeric_limits<double>::infinity();
     const double dv = body.mu_g * step, least = stepping::DISC_STIFF / stepping::GENTLE * dv;

@@ -138,13 +138,14 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
     }
     const double radius = std::sqrt(square(z)) + 1e-300;
     const bool done = last < 1e-8 * off * off || last < 1e-22;
-    // bend / slope is the sum of 1 / (z - other zero). It is large if another zero is close.
+    // bend / slope is the sum of 1 / (z - other zero). If another zero is close, this sum is large.
     const bool lonely = square(bend) * close * close < square(slope);
     return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
 }
 
-// A harmonic of the slip about time a: its even and odd parts (x, y), cos j a and sin j a, and the
-// sums of the derivatives (xx, xy, yy) with respect to the even and to the odd part.
+// Harmonic j of the slip, as a function of the time since a: the even part (x, y), the odd part
+// (x, y), cos j a and sin j a. `by_even` and `by_odd` sum up the derivatives (xx, xy, yy) with
+// respect to the two parts.
 struct Turned {
     double even[2], odd[2], cosine, sine, by_even[3], by_odd[3];
 };

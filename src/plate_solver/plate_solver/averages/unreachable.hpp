@@ -114,9 +114,10 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
 // Returns T (see unreachable.py) of values (C,) around a great circle. C is a multiple of
 // SIDE_BY_SIDE.
 //
-// The value of the opposite point replaces the negative value of the middle one, so that upper
-// bounds remain upper bounds. The angle between the outer two points may be up to half a turn plus
-// one step, to cover points between those given.
+// T contains the negative value of the middle point. Here it is replaced by the value of the point
+// opposite the middle one, so that upper bounds give an upper bound. The angle between the outer
+// two points may be up to half a turn plus one step, so that the result also covers points between
+// the given ones.
 PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
     // Values on the circle, repeated by `reach` points on both sides.
@@ -220,8 +221,8 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             const double tilt = (low + high) / 2, turn = (left + right) / 2;
             work += static_cast<double>(n) * n;
             circle.turn_to(tilt, turn);
-            // Maximum distance of a normal in the cell from its middle, plus half a step on the
-            // circle.
+            // Maximum angle between a normal in the cell and the normal in the cell's middle, plus
+            // half a step on the circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());

@@ -22,8 +22,8 @@ from .. import _kernels
 class Ends(NamedTuple):
     """Requested coordinates of M parts at the end of a cycle.
 
-    The order is x of all parts, y of all parts and, if angles count, the angles of all parts: C = 2
-    M or 3 M coordinates.
+    The coordinates are x of all parts, then y of all parts. If angles count, the angles of all
+    parts follow. So C is 2 M or 3 M.
 
     Attributes
     ----------

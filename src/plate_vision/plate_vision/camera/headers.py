@@ -1,8 +1,9 @@
-"""Headers of picture files: size and orientation, read before the pixels are unpacked.
+"""Size and orientation of a picture file. They are read from its header, before the pixels are
+unpacked.
 
-A file of 389 kB can unpack to 20000 x 20000 pixels, so its size is checked first. OpenCV rotates
+A file of 389 kB can unpack to 20000 x 20000 pixels, so the size is checked first. OpenCV rotates
 pictures by their orientation; ROS never does. This project keeps the pixels as the sensor stores
-them, because `camera_info` and `corners_px` refer to these places.
+them, because `camera_info` and `corners_px` refer to the unrotated picture.
 """
 
 from __future__ import annotations

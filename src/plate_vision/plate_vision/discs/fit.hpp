@@ -22,8 +22,9 @@ namespace plate {
 // deviation).
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
-// Maximum half width of the edge, as a fraction of the radius, if that is more than EDGE_PX[2].
-// Reach of a window beyond the contour, as a fraction of the radius, if that is more than RIM_PX.
+// EDGE_SHARE: maximum half width of the edge, as a fraction of the radius. EDGE_PX[2] applies if it
+// is larger. RIM_SHARE: reach of a window beyond the contour, as a fraction of the radius. RIM_PX
+// applies if it is larger.
 constexpr double EDGE_SHARE = 0.6, RIM_SHARE = 0.3;
 
 inline double rim_of(const Silhouette& part) {
@@ -39,8 +40,8 @@ constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
 
-// Added to the diagonal of the normal equations, absolute and relative: keeps them solvable if
-// hardly anything of a disc is visible.
+// Absolute and relative values that are added to the diagonal of the normal equations. With them,
+// the equations are solvable even if hardly anything of a disc is visible.
 constexpr double FIT_DAMPING = 1e-3;
 
 // A pixel inside the contour has no weight if its darkness differs from the part's by more than
@@ -140,9 +141,9 @@ inline void DiscWindow::to_darkness(const float* light) {
     levels_to_darkness(x(), y(), light, size, dark());
 }
 
-// Numbers of a pixel whose products the fit sums up: the derivatives of the disc's darkness with
-// respect to its unknowns; the error; its square, if the pixel is at the contour; whether the pixel
-// is near the contour; and its visible fraction.
+// Numbers of a pixel. The fit sums up their products. First come the derivatives of the disc's
+// darkness with respect to the unknowns. Then come the error, the squared error if the pixel is at
+// the contour, whether the pixel is near the contour, and the visible fraction of the pixel.
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
 // These numbers for all pixels of a window, padded with zeros to a multiple of eight.

@@ -28,7 +28,8 @@ constexpr double CORE = 0.6;
 // levels. Otherwise the empty border of the window would increase the centre's error by half.
 constexpr double MIN_DARKENING = 0.04;
 
-// Darkness below which a fitted disc is a shadow, not a part. It also bounds the division by it.
+// Minimum darkness of a part; a fitted disc with less is a shadow. Divisors are at least this
+// value.
 constexpr double MIN_DARKNESS = 0.05;
 
 // A measured disc: see `DISC` of measure.py.

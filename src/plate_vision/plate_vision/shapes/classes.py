@@ -73,7 +73,7 @@ UNLIKE = 0.4
 0.07 from their own type, 0.14 if blurred by 1.5 px, and 0.1 (nut, washer) to 1.3 from others."""
 
 SLACK_PX = 0.5
-"""Error of the swelling of an outline that is estimated from the difference of two areas [px]."""
+"""Error of the growth of an outline that is estimated from the difference of two areas [px]."""
 
 OTHER_FACE = 1.0
 """Reduction of the squared distance by the mirror image, in variances of an outline, above which a
@@ -94,18 +94,18 @@ OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
 distance in a sharp image without motion blur, height or uneven light [px]."""
 
 SWELL_ERROR, USUAL_SWELL_PX = 0.5, 0.2
-"""Ratio of the position error to the swelling of an outline, and typical swelling [px]. A one-sided
-cause, such as an unknown height, displaces a part by more than the swelling."""
+"""Ratio of the position error to the growth of an outline, and typical growth [px]. A one-sided
+cause, such as an unknown height, displaces a part by more than the growth."""
 
 HEIGHT_ERROR_PX = 0.1
 """Standard deviation of a position on the plate along each axis after the correction for height
 [px]: side faces differ in shade from the top."""
 
 FEWEST_NAMED = 3
-"""Minimum number of parts with a type for a measurement of shadow length and swelling."""
+"""Minimum number of parts with a type for a measurement of shadow length and growth."""
 
 MIN_SWELL_PX, MAX_SWELL_PX = 0.3, 1.5
-"""Range of the median swelling of outlines that is corrected [px]."""
+"""Range of the median growth of outlines that is corrected [px]."""
 
 SIGHTING = np.dtype(
     [
@@ -128,8 +128,8 @@ SIGHTING = np.dtype(
 )
 """One part: centre and radius of the disc of the same area [px]; type, `UNKNOWN` or `GROUP`;
 confidence, 0 to 1; centre [m] and angle [rad] in plate_home; standard deviation of the angle [rad];
-whether it is completely in the image; RMS distance of its outline from the swollen outline of its
-type [px]; swelling of its outline [px]; distance of the colours; standard deviation of the position
+whether it is completely in the image; RMS distance of its outline from the grown outline of its
+type [px]; growth of its outline [px]; distance of the colours; standard deviation of the position
 along each axis [m]; whether its type is unknown because the image is blurred."""
 
 
@@ -151,7 +151,7 @@ class Conditions:
     swell_px : float
         Distance by which outlines are larger than the parts [px], by blur, soft shadows, light.
     settled : bool
-        Whether lamp and swelling were measured with parts of known types.
+        Whether lamp and growth were measured with parts of known types.
     """
 
     lamp: Lamp | None = None
@@ -195,11 +195,10 @@ def recognise_under(
     calibration: Calibration,
     conditions: Conditions,
 ) -> tuple[np.ndarray, Conditions]:
-    """Do the same as `recognise`, and also return the conditions measured with the recognised
-    parts.
+    """Recognise parts as `recognise` does. Also return the conditions measured with these parts.
 
-    If most parts with a type are swollen, or their shadows have another length than was measured
-    without types, all patches are compared again.
+    All patches are compared again in two cases: if most outlines of parts with a type are larger
+    than their types, or if the shadows differ in length from the measurement without types.
     """
     outlines, colours = measure_patches(image, patches, calibration)
     found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
@@ -394,7 +393,7 @@ def _judge_one(
 ) -> None:
     """Fill in a sighting () SIGHTING. Given for each type (T,): the outline for its height; its
     minimum score; variances of outline and size [px2]; distance of its colour. `swell` is the
-    swelling of all outlines [px]."""
+    growth of all outlines [px]."""
     best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
     laid, points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(least).tolist():
@@ -448,8 +447,9 @@ def _judge_one(
 def _ways_to_lay(
     template: Template, outline: Outline, hole_check: HoleCheck | None
 ) -> list[tuple[Template, Outline, float | None]]:
-    """Return the combinations of a type and an outline to fit: template, outline, and the penalty
-    of holes in standard deviations, None if it depends on the image in them."""
+    """Return the combinations of a type and an outline to fit. Each has a template, an outline and
+    the penalty of the holes in standard deviations. The penalty is None if it depends on the image
+    in the holes."""
     own, seen = bool(template.part.holes), len(outline.ends) > 1
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
@@ -492,7 +492,7 @@ def _measured(
     """Return the lamp with the length of the shadows, from the sizes of the parts `named` (m,)
     among sightings (n,) SIGHTING, and from the outlines of the parts with their shadows.
 
-    Blur swells outlines on all sides. It is measured across the shadows.
+    Blur enlarges outlines on all sides. This growth is measured across the shadows.
     """
     numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
     centre = np.column_stack([found["x"], found["y"]])[named]

@@ -362,7 +362,7 @@ struct PoseFit {
 // Fit a polygon, edges (e, 5), to points (n, 2) by Gauss-Newton steps: see `fit_pose` of
 // outlines.py.
 //
-// The error of a point is its signed distance from the polygon minus the swelling. Its weight is
+// The error of a point is its signed distance from the polygon minus the growth. Its weight is
 // min(1, unit / |error|) (Huber).
 inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> points,
                         const double* pose, double unit, bool turns, int steps, double hopeless,

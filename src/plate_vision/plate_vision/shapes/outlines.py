@@ -154,7 +154,7 @@ def fit_pose(
     steps: int,
     gate: float = np.inf,
 ) -> np.ndarray:
-    """Fit a polygon to points by Gauss-Newton steps, with a swelling of its outline.
+    """Fit a polygon to points by Gauss-Newton steps. Its outline may grow or shrink evenly.
 
     Parameters
     ----------
@@ -167,17 +167,18 @@ def fit_pose(
     unit : float
         Distance above which a point has less weight [m]: about one or two pixels.
     turns : bool
-        Whether the angle is fitted. It is not for a disc.
+        Whether the angle is fitted. False for a disc.
     steps : int
         Maximum number of Gauss-Newton steps.
     gate : float
-        Distance above which points are ignored [m]. If finite, no swelling is fitted.
+        Distance above which points are ignored [m]. If it is finite, the outline does not grow or
+        shrink.
 
     Returns
     -------
     (5,)
-        x, y [m], angle [rad]; swelling, the mean distance of the points outside the polygon [m];
-        root mean square residual [m].
+        x, y [m], angle [rad]; growth of the outline, which is the mean signed distance of the
+        points outside the polygon [m]; root mean square residual [m].
     """
     fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, turns, steps, np.inf, gate)
     return fit

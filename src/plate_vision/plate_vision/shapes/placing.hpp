@@ -95,8 +95,9 @@ inline void find_offsets(View<const double, 2> points, View<const double, 2> to_
     }
 }
 
-// For places along a row of a field, which begins at `row`, add the field's values at all points of
-// a part there to `total` (count,). Numbers behind it are also changed, up to a multiple of PLACES.
+// Add values of a field to `total` (count,), for places along the row of the field that begins at
+// `row`. For each place, the values at all points of a part at this place are added. Numbers behind
+// `total` are also changed, up to a multiple of PLACES.
 PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offsets,
                                 int16_t* __restrict total, int count) {
     for (int first = 0; first < count; first += PLACES) {

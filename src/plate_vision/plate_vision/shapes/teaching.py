@@ -297,8 +297,9 @@ def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
 
 
 def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
-    """Return the differences between two types: RMS distance of their outlines after one is swollen
-    [px at `scale` px/m]; the swelling [px]; distance of their colours in Lab, 0 if unknown."""
+    """Return the differences between two types. The first is the RMS distance of the outlines after
+    one of them has grown evenly [px at `scale` px/m]. The second is this growth [px], and the third
+    the distance of the colours in Lab, 0 if unknown."""
     one, other = make_template(a), make_template(b)
     fit = lay_on(one, other.outline, scale)
     gap = 0.0
