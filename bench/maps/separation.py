@@ -73,11 +73,11 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="separation",
-    title="Parts too near: distance of two parts and number of centres, Method A",
+    title="Two parts close together: their distance and the number of centres, Method A",
     x_label="centres of rotation",
     y_label="distance of the two parts [mm]",
     z_label="guaranteed force [mu mg]",
-    line_label=f"theory: distance = 4 · {LEVEL:g} · spacing of the centres",
+    line_label=f"distance = 4 · {LEVEL:g} · spacing of the centres (theory)",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 0.4),

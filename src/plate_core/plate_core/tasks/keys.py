@@ -87,8 +87,8 @@ GROUP = Section(
     (
         Key(
             "class", Text("black, grey, or a type of the rig's `types`"), "`black` and `grey` "
-            "are round, as `parts` in the rig file defines, and differ in brightness. A rig with "
-            "`types` has only these.",
+            "are round, as `parts` in the rig file defines, and differ in brightness. If the rig "
+            "has `types`, only its types are allowed.",
         ),
         Key(
             "count", Whole(0, 100), "Number of parts at random places (by `seed`), with centres "
@@ -166,8 +166,9 @@ PATH = Section(
             "spline_m", PLACES, "Three or more points [x, y] of a cubic spline.", None, OR_ANOTHER,
         ),
         Key(
-            "speed_mps", Number(SLOWEST_MPS, FASTEST_MPS), "Speed along the path, or pairs "
-            "[fraction of a lap, m/s] from 0 to 1 with linear interpolation.",
+            "speed_mps", Number(SLOWEST_MPS, FASTEST_MPS), "Speed along the path. "
+            "A list of pairs [fraction of a lap, m/s] from 0 to 1 sets a profile, which is "
+            "interpolated linearly.",
         ),
         Key(
             "closed", Flag(), "Whether the last corner connects to the first.", None,
