@@ -50,7 +50,8 @@ GOOD_MISS = 0.15
 error is larger, the solver searches from further starts."""
 
 EXACT_MISS = 0.02
-"""The same fraction for force requests in which a part has zero tolerance on both axes."""
+"""Maximum acceptable error as a fraction of the requested displacement, for force requests in which
+a part has zero tolerance on both axes."""
 
 COAST_S = 0.03
 """Time by which the parts are extrapolated with their final velocities at the end of a cycle [s].
@@ -82,8 +83,8 @@ class Answer:
     message : str
         Text for the log.
     error_m, asked_m : float
-        Displacement error and requested displacement, root mean square over parts and axes [m].
-        Rotations count as arc lengths at the edge of the part. Both are 0 with targets.
+        Displacement error and requested displacement [m]. Both are root mean squares over parts and
+        axes. Rotations count as arc lengths at the edge of the part. Both are 0 with targets.
     fraction : float
         Fraction of the goal used in the search: one of `FRACTIONS`. 0 if the cycle is at rest
         because a part would leave the plate.
@@ -243,7 +244,7 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
     """Whether a part would end beyond the edge of the plate, and farther out than it started.
 
     The centre of a part must end half a radius inside the edge. Only the predicted end is checked,
-    with `Goal.coast`.
+    extrapolated by `Goal.coast`.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ constexpr double EQUAL_WEIGHT[] = {1.0};
 
 // Weights of control points at equal steps. The mean square of a piece is at most the mean of its
 // control points' squares, because the six basis functions have equal integrals. The last point of
-// a piece is the first point of the next one, so that point counts twice.
+// a piece is the first point of the next piece, so this point counts twice.
 constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
 
 // The rig's limits, or a fraction of them.

@@ -86,7 +86,7 @@ class Options(NodeOptions):
 
 @dataclass(frozen=True)
 class Sent:
-    """A published cycle: stamp of the image in its request [ns], time of publication [ns],
+    """A published cycle: stamp of the image in the request [ns], time of publication [ns], and the
     cycle."""
 
     stamp_ns: int

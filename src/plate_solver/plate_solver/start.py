@@ -52,9 +52,9 @@ class StartState:
     turn : (M,)
         Rotation since the start of the running cycle [rad].
     spin : (M,) or None
-        [rad/s]; None if no rotation is requested: parts are modelled as points.
+        [rad/s]; None if no rotation is requested, because parts are then modelled as points.
     plate : (3, 3) or None
-        State of the plate as in `PlateCycle.state`. None: at rest at home.
+        State of the plate as in `PlateCycle.state`. None if it rests at home.
     """
 
     ids: tuple[str, ...]

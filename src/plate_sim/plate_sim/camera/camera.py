@@ -34,14 +34,15 @@ NOISE = 2.0
 """Default standard deviation of a pixel's noise [grey values]."""
 
 NOISE_BANK = 1 << 20
-"""Number of precomputed noise values. Drawing 307200 new ones takes 3 ms per image."""
+"""Number of precomputed noise values. Drawing 307200 new values takes 3 ms per image."""
 
 BLUR_STEP_PX = 0.1
-"""Distance between two positions averaged over the exposure. A finer one is not visible."""
+"""Distance [px] between two positions that are averaged over the exposure. A smaller distance makes
+no visible difference."""
 
 EDGE_STEP_PX = 0.25
-"""The same for the plate's edges [px]. It is larger, a quarter of an edge's width, because these
-edges have many pixels."""
+"""Distance between two averaged positions of the plate's edges [px]. It is a quarter of an edge's
+width, and larger than `BLUR_PX` because these edges have many pixels."""
 
 BLUR_MOST = 16
 """Maximum number of positions averaged over one exposure."""
@@ -626,6 +627,6 @@ def _robot_outlines() -> Outlines:
 @lru_cache(maxsize=4)
 def _noise_bank(pixels: int) -> np.ndarray:
     """Return standard normal numbers (`NOISE_BANK` + pixels,), float32: the bank, repeated
-    cyclically. They are the same in every run."""
+    cyclically. The numbers are the same in every run."""
     bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
     return np.resize(bank, NOISE_BANK + pixels)

@@ -22,12 +22,12 @@
 
 namespace plate::contacts {
 
-// Overlap [m] that is not removed. It ends when the parts separate, and no displacement disturbs
-// their angular momentum.
+// Overlap [m] that is not removed. It ends when the parts separate. Without a displacement, their
+// angular momentum is not disturbed.
 constexpr double KEPT = 5e-6;
 
-// Maximum number of impulse iterations of a collision. With friction off the line of centres one
-// may not suffice.
+// Maximum number of impulse iterations of a collision. If friction acts off the line of centres,
+// one iteration may not suffice.
 constexpr int REBOUNDS = 20;
 
 // A closing speed below this fraction of the first one counts as 0.
@@ -39,7 +39,7 @@ constexpr double RANK = 1e-9;
 // One body per part of a state. The last one is the walls.
 using Bodies = std::span<const Body>;
 
-// Restitution and friction coefficient of contacts; whether parts touch each other at all, and
+// Restitution and friction coefficient of contacts; whether parts can collide with each other; and
 // whether there are walls.
 struct Rules {
     double restitution, friction;

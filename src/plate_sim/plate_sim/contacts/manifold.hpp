@@ -14,7 +14,7 @@ namespace plate::contacts {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// The second part's side is the reference side only if its separation is larger by this [m].
+// Minimum excess of separation [m] with which a side of the second part becomes the reference side.
 constexpr double PREFER = 1e-6;
 
 // Contact of two parts: number of points (0 to 2), unit normal from the second part to the first,

@@ -41,7 +41,7 @@ WATCHDOG_TIMER_EXPIRED, ESTOP_REQUESTED = 1 << 24, 1 << 25
 """Messages, states and errors of an ODrive."""
 
 WATCHDOG_MS, BEAT_MS = 100, 20
-"""An ODrive's watchdog_timeout, and its heartbeat_msg_rate_ms."""
+"""Values of watchdog_timeout and heartbeat_msg_rate_ms of an ODrive."""
 
 BANDWIDTH = 2 * np.pi * 150
 """Bandwidth of a drive's critically damped position loop with speed feedforward [rad/s]."""

@@ -44,7 +44,7 @@ class Segment:
     motors : (k + 1, 3, 4)
         Travel [m], speed [m/s] and acceleration [m/s2], with quintic interpolation.
     table : int
-        Number of the table that was played as a whole; 0 if none was.
+        Number of the table that was played as a whole; 0 if no whole table was played.
     """
 
     start: float
@@ -151,7 +151,8 @@ class SuspendedPlate:
         Returns
         -------
         (2, 4)
-            Travel [m] and acceleration [m/s2] measured by the motors' sensors at its end.
+            Travel [m] and acceleration [m/s2] measured by the motors' sensors at the end of the
+            tick.
         """
         wanted = (setpoint @ self._inverse.T).ravel()
         after = self._tick @ np.concatenate([self._state, self._last, wanted])

@@ -37,7 +37,7 @@ class PseudoTerminal:
         Raises
         ------
         PlateError
-            If its name cannot be used.
+            If the name cannot be used.
         """
         if self._ends is not None:
             return

@@ -1,6 +1,6 @@
 """Friction of a disc with uniform pressure on the plate, in closed form.
 
-Its centre slips at s, and its spin c adds the slip w = R abs(c) at the edge. The mean slip over the
+The centre slips at s, and the spin c adds the slip w = R abs(c) at the edge. The mean slip over the
 disc is the mean distance from a point at s/w radii to the points of a disc, which is given by
 complete elliptic integrals. Force and torque are its derivatives with respect to s and w (Farkas,
 Bartels, Unger and Wolf, PRL 90, 248302, 2003).

@@ -39,13 +39,14 @@ POINTS = 48
 """Approximate default number of quadrature points. The friction error is at most 3 % of mu m g."""
 
 MASS = 0.02
-"""Default mass [kg]. It drops out of the motion on the plate."""
+"""Default mass [kg]. The motion on the plate does not depend on the mass."""
 
 MAX_POINTS = 100_000
 """Maximum number of quadrature points."""
 
 CELL = 0.2
-"""Blur of a point relative to its cell's size. It halves the error, see `Footprint.blur`."""
+"""Blur of a point relative to its cell's size. Blur halves the friction error, see
+`Footprint.blur`."""
 
 ON_EDGE = 1e-9
 """Maximum distance of a point on a piece's edge, because of rounding [size of the piece]."""
@@ -72,8 +73,8 @@ class Footprint:
         Approximate size of the cell that each point represents [m]. If the slip at the point is s
         and the rotational slip is c, the mean slip of the cell is `sqrt(s^2 + (c blur)^2)`.
     outline : tuple of (k, 2)
-        Corners of its convex polygons [m], counter-clockwise. For a disc they are used only to draw
-        it.
+        Corners of the convex polygons [m], counter-clockwise. For a disc, they are used only for
+        drawing.
     radius : float
         Radius of a disc [m]. 0 for other shapes.
     """
@@ -111,7 +112,7 @@ class Footprint:
 
     @property
     def even(self) -> bool:
-        """Whether it is a disc with uniform pressure, whose friction needs no points."""
+        """Whether the footprint is a disc with uniform pressure, whose friction needs no points."""
         return self.radius > 0 and not len(self.points)
 
     @cached_property

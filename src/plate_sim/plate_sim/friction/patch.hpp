@@ -37,8 +37,8 @@ using Mesh = View<double, 2>;
 
 namespace plate::patch {
 
-// Tolerance of the slip after a step, relative to dv. An equal relative error of mu has this
-// effect.
+// Tolerance of the slip after a step, relative to dv. A relative error of mu of this size has the
+// same effect.
 constexpr double SLACK = 1e-6;
 // Rounding error of the duality gap, relative to the slip times dv.
 constexpr double ROUNDING = 1e-14;
@@ -54,7 +54,7 @@ constexpr double TINY = 1e-200;
 constexpr double ROUND = 1e-4;
 // Number of points whose terms are computed before they are added.
 constexpr int BLOCK = 64;
-// If there are fewer points than this, such as feet, they are added one by one.
+// If a part has fewer points than this, such as a part on feet, the points are added one by one.
 constexpr int FEW = 6;
 
 // Points of a part: the columns of `Mesh` from the first one on.

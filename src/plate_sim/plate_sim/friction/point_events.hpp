@@ -19,7 +19,7 @@ constexpr double SNAP_SHARE = 0.1;
 // Maximum velocity change by friction [m/s] while a slip vanishes that counts as zero, relative to
 // a step's allowed error per period.
 constexpr double ZERO_SHARE = 0.2;
-// A part sticks only if friction can hold it this fraction of a period later.
+// Fraction of a period. A part sticks only if friction can still hold it after this time.
 constexpr double AHEAD = 1e-8;
 // Minimum step, relative to the period. The rounding error of the time is 1e-16 of the period.
 constexpr double FLOOR = 1e-13;
@@ -172,8 +172,8 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
             h = hint = 0.5 * h;
             continue;
         }
-        // The error is of the order h^5. The factor for the next step is at most 6: an error near 0,
-        // which a straight motion has, tells nothing about longer steps.
+        // The error is of the order h^5. The factor for the next step is at most 6: the error near
+        // 0 of a straight motion contains no information about longer steps.
         const double grown =
             error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);
         const bool as_wanted = h == first && first == hint;

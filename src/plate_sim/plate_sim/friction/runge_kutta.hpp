@@ -197,7 +197,7 @@ inline Restart restart(Table table, double t, int k, double h, const Point& part
         int piece = k;
         const Vec w = slip(table, t + h, piece, {p, u});
         const double r = std::sqrt(dot(w, w));
-        // If a rotates at the rate w, the slip r lags behind it by the angle r w/|a|.
+        // If a rotates at the rate w, the slip r lags behind a by the angle r w/|a|.
         const double error = r * (std::abs(n2.x - n0.x) + std::abs(n2.y - n0.y));
         if (error > allowed) {
             h *= std::max(0.1, std::min(0.7, 0.9 * std::pow(allowed / error, 1. / 3)));

@@ -71,7 +71,7 @@ constexpr int HALVINGS = 9;
 // Minimum cosine of the angle between the slip at the start and the slips in the middle and at the
 // end. If it is smaller, the step is bisected.
 constexpr double STEADY = 0.9;
-// A slip below this fraction of mu g dt counts as 0: it is a rounding error.
+// A slip below this fraction of mu g dt counts as 0, because it is a rounding error.
 constexpr double STUCK = 1e-3;
 // If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
 constexpr double GENTLE = 0.5;
@@ -205,9 +205,9 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
                        end.vx - end.spin * qy, end.vy + end.spin * qx, end.spin};
     const Slip gain{after.vx - m.vx, after.vy - m.vy, after.spin - m.spin}, pull{fall.x, fall.y, 0};
     if (!holds(gain - pull, m.angle, static_dv, body, mesh)) return {false, after};
-    // Check also the rate at the end, where it may come loose. The parabola a s + b s^2 through 0,
-    // half at s = 1/2 and gain at s = 1 has a = 4 half - gain and b = 2 gain - 4 half. Its rate at
-    // s = 1 is a + 2 b = 3 gain - 4 half.
+    // Also check the rate at the end, where the part may come loose. The parabola a s + b s^2
+    // through 0, half at s = 1/2 and gain at s = 1 has a = 4 half - gain and b = 2 gain - 4 half.
+    // Its rate at s = 1 is a + 2 b = 3 gain - 4 half.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);
@@ -264,8 +264,8 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     return {last, after, ahead};
 }
 
-// Return a size smaller than `size`: the part before the reversal, or half of it. The unit is the
-// finest substep.
+// Return a size smaller than `size`: the part before the reversal, or half of it. Sizes are in
+// units of the finest substep.
 inline int shorter(int size, double ahead) {
     return ahead > 0 ? std::max(1, std::min(size - 1, static_cast<int>(size * ahead))) : size >> 1;
 }
@@ -292,8 +292,8 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
         motion = made.after;
         done += size;
         if (done == FINEST) return motion;
-        // After a substep that ends before a reversal, a finest one passes it, and one does the
-        // rest.
+        // After a substep that ends before a reversal, a finest substep passes the reversal, and
+        // one more substep does the rest.
         size = !to_end ? 2 * size : size > 1 ? 1 : FINEST - done;
         to_end = to_end && size == 1;
         size = std::min(size, FINEST - done);

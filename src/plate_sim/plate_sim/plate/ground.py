@@ -49,7 +49,7 @@ class Ground:
     friction_slope : float
         Change of dynamic friction with the slip s [1/(m/s)]: factor 1 + slope s if positive,
         1/(1 - slope s) if negative. For a part that also rotates, s is the root mean square over
-        it.
+        the part.
     heave : float
         Ratio of the plate's upward motion to its motion along x. At an acceleration a along x the
         weight of parts, and so friction, changes by the factor 1 + heave a/g. Parts never leave the

@@ -1,4 +1,5 @@
-"""Actual motion of the plate during one cycle, as quintic pieces. It need not be periodic."""
+"""Actual motion of the plate during one cycle, as quintic pieces. The motion need not be
+periodic."""
 
 from __future__ import annotations
 

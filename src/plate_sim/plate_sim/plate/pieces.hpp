@@ -61,7 +61,7 @@ inline int seek(Table table, double t, int k) {
     return k;
 }
 
-// Wrap t [s] into a closed cycle, and set k to its piece. If that is not piece k, the search starts
+// Wrap t [s] into a closed cycle, and set k to its piece. If t is not in piece k, the search starts
 // at the piece estimated from t.
 inline double locate(Table table, double t, int& k) {
     const double period = table.back().end;
@@ -156,9 +156,9 @@ inline double bezier(const double* c, double h, int i) {
 
 // Compute the bounds for riding parts in a piece, and update the scales, from Bezier points.
 //
-// A cubic stays in the convex hull of its Bezier points. So their maximum norm bounds O'' and
-// theta'', and their maximum difference bounds the rates of these. theta' is bounded from its end
-// values.
+// A cubic stays in the convex hull of its Bezier points. So the maximum norm of the points bounds
+// O'' and theta'', and the maximum difference of the points bounds the rates of O'' and theta''.
+// theta' is bounded from its end values.
 inline void bound(Piece& piece, Scales& scales) {
     const double h = piece.end - piece.start;
     double line = 0, push = 0, last = 0;

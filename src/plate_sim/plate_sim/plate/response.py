@@ -26,7 +26,8 @@ POSE_ERROR = 1e-9
 """Maximum error of the pose between knots [m, rad]."""
 
 TWIST_ERROR = 1e-6
-"""Maximum error of the twist between knots [m/s, rad/s]. It moves a part by 1 um per second."""
+"""Maximum error of the twist between knots [m/s, rad/s]. This error moves a part by 1 um per
+second."""
 
 ACCEL_ERROR = 1e-2
 """Maximum error of the acceleration between knots [m/s2, rad/s2]. It affects only the time at which
@@ -100,7 +101,7 @@ class _Spans:
     offset : (m,)
         Start of the span relative to its piece [s].
     before, after : (m, n)
-        z at its start and end.
+        z at the start and at the end of the span.
     """
 
     piece: np.ndarray

@@ -86,8 +86,8 @@ struct Extent {
 };
 
 // Make up to `most` steps while all `count` parts glide, no two approach by `gap` [m] or more, and
-// no part is near an edge. Return the number of complete steps. In the next, incomplete step the
-// gliding parts have already moved.
+// no part is near an edge. Return the number of complete steps. In the next step, which is
+// incomplete, the gliding parts have already moved.
 PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
                              const GroundEffect& ground, const double* half, double gap, int count,
                              int most) {

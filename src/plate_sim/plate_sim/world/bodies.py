@@ -52,7 +52,7 @@ class BodyTrajectory:
     time : (k,)
         Times [s], from 0.
     position, velocity : (k, M, 2)
-        Of the centres of mass [m], [m/s].
+        Positions and velocities of the centres of mass [m], [m/s].
     angle, spin : (k, M)
         [rad] (not wrapped), [rad/s]; counter-clockwise.
     on_plate : (M,)

@@ -12,8 +12,8 @@ from plate_core.tasks import Side
 from .state import WorldState
 
 OVER_EDGE_M = 0.03
-"""A part has left over a side if its last position is at most this far inside it [m]. The margin
-covers the motion of the plate."""
+"""Maximum distance of a part's last position inside a side, if the part counts as having left over
+this side [m]. The distance covers the motion of the plate."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
@@ -23,7 +23,7 @@ def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
 
 
 class Departures:
-    """Counts of parts that left the plate, except those removed by hand or robot.
+    """Counts of parts that left the plate. Parts removed by hand or robot are not counted.
 
     Parameters
     ----------

@@ -90,8 +90,8 @@ class Disturbances:
         driver that does not know the time of exposure.
     image_rate : float
         Image rate of a free-running camera [1/s]. 0 means that each cycle's start triggers an
-        image. The latency of a free-running camera counts from the middle of the exposure, that of
-        a triggered one from the beginning.
+        image. The latency of a free-running camera counts from the middle of the exposure. The
+        latency of a triggered camera counts from the beginning of the exposure.
     stamp_jitter : float
         Standard deviation of the stamps of a free-running camera [s]. Stamps stay in order.
     blur : bool

@@ -1,11 +1,11 @@
 """Variation of friction between parts and over the plate.
 
-Friction varies over the plate as a smooth field fixed to it, and between parts. It is evaluated
-once per cycle at each part's position, although the plate moves by up to 1 cm under the part.
-Compared with 200 evaluations per cycle, the worst part of a cycle ends 0.02 mm (4 parts) to 0.08 mm
-(10 parts) off (medians of 34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm, or 0.3
-mm in random cycles that use the whole stroke. An error of mu of 1 to 3 % has the same effect. The
-field itself moves that part by 0.1 to 0.2 mm.
+Friction varies between parts, and over the plate as a smooth field fixed to the plate. The field is
+evaluated once per cycle at each part's position, although the plate moves by up to 1 cm under the
+part. Compared with 200 evaluations per cycle, the worst part of a cycle ends 0.02 mm (4 parts) to
+0.08 mm (10 parts) off (medians of 34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm,
+or 0.3 mm in random cycles that use the whole stroke. An error of mu of 1 to 3 % has the same
+effect. The field itself moves the worst part by 0.1 to 0.2 mm.
 """
 
 from __future__ import annotations

@@ -54,8 +54,8 @@ class Hand:
         Raises
         ------
         PlateError
-            If there is no such part or type, no more parts are allowed, or it would be off the
-            plate.
+            If there is no such part or type, no more parts are allowed, or the part would be off
+            the plate.
         """
         label = self._checked(state, part_id, label, position, angle)
         unit = None

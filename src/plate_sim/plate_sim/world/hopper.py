@@ -35,9 +35,9 @@ class Flow:
     Attributes
     ----------
     left_s : float
-        Remaining time for which it is open [s].
+        Remaining time for which the hopper is open [s].
     waited_s : float
-        Time for which it was open since the last part fell [s].
+        Time for which the hopper was open since the last part fell [s].
     """
 
     left_s: float = 0.0
@@ -45,7 +45,7 @@ class Flow:
 
     def after(self, time_s: float, rate: float) -> tuple[Flow, np.ndarray]:
         """Return the state `time_s` [s] later, and the drop times (n,) [s] in this interval. While
-        it is open, parts fall at `rate` [1/s]."""
+        the hopper is open, parts fall at `rate` [1/s]."""
         open_s = min(self.left_s, time_s)
         waited = self.waited_s + open_s
         count = int(waited * rate + WHOLE)
@@ -89,7 +89,8 @@ def drop_part(
     """Drop a part. Return None if there is no free place for it.
 
     The place is drawn uniformly from the disc of radius `spread_m` around the hopper's place. If
-    the part hits another one there, it slides away from that part's centre until it touches none.
+    the part hits another part there, it slides away from the other part's centre until it touches
+    no part.
     """
     label = str(rng.choice(list(hopper.mix), p=list(hopper.mix.values())))
     kind, angle, unit = rig.part_type(label), rng.uniform(-np.pi, np.pi), rng.uniform(-1, 1)
@@ -106,7 +107,8 @@ def drop_part(
 def _slid_off(
     others: Lying, kind: PartType, place: np.ndarray, angle: float, room: np.ndarray
 ) -> np.ndarray | None:
-    """Return the final position of a part that falls on (2,) [m]. None if it is off the plate."""
+    """Return the final position of a part that falls on (2,) [m]. None if this position is off the
+    plate."""
     hit = others.met(kind, place, angle)
     if not hit:
         return place if np.all(np.abs(place) <= room) else None
@@ -176,7 +178,7 @@ class Dispenser:
     Parameters
     ----------
     hopper : Hopper or None
-        Hopper of the task. None if it has none.
+        Hopper of the task. None if the task has no hopper.
     rig : Rig
     rng : Generator
         Generator for the dropped parts.
@@ -191,8 +193,8 @@ class Dispenser:
         return self._flow.left_s > 0
 
     def open(self, duration_s: float, state: WorldState) -> int:
-        """Open it for `duration_s` from now [s], which replaces an earlier opening. Return the
-        number of parts that fall if there is room.
+        """Open the hopper for `duration_s` from now [s]. This replaces an earlier opening. Return
+        the number of parts that fall if there is room.
 
         Raises
         ------

@@ -41,13 +41,13 @@ class Grip:
     success : bool
         Whether a grip has a part. True for other moves.
     id : str
-        Id of the gripped part or of the part that slipped. Empty if it found none.
+        Id of the gripped part or of the part that slipped. Empty if no part was found.
     error_m : float
-        True distance of that part's centre from the gripper [m]. If it found no part, that of the
-        nearest part, or infinity if there is none.
+        True distance of this part's centre from the gripper [m]. If no part was found, the distance
+        of the nearest part. Infinity if there is no part.
     error_rad : float
         True angle from the gripper to the part, reduced by the part's symmetry, in -pi to pi [rad].
-        0 if it found no part.
+        0 if no part was found.
     message : str
         Description of the result or of the failure.
     """
@@ -133,7 +133,7 @@ class Robot:
     Attributes
     ----------
     taken : frozenset of str
-        Ids of the parts that it has taken, until these are forgotten.
+        Ids of the parts that the robot has taken, until these parts are forgotten.
     stations : list of (float, (2,) or None)
         Start times [s] and positions [m, plate_home]; None means away. Images may still show the
         oldest.
@@ -153,7 +153,7 @@ class Robot:
         now: float,
         shown: float,
     ) -> tuple[WorldState, Grip]:
-        """Move the robot, and grip if `to` says so.
+        """Move the robot, and grip if `to` is `Move.GRIP`.
 
         Parameters
         ----------
@@ -209,5 +209,5 @@ class Robot:
         return [place for since, place in self.stations if since <= max(time, 0.0)][-1]
 
     def has(self, ids: tuple[str, ...]) -> np.ndarray:
-        """Return whether it has taken each of these parts (M,)."""
+        """Return whether the robot has taken each of these parts (M,)."""
         return np.array([name in self.taken for name in ids], bool)

@@ -119,7 +119,8 @@ class CameraView:
 
     @cached_property
     def _camera(self) -> Camera:
-        """Camera, created at the first image because this takes as long as a hundred cycles."""
+        """Camera. It is created at the first image, because its creation takes as long as a hundred
+        cycles."""
         world = self._disturbances
         return Camera(
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
@@ -180,7 +181,8 @@ class CameraView:
         )
 
     def sight(self, state: WorldState, plate: PlateState, age: float | None) -> Sight | None:
-        """Return the exact content of that image, or None if it is missed."""
+        """Return the exact content of the image that `capture` would return, or None if it is
+        missed."""
         shown = self._chance()
         if shown is None:
             return None

@@ -66,7 +66,7 @@ class Simulation:
     ----------
     state : WorldState
         State of the parts. In a feed task, parts that left the plate are forgotten when the next
-        cycle begins. In all tasks this also holds for parts that the robot has taken.
+        cycle begins. In all tasks, parts that the robot has taken are also forgotten then.
     plate : PlateState
     disturbances : Disturbances
     dropped, chuted : int
@@ -165,14 +165,14 @@ class Simulation:
         label : str
             Type of a new part.
         position : (2,)
-            Its centre [m, plate_home].
+            Centre of the part [m, plate_home].
         angle : float
             [rad].
 
         Returns
         -------
         str
-            Its id. A new part gets the next number of its type.
+            Id of the part. A new part gets the next number of its type.
 
         Raises
         ------
@@ -226,8 +226,8 @@ class Simulation:
     def open_hopper(self, duration_s: float) -> int:
         """Open the hopper for a time from now [s]. This replaces an earlier opening.
 
-        One part drops after each 1/rate [s] of open time. If there is no room, the part stays in
-        the hopper: if `MAX_PARTS` are on the plate, or if the heap reaches its edge.
+        One part drops after each 1/rate [s] of open time. If `MAX_PARTS` are on the plate, or if
+        the heap reaches the plate's edge, there is no room, and the part stays in the hopper.
 
         Returns
         -------

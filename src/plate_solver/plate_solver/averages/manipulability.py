@@ -27,8 +27,8 @@ from ..library import Library, least_time
 from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
-"""Price of a unit of unmet force [cycles / (mu m g)]. It is higher than that of any feasible
-force."""
+"""Price of a unit of unmet force [cycles / (mu m g)]. This price is higher than the price of any
+feasible force."""
 
 DESCENTS = 12
 """Maximum number of steps from one face of the hull to a nearer one."""
@@ -123,7 +123,8 @@ def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.
 def _nearest_face(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
     """Find a face of the hull at a minimum distance from 0, and its direction.
 
-    Each step goes along the normal of the last face. It ends when the next face is not nearer.
+    Each step goes along the normal of the last face. The search ends when the next face is not
+    nearer.
     """
     force, normal = _force_along(columns, direction)
     for _ in range(DESCENTS):

@@ -27,7 +27,7 @@ constexpr double NODE_WEIGHTS[NODE_COUNT] = {0.10122853629037706, 0.222381034453
 // + 1.56)^-16 = 9e-8.
 constexpr double FAR = 1.2;
 
-// Maximum number of bisections of a piece. They locate a jump to within 1e-9 of the piece.
+// Maximum number of bisections of a piece. They locate a jump to within 1e-9 of the piece's length.
 constexpr int DEEPEST = 32;
 
 struct Force {

@@ -34,11 +34,10 @@ constexpr double FADED = 17.0;
 // through three squared samples, divided by its second difference.
 constexpr double NEAR = 14.0, STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
-// Distance [steps] from a dip within which a second one may not show up as a minimum of the
-// samples.
+// Distance [steps] from a dip within which a second dip may not be a minimum of the samples.
 constexpr double CLOSE = 4.0;
 
-// Maximum number of Newton steps to a zero; three are usual from a minimum of the samples.
+// Maximum number of Newton steps to a zero. From a minimum of the samples, three steps are usual.
 constexpr int NEWTON_STEPS = 10;
 
 struct Nodes {

@@ -27,7 +27,7 @@ def find_dips(square: np.ndarray, n: int, found: np.ndarray) -> int:
 
 def branch_point(slip: np.ndarray, start: complex, close: float) -> tuple[complex, float, bool]:
     """Find the zero a + i b of wx + i wy near a time. Return exp(i a), the absolute value of b, and
-    whether there is no other zero close to it.
+    whether no other zero is close to this one.
 
     Parameters
     ----------

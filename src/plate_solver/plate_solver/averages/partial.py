@@ -17,8 +17,8 @@ from ..library import Library
 from .request import Request
 
 LEFT_OUT = 1.15
-"""Factor on the library's bound above which no fraction is tried. The finite number of rotations
-makes this bound a few per cent too low."""
+"""Factor on the library's bound. No larger fraction is tried. The finite number of rotations makes
+the bound a few per cent too low."""
 
 BISECTIONS = 5
 """Maximum number of bisections. They find the largest fraction to 1/32 of the upper bound."""
@@ -75,14 +75,15 @@ def largest_fraction(
     attempt : function
         Solves a request as well as possible.
     nothing : function
-        Returns the solution at rest, used if no fraction is met.
+        Returns the solution at rest, which is used if no fraction is met.
     least : float
         The bisection ends when forces differ by less than this [mu m g].
     most : float
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
         Returns whether a request is proven infeasible. It is slow and called at most once. Without
-        it, the attempt at the whole request is returned if its error for the whole is smaller.
+        `prove`, the attempt at the whole request is returned if its error for the whole request is
+        smaller.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))

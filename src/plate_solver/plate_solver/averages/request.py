@@ -109,7 +109,7 @@ class Request:
         return self.flags.moving or self.flags.curled
 
     def times(self, fraction: float) -> Request:
-        """Return a fraction of the request: less force and curl in the same direction."""
+        """Return a fraction of the request. Forces and curls are smaller, in the same direction."""
         return replace(self, force=fraction * self.force, curl=fraction * self.curl)
 
     @classmethod

@@ -9,8 +9,8 @@
 
 namespace plate::rotations {
 
-// Damping options with a later stall criterion. With the usual one, the search gives up on feasible
-// forces.
+// Damping options with a later stall criterion. With the usual criterion, the search gives up on
+// feasible forces.
 constexpr Damping PATIENT = [] {
     Damping damping = DAMPING;
     damping.stall_steps = 10, damping.stall_fraction = 0.9;

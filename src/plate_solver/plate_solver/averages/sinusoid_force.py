@@ -33,8 +33,8 @@ PIECES_PER_HARMONIC, DEGREE = 8, 10
 polynomials in them. The slip's error in the highest harmonic is (pi/8)^11 / 11! = 1e-12."""
 
 FEW, USUAL, ADAPTIVE, PANELS = 0, 1, -1, -2
-"""Quadratures: few equal steps; the usual number of equal steps; the same, corrected at dips; and
-adaptive panels."""
+"""Quadratures: few equal steps; the usual number of equal steps; the usual number with a correction
+at dips; and adaptive panels."""
 
 
 class Rules(NamedTuple):

@@ -146,8 +146,8 @@ private:
         int steps, tried;
     };
 
-    // Basin hopping: perturbs the best motion of a round until this fails `HOPS` times in a row.
-    // Then a new round begins from a fresh motion.
+    // Basin hopping: perturbs the best motion of a round until `HOPS` perturbations in a row have
+    // failed. Then a new round begins from a fresh motion.
     Searched search(const std::vector<double>& begin) {
         Attempted now = attempted(begin, FIRST, std::numeric_limits<double>::infinity());
         Attempted near = now;

@@ -7,8 +7,8 @@ increasing fractions of the request. The result is converted to a spline within 
 Its forces are evaluated on this spline by a quadrature that the search does not use.
 
 Averaged forces of parts at rest do not depend on the amplitude and on a shift in time. Steps of
-minimum norm are orthogonal to both. Motions are kept at the full amplitude that the limits allow,
-because the influence of the parts' velocities is then smallest.
+minimum norm are orthogonal to these two directions. Motions are kept at the full amplitude that the
+limits allow, because the influence of the parts' velocities is then smallest.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ constexpr int POINTS = 48;
 // Maximum number of subdivisions of a cell of great circles in a proof.
 constexpr int HALVINGS = 4;
 
-// Maximum number of pairs of points in a proof, after which it is abandoned. They take some
-// hundredths of a second.
+// Maximum number of pairs of points in a proof. If it is exceeded, the proof is abandoned. These
+// pairs take some hundredths of a second.
 constexpr double MAX_WORK = 2e8;
 
 // Number of middle points that `greatest_triple` processes together.

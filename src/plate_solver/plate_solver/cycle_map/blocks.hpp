@@ -85,8 +85,8 @@ PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twis
                     const Eight gx = xx * cx + xy * cy, gy = xy * cx + yy * cy;
                     vx = cx - gx, vy = cy - gy;
                     // A shift of the plate in x from here on is equivalent to the opposite shift of
-                    // the part. `x` minus `end_x` is the derivative of that. Half of this step's
-                    // contribution belongs to the time after its middle.
+                    // the part. `x` minus `end_x` is the derivative with respect to this shift.
+                    // Half of this step's contribution belongs to the time after its middle.
                     const Eight more_x = w * gy, more_y = w * gx;
                     on_u += gx + dt * (end_x - x - 0.5f * more_x);
                     on_v += gy + dt * (end_y - y + 0.5f * more_y);

@@ -35,7 +35,7 @@ class Motion(Protocol):
         """Return the plate's pose (n, 3) at times (n,) [s]."""
 
     def twist(self, t: np.ndarray) -> np.ndarray:
-        """Return its derivative (n, 3)."""
+        """Return the derivative of the pose (n, 3), which is the twist, at times (n,) [s]."""
 
 
 def after(

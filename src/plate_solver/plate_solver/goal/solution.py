@@ -19,7 +19,7 @@ class Status(Enum):
     PARTIAL = "partial"
     """A fraction of the request is met."""
     UNREACHABLE = "unreachable"
-    """Proven: no motion meets the request. `fraction` is the fraction that is met."""
+    """It is proven that no motion meets the request. `fraction` is the fraction that is met."""
     FAILED = "failed"
     """No fraction is met, and infeasibility is not proven."""
 

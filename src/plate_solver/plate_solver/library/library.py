@@ -1,8 +1,8 @@
 """A library of rotations: unit twists about many centres on and around the plate.
 
 The average force on a part at rest is the mean of unit vectors, one per twist of the plate's
-motion. It does not depend on the speed. Therefore the forces of any motion are a mean of the
-library's columns (equations (5), (9)), up to the spacing of the twists in the library. With N
+motion. This force does not depend on the speed. Therefore the forces of any motion are a mean of
+the library's columns (equations (5), (9)), up to the spacing of the twists in the library. With N
 rotations of weight k_j and their unit tangents t_j at a part, the average force on it is
 
     F = mu m g / N  sum_j k_j t_j.

@@ -23,7 +23,7 @@ constexpr int REFRESH = 40;
 using Basis = View<int64_t, 1>;
 
 // Returns the columns (R, R) of a basis of a matrix (R, K). K + r is the slack variable for the
-// unmet amount of row r, K + R + r for its exceeded amount.
+// unmet amount of row r, and K + R + r is the one for the exceeded amount.
 inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basis,
                        View<double, 2> chosen) {
     const int rows = matrix.size(0), count = matrix.size(1);
@@ -152,7 +152,7 @@ inline Entering Programme::best_column() {
     return {best, sense, gain};
 }
 
-// Expresses column q, in the sense `way`, by the columns of the basis.
+// Expresses column q, in the sense `way`, as a combination of the basis columns.
 inline void Programme::find_column(int q, double way) {
     if (q < count()) {
         times_vector(inverse, matrix.data + q, count(), column.data());

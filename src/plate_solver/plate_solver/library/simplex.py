@@ -19,7 +19,8 @@ import numpy as np
 from .. import _kernels
 
 PERTURBATION = 1e-9
-"""Shift of the right-hand side, relative to its largest entry. It breaks ties between rows."""
+"""Shift of the right-hand side, relative to its largest entry. The shift breaks ties between
+rows."""
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ Moved = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def line_of(theta: np.ndarray, family: Sequences) -> Line:
-    """Return the knot times and the twists at the knots, as `timeline`."""
+    """Return the knot times and the twists at the knots: see `timeline`."""
     return _kernels.line_of(theta, family)
 
 

@@ -40,9 +40,9 @@ struct Line {
     int segments() const { return static_cast<int>(times.size()) - 1; }
 };
 
-// Computes the ramps between twists (J, 3), and from and to rest, for a plate with half side
-// lengths `half` (2,). The products of the rows of `loads` (m, 3) and the acceleration are limited
-// to `accel`.
+// Computes the ramps between twists (J, 3), from rest to the first and from the last to rest, for a
+// plate with half side lengths `half` (2,). The products of the rows of `loads` (m, 3) and the
+// acceleration are limited to `accel`.
 inline Ramps ramps(View<const double, 2> twists, const double* half, View<const double, 2> loads,
                    double accel) {
     const int count = twists.size(0);

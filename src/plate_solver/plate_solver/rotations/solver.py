@@ -103,7 +103,7 @@ class Start(NamedTuple):
 
 
 class Try(NamedTuple):
-    """Result of a search, and its family."""
+    """Result of a search, and the family of its parameters."""
 
     family: RotationFamily
     fit: Fit

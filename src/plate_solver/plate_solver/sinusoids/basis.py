@@ -11,8 +11,9 @@ A family with a free end has three more functions per degree of freedom. They le
 state of the cycle, and from there to rest in the cycle's tail. A cycle that begins in motion is the
 sum of the previous cycle's tail and the motion of the basis.
 
-The same coefficients may be played several times, one play after the other. With the basis B, its
-state E at the end of a play, and the path S from a state to rest, the plate's motion in play k is
+The same coefficients may be played several times, one play after the other. A play is one execution
+of the cycle. With the basis B, its state E at the end of a play, and the path S from a state to
+rest, the plate's motion in play k is
 
     u_k = B a + S p_k,    p_0 given,    p_k = E a  for k > 0,
 
@@ -46,10 +47,10 @@ TAIL_PERIOD_S = 0.1
 the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
-"""Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. They only
-determine the relative size of its steps. The quintic that leads to one unit has a maximum speed of
-1, 1 and 0.34 m/s (15/8 pose/TAIL_S, velocity, 0.068 acceleration TAIL_S), and a maximum
-acceleration of 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
+"""Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. The units
+only determine the relative size of the search's steps. The quintic that leads to one unit has a
+maximum speed of 1, 1 and 0.34 m/s (15/8 pose/TAIL_S, velocity, 0.068 acceleration TAIL_S), and a
+maximum acceleration of 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
 
 LOOKS_PER_HARMONIC = 8
 """Instants per period of the highest harmonic at which the limits are checked."""

@@ -43,8 +43,8 @@ class SinusoidOptions:
     iterations : int
         Maximum number of iterations from one start.
     restarts : int
-        Maximum number of further starts if the first fails. If two plays are evaluated, it is
-        halved.
+        Maximum number of further starts if the first fails. If two plays are evaluated, this number
+        is halved.
     threads : int
         Number of threads of `steer`. It does not change the results.
     seed : int

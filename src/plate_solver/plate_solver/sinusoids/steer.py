@@ -1,8 +1,8 @@
 """Multi-start search for sinusoidal motions on the cycle map.
 
 The first descent starts from the last motion, the others from random perturbations of the best
-result. A motion with a free end is evaluated by the state of the parts after `PLAYS` plays. Each
-play begins in the state in which the previous one ends:
+result. A motion with a free end is evaluated by the state of the parts after `PLAYS` plays. A play
+is one execution of the motion. Each play begins in the state in which the previous one ends:
 
     minimise J(x_PLAYS) over a,    x_{k+1} = F(x_k, p_k; a),    p_{k+1} = E a,
 
@@ -62,8 +62,8 @@ SPREAD = 0.15
 """Size of a perturbation relative to the parameters of the best motion, both root mean square."""
 
 PLAYS = 2
-"""Number of plays after which a motion with a free end is evaluated. A third play brings no
-improvement: see docs/results.md."""
+"""Number of plays (executions in succession) after which a motion with a free end is evaluated. A
+third play brings no improvement: see docs/results.md."""
 
 AIMS, CORRECTIONS = 2, 8
 """Number of final corrections of the best motion, within the limits, for the difference between

@@ -22,7 +22,8 @@ constexpr double ROUND = 1.2;
 // moments of a part of 8 px radius by 0.05 px.
 constexpr double RIM_DIRT_PX2 = 0.5;
 
-// Maximum misfit of a part that is measured by moments. With more it is not evenly dark.
+// Maximum misfit of a part that is measured by moments. With a larger misfit, the part is not
+// evenly dark.
 constexpr double EVEN_MISFIT = 0.06;
 
 // Distances (n,) [px] of places (n, >= 2) [px] from the plate's edge, negative outside.

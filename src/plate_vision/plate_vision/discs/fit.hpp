@@ -17,9 +17,9 @@
 
 namespace plate {
 
-// Minimum, first and maximum half width [px] of a disc's edge, over which its cover rises from 0 to
-// 1 as a cubic. 0.5 stands for sharp pixels, 1.1 for a lens with a blur of 0.6 px (standard
-// deviation).
+// Minimum, initial and maximum half width [px] of a disc's edge. Across the edge, the cover rises
+// from 0 to 1 as a cubic. 0.5 stands for sharp pixels, 1.1 for a lens with a blur of 0.6 px
+// (standard deviation).
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
 // EDGE_SHARE: maximum half width of the edge, as a fraction of the radius. EDGE_PX[2] applies if it
@@ -35,7 +35,7 @@ inline double rim_of(const Silhouette& part) {
 constexpr double MAX_STEP_PX = 1.0;
 
 // Change [px] of place and radius at which the fit has converged. The next change would be a tenth
-// of it, and a tenth of the effect of the image's noise.
+// of this one, and a tenth of the effect of the image's noise.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
@@ -45,15 +45,15 @@ constexpr int MAX_ITERATIONS = 25;
 constexpr double FIT_DAMPING = 1e-3;
 
 // A pixel inside the contour has no weight if its darkness differs from the part's by more than
-// this fraction of it, and by more than this number of standard deviations of the image's noise: it
-// shows a mark, a highlight or a hole.
+// this fraction of it, and by more than this number of standard deviations of the image's noise. It
+// then shows a mark, a highlight or a hole.
 constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 
 // The misfit is measured within this distance [px] beyond the edge's own width, on both sides.
 constexpr double CONTOUR_PX = 1.0;
 
-// Range of the side faces' darkness, relative to that of the top. If they are hardly visible, the
-// fit does not determine it.
+// Range of the side faces' darkness, relative to that of the top. If the side faces are hardly
+// visible, the fit does not determine their darkness.
 constexpr double SIDE_RANGE[] = {0.3, 3.0};
 
 // Maximum error of a pixel in the misfit, as a fraction of the darkness. A local defect of the edge

@@ -18,8 +18,8 @@ namespace plate {
 // after the mean noise of 50 pixels is subtracted.
 constexpr double MAX_MISFIT = 0.2, NOISE_MISFIT = 0.5;
 
-// Maximum noise, relative to the plate's brightness, for which the maximum misfit is raised. More
-// noise is a texture of the plate.
+// Maximum noise, relative to the plate's brightness, for which the maximum misfit is raised.
+// Stronger noise is a texture of the plate.
 constexpr double WORST_NOISE = 0.12;
 
 // Maximum misfit that light, noise and the edges of pixels explain. The part of the misfit above
@@ -27,7 +27,7 @@ constexpr double WORST_NOISE = 0.12;
 // flat have a misfit of 0.18, and an error of 0.15 to 0.2 radii.
 constexpr double GOOD_MISFIT = 0.06;
 
-// Minimum visible fraction of a part's contour. With less the place is not reliable.
+// Minimum visible fraction of a part's contour. With a smaller fraction, the place is not reliable.
 constexpr double MIN_SEEN = 0.3;
 
 // Fraction by which a part must be brighter than the plate to get the label "bright". A part of

@@ -13,16 +13,16 @@ namespace plate {
 // Radius of a mark [part radii].
 constexpr double MARK_RADIUS = 0.3;
 
-// Range of the distance of a mark's centre from the seed [part radii]: half way out, with the
-// seed's error.
+// Range of the distance of a mark's centre from the seed [part radii]. A mark is half way out; the
+// range includes the seed's error.
 constexpr double MARK_PLACE[] = {0.25, 0.75};
 
 // Range of a spot's area, relative to a mark's area. Smaller spots are noise, larger ones are not
 // marks.
 constexpr double MARK_AREA[] = {0.5, 1.6};
 
-// Radius around the mark's centre within which deviating pixels belong to the mark [mark radii]. It
-// includes the mark's blurred edge, but not the part's.
+// Radius around the mark's centre within which deviating pixels belong to the mark [mark radii].
+// The radius includes the mark's blurred edge, but not the part's edge.
 constexpr double MARK_REACH = 1.5;
 
 // Minimum contrast of a mark, relative to the part's darkness. A grey mark on a black part has 0.5,

@@ -13,19 +13,20 @@
 
 namespace plate {
 
-// Minimum gradient of the darkness [1/px] at an edge, by Sobel: seven times that of noise.
+// Minimum gradient of the darkness [1/px] at an edge, by Sobel. It is seven times the gradient of
+// noise.
 constexpr double MIN_SLOPE = 0.03;
 
-// Minimum number of votes for a part, relative to those of a whole contour; and the same if no
-// other centre is near. The second one finds the middle of seven packed parts: only the gaps of its
-// contour are visible, and they are blurred.
+// Minimum number of votes for a part, relative to the votes of a whole contour; and this minimum if
+// no other centre is near. The second value finds the middle part of seven packed parts, although
+// only the gaps of its contour are visible, and blurred.
 constexpr double MIN_VOTES[] = {0.12, 0.02};
 
-// Minimum darkness in the division of a vote: prevents bright places from collecting votes.
+// Minimum divisor of a vote, as darkness. It prevents bright places from collecting votes.
 constexpr double MIN_TARGET = 0.1;
 
-// Minimum distance of two centres in part radii, for each entry of MIN_VOTES. Touching parts have
-// 2, the middle of four in a square 1.4.
+// Minimum distance of two centres in part radii, for each entry of MIN_VOTES. Centres of touching
+// parts have a distance of 2. The middle between four parts in a square has 1.4.
 constexpr double SEPARATION[] = {1.3, 1.6};
 
 // A coarse grid of pixels: its first pixel, and its step [px].

@@ -38,7 +38,8 @@ inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> li
 }
 
 // Write 1 where pixels deviate by more than a limit, 0 elsewhere, on a grid (h, w). The mean of
-// each pixel and its neighbours to the right and below is used, because its noise is half as large.
+// each pixel and the neighbours to the right and below is used, because the noise of the mean is
+// half as large.
 PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 2> lights,
                                 double limit, const std::array<int, 3>& grid,
                                 View<uint8_t, 2> out) {

@@ -11,8 +11,8 @@
 
 namespace plate {
 
-// Percentile of the brightness that is the first guess of the plate's. It is right if parts cover
-// less than 3/4 of the plate.
+// Percentile of the brightness that is the first guess of the plate's brightness. The guess is
+// right if parts cover less than 3/4 of the plate.
 constexpr double BRIGHT_PERCENTILE = 75;
 
 // Range of brightness that counts as plate, relative to the first guess: wider than a shading of
@@ -20,7 +20,8 @@ constexpr double BRIGHT_PERCENTILE = 75;
 // relative to the fitted surface, for the second fit: it excludes the parts' edges.
 constexpr std::pair<double, double> BRIGHT_RANGES[] = {{0.72, 1.3}, {0.92, 1.08}};
 
-// Keeps the fit solvable for images one pixel high or wide; without effect on others.
+// With this value, the fit is solvable for images one pixel high or wide. It has no effect on other
+// images.
 constexpr double RIDGE = 1e-9;
 
 // Minimum fraction of the sampled pixels that must be plate.

@@ -51,7 +51,7 @@ PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
 
 // Candidate angles [rad] by which an outline is rotated relative to another, by their spectra
 // (HARMONICS,), the most likely first. `symmetry` is the number of directions in which the second
-// looks the same.
+// outline looks the same.
 inline std::vector<double> likely_turns(const Complex* seen, const Complex* known, int symmetry) {
     if (symmetry == 0) return {0};
     std::array<double, TURNS> alike, sector;

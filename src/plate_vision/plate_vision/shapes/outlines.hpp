@@ -25,7 +25,7 @@ constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
 
 // Minimum difference between both ends of these samples for an edge, relative to the difference of
-// part and surround. Where parts touch there is no edge, and the patch's contour is used.
+// part and surround. Where parts touch, there is no edge. There, the patch's contour is used.
 constexpr double MIN_STEP = 0.25;
 
 // Maximum contribution of a point to a squared distance [squares of the unit, and of a tenth of the
@@ -265,7 +265,7 @@ struct Places {
     int padded() const { return x.size(); }
 };
 
-// The nearest edge so far for each point: squared distance, index, vector from the edge.
+// The nearest edge found so far for each point: squared distance, index, vector from the edge.
 struct Nearest {
     double least[POINTS], edge[POINTS] = {}, right[POINTS] = {}, down[POINTS] = {};
 

@@ -18,8 +18,8 @@ constexpr double STRONG = 1.2;
 // Minimum contrast of a part's second colour, relative to that of its main colour.
 constexpr double WEAKER = 0.35;
 
-// The same for a colour on the other side of the plate's lightness. The halo of a sharpened edge
-// has less.
+// Minimum relative contrast of a second colour on the other side of the plate's lightness. The halo
+// of a sharpened edge has less contrast.
 constexpr double BRIGHTER = 0.25;
 
 // Maximum slope of an even area, relative to the maximum slope of the patch.
@@ -32,7 +32,7 @@ constexpr double BRIDGE = 0.3;
 // the larger of their contrasts.
 constexpr double LEAP = 1.2;
 
-// Call `visit(i)` for each pixel that is not 0. Blocks without any are skipped.
+// Call `visit(i)` for each pixel that is not 0. Blocks without such pixels are skipped.
 template <class T, class Visit>
 [[gnu::always_inline]] inline void each_set(const T* pixels, int count, Visit visit) {
     constexpr int BLOCK = 16;
@@ -90,7 +90,7 @@ inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2>
         int total = 0, above = 0;
         for (int level = 1; level < 256; level++) total += histogram[level];
         if (total < MIN_AREA_PX2) continue;
-        // The upper half is that of the range below the largest tenth of the deviations.
+        // The upper half is taken from the range below the largest tenth of the deviations.
         int high = 255, middle = 255;
         for (int passed = 0; high > 0 && passed + histogram[high] < 0.1 * total; high--)
             passed += histogram[high];

@@ -11,8 +11,8 @@
 
 namespace plate {
 
-// Half the width below which an area is never separated from a wider one, for example a wire or a
-// ragged edge [px]; and its width relative to the wider one.
+// Half the width [px] below which an area, for example a wire or a ragged edge, is never separated
+// from a wider area; and the same limit relative to the wider area.
 constexpr double THIN_PX = 2.2, THINNER = 0.3;
 
 // Maximum number of necks that are kept for a patch.
