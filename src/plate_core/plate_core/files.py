@@ -43,7 +43,7 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
     ------
     PlateError
         If the file is missing, is not a regular file, or is too large. The function does not block
-        in these cases. The message states the path, the kind or size, and the allowed one.
+        in these cases. The message states the path, the kind or size, and the allowed kind or size.
     """
     check_file(path, most_bytes, error)  # check before opening: opening a device may start it
     with (

@@ -28,8 +28,8 @@ NAMELESS = (UNKNOWN, GROUP)
 
 PLAUSIBLE_AREA = 0.3, 3.0
 """Plausible area of a part: the first factor times the smallest part's area to the second factor
-times the largest part's area [-]. Smaller objects are dust or reflections, larger ones tools or
-hands."""
+times the largest part's area [-]. Smaller objects are dust or reflections. Larger objects are tools
+or hands."""
 
 
 class OverlookedThing(NamedTuple):

@@ -10,7 +10,7 @@ from __future__ import annotations
 __all__ = ["Standstill"]
 
 AFTER_S = 0.5
-"""Time after a stall during which a received request counts as sent before its end [s]."""
+"""Time after a stall during which a received request counts as sent before the stall's end [s]."""
 
 
 class Standstill:

@@ -27,8 +27,8 @@ __all__ = [
 ]
 
 INPUT_TIMEOUT_S = 1.5
-"""Default input timeout [s]. It equals three of the longest usual cycles, and it is short enough to
-end a task within 2 s of a fault."""
+"""Default input timeout [s]. It equals three of the longest usual cycles. It is short enough to end
+a task within 2 s of a fault."""
 
 LATENCY_S, MAX_AGE_S = 0.2, 0.6
 """Maximum computation time of vision, planner and solver on a slow computer [s], and maximum age of

@@ -361,8 +361,8 @@ class Fields:
         Raises
         ------
         PlateError
-            If none or more than one is present. If none is, the message suggests a similar key of
-            the file.
+            If none or more than one is present. If no key is present, the message suggests a
+            similar key of the file.
         """
         given = [key for key in keys if self.has(key)]
         if len(given) == 1:
@@ -496,8 +496,8 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
 def _load(text: str) -> tuple[Any, str]:
     """Return the content of a YAML text, and the message of `_mistake`.
 
-    libyaml is ten times as fast. The messages come from PyYAML's own parser, which also survives
-    any depth.
+    libyaml, which is ten times as fast, reads the content. The messages come from PyYAML's own
+    parser, which also survives any depth.
     """
     if len(text) <= FAST_LENGTH:
         with contextlib.suppress(yaml.YAMLError, ValueError):

@@ -1,9 +1,9 @@
 """One drive commanded by the host for commissioning: set it up, enable it, move it a little,
 disable.
 
-The set-up is the board's. Setpoints are counted by bus cycles, not by the clock: a late host slows
-a motion, but causes no jump. If the host's heartbeat is missing for `SILENT_MS`, the drive stops by
-itself.
+The set-up is the board's. Setpoints are counted by bus cycles, not by the clock. So a late host
+slows a motion, but causes no jump. If the host's heartbeat is missing for `SILENT_MS`, the drive
+stops by itself.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ class Axis:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
-        """Disable the drive, after an error by its quick stop. A drive that does not follow its
-        setpoints would not follow the ramp of a quick stop either."""
+        """Disable the drive. After an error, use the drive's quick stop. A drive that does not
+        follow its setpoints would not follow the ramp of a quick stop either."""
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
             with contextlib.suppress(PlateError):  # the SDOs below report a bus fault
@@ -160,7 +160,7 @@ class Axis:
 
     @property
     def travel(self) -> float:
-        """Displacement since the drive was enabled, by its own counts [m]."""
+        """Displacement since the drive was enabled, computed from the drive's counts [m]."""
         return (self.position - self.start) / self.scale
 
     def _command(self, order: int) -> None:
@@ -247,7 +247,7 @@ class Axis:
         amplitude : float
             Distance by which it will move to either side [m].
         ends : (int, int)
-            Ends of its range [counts].
+            Ends of the drive's range [counts].
         """
         end, stands, rest = self._master.now + READY_S, 0, self.position
         while stands < STILL_CYCLES:

@@ -1,6 +1,6 @@
 """Commission the drives of a rig in a dialogue: `ros2 run plate_drives commission`.
 
-Needs no ROS: `python -m plate_drives.commission RIG` does the same.
+This program needs no ROS: `python -m plate_drives.commission RIG` does the same.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ SIZE_M = 5e-4
 SHARE = 0.1
 """Maximum fraction of the rig's speed and acceleration that the motions use."""
 STAGES = (0.01, 0.1, 1.0)
-"""Fractions of the amplitude, with a question after each: counts_per_m may be far too large."""
+"""Fractions of the amplitude. The user is asked after each move, because counts_per_m may be far
+too large."""
 MOVE_S = 0.5
 """Minimum time of a move [s]."""
 
@@ -42,7 +43,8 @@ SWING_HZ = 2.0
 ANSWER_S = 60.0
 """Maximum wait for a person while a motor has current [s]."""
 ROUGH = 0.1
-"""Relative error of a travel read by a person. Within it the scale of the rig file is kept."""
+"""Relative error of a travel read by a person. If the error is smaller, the scale of the rig file
+is kept."""
 
 
 Ask = Callable[[str, Callable[[], object]], str]
@@ -169,7 +171,8 @@ class Dialogue:
                 raise PlateError(f"motor_{number}: the drive has current, allowed: no current")
 
     def _serial(self, drive: Drive) -> int:
-        """Return a drive's serial number; if several drives report the same, the rig file's."""
+        """Return a drive's serial number. If several drives report the same number, return the
+        number in the rig file."""
         serials = [one.values.get("serial", 0) for one in self._found.values()]
         own = self._found[drive.node].values.get("serial", 0)
         return own if serials.count(own) == 1 else drive.serial

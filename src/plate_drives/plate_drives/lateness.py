@@ -1,6 +1,7 @@
 """Measure how late this computer is as the master of drives: `ros2 run plate_drives lateness`.
 
-No bus is needed, and nothing moves. Needs no ROS: `python -m plate_drives.lateness RIG`.
+No bus is needed, and nothing moves. The program needs no ROS: `python -m plate_drives.lateness
+RIG`.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ __all__ = ["main"]
 POLL_S = 0.002
 
 FIRST_S = 10.0
-"""Maximum time until the first report of the process [s]: on a busy computer it starts late."""
+"""Maximum time until the first report of the process [s]. On a busy computer, the process starts
+late."""
 
 
 def measured(transport: HostTransport, seconds: float) -> np.ndarray:
     """Return the maximum lateness in each 10 ms [ms], from the first report of the process on.
 
-    It ends after `seconds`, or with Ctrl-C. Without a report the value is infinite.
+    The measurement ends after `seconds`, or with Ctrl-C. Without a report the value is infinite.
     """
     late: list[float] = []
     end = time.monotonic() + FIRST_S

@@ -146,7 +146,8 @@ class Master:
         Raises
         ------
         PlateError
-            `Refused`; or if there is no reply, or one of more than four bytes.
+            A `Refused` if the node refuses. Also if there is no reply, or if the reply has more
+            than four bytes.
         """
         answer = self._transfer(node, 0x40, index, sub)
         if answer[0] & 0xE2 != 0x42:
@@ -155,7 +156,8 @@ class Master:
         return int.from_bytes(answer[4 : 4 + size], "little", signed=signed)
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
-        """Set an object of a node to a value of 1, 2 or 4 bytes. Errors as `read`."""
+        """Set an object of a node to a value of 1, 2 or 4 bytes. Raises the same errors as
+        `read`."""
         self._transfer(node, 0x23 | (4 - size) << 2, index, sub, value)
 
     def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:

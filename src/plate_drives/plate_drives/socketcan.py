@@ -34,12 +34,14 @@ from plate_sim.device import DeviceLimits, c_header
 __all__ = ["HostPort", "HostTransport", "build", "make", "open_can", "program_of"]
 
 SOURCES = Path(__file__).parent / "firmware"
-"""Link in the source tree, copy in the installed package."""
+"""Folder of the firmware's sources. It is a link in the source tree, and a copy in the installed
+package."""
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 ENDED = "the process that controls the drives has ended"
 FADE = 1e-3
-"""Decay of the maximum lateness with each telemetry message: it is forgotten in about 10 s."""
+"""Decay of the maximum lateness with each telemetry message. The lateness is forgotten in about 10
+s."""
 
 
 def build(header: str, kind: str, folder: Path, *files: str) -> Path:
@@ -59,7 +61,7 @@ def build(header: str, kind: str, folder: Path, *files: str) -> Path:
     Raises
     ------
     PlateError
-        If it cannot be compiled.
+        If the firmware cannot be compiled.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "limits_rig.h").write_text(header, encoding="utf-8")
@@ -77,8 +79,8 @@ def build(header: str, kind: str, folder: Path, *files: str) -> Path:
 
 @lru_cache(maxsize=1)
 def _built(header: str, kind: str) -> tuple[Path, tempfile.TemporaryDirectory[str]]:
-    """Compile the program once per process: it takes a second or more, and a stop may have to open
-    a transport."""
+    """Compile the program only once per process, because it takes a second or more, and a stop may
+    have to open a transport."""
     folder = tempfile.TemporaryDirectory(prefix="plate-")
     return build(header, kind, Path(folder.name), "boards/linux/board.c"), folder
 

@@ -21,7 +21,8 @@ OBJECTS = {
 SIGNED = ("position", "lowest", "highest", "exponent")
 
 NEEDED = ("consumer", "abort", "exponent")
-"""Objects that a drive needs: it must stop if its master fails, and interpolate."""
+"""Objects that a drive needs. The drive must stop if its master fails, and it must interpolate
+setpoints."""
 
 PROFILE, CYCLIC_POSITION, UNWATCHED = 402, 1 << 7, 2**32 - 1
 
@@ -48,7 +49,7 @@ class Found:
 
     @property
     def is_drive(self) -> bool:
-        """Whether it is a CiA 402 drive."""
+        """Whether the node is a CiA 402 drive."""
         return self.values.get("device type", 0) & 0xFFFF == PROFILE
 
     def __str__(self) -> str:

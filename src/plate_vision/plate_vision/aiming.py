@@ -26,8 +26,9 @@ from .plate.outline import (
 from .vision import Vision
 
 AROUND = 0.03
-"""Margin around the plate in which sharpness is measured too, relative to its larger side in the
-image [-]. It holds the plate's edges, the only edges in the image of a bare plate."""
+"""Margin around the plate in which sharpness is measured too, relative to the plate's larger side
+in the image [-]. The margin contains the plate's edges, the only edges in the image of a bare
+plate."""
 
 SMOOTH_PX = 1.0
 """Standard deviation of the Gaussian filter before the gradient [px], against noise."""
@@ -53,7 +54,8 @@ sharpness was below the first fraction before and after it, and is above the sec
 
 SHARP_PX = 1.5
 """Standard deviation of the blur of the plate's edges up to which a picture is sharp [px]. Drawn
-pictures of a sharp lens have 1.0, with a defocus of 1 px 1.4, and with one of 2 px 2.2."""
+pictures have a blur of 1.0 px with a sharp lens, of 1.4 px with a defocus of 1 px, and of 2.2 px
+with a defocus of 2 px."""
 
 ESF_PX = 12
 """Length of the profile on each side of the plate's edge by which its blur is measured [px]."""
@@ -68,7 +70,8 @@ STEADY = 0.04
 """Maximum relative change of the sharpness that counts as noise [-]."""
 
 MIN_PART_PX = 10.0
-"""Minimum diameter of a part in the image [px]. Below it the standard deviation of places exceeds
+"""Minimum diameter of a part in the image [px]. For smaller parts, the standard deviation of places
+exceeds
 0.05 px, and marks are not read."""
 
 EDGE_POINTS = 9
@@ -200,8 +203,8 @@ def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
 class Focus:
     """The sharpness of the last minute, and whether the focus was found.
 
-    It is found if the plate's edges are sharp, or if the sharpness rose, fell, and is back near its
-    maximum. It is lost if the sharpness falls far below its maximum.
+    The focus is found if the plate's edges are sharp, or if the sharpness rose, fell, and is back
+    near its maximum. It is lost if the sharpness falls far below its maximum.
 
     Attributes
     ----------

@@ -35,13 +35,13 @@ class BarePlate:
     Attributes
     ----------
     learned : bool
-        Whether it was learned from images. If False, it is modelled.
+        Whether the bare plate was learned from images. If False, it is modelled.
     first : Background, optional
         The background as it was learned or modelled.
     light : Light, optional
         Light of the last image, relative to `first`.
     requested : int
-        Number of images of the bare plate that are requested; 0: none.
+        Number of images of the bare plate that are requested. 0 if none is requested.
     images : tuple of (H, W) or (H, W, 3) uint8
         Images received for the request.
     """
@@ -75,7 +75,7 @@ def know_plate(
     Raises
     ------
     ImageError
-        If too little of the plate is visible: it is too dark, or the camera was moved.
+        If too little of the plate is visible, because it is too dark or the camera was moved.
     """
     if plate.requested:
         # `np.stack` needs one shape: all grey or all colour.

@@ -1,6 +1,6 @@
 """The plate's motion: cycles, the corresponding motor motion, and the rig's limits.
 
-A `PlateCycle` consists of knots and quintic splines. `usage` compares one with a rig's limits.
+A `PlateCycle` consists of knots and quintic splines. `usage` compares a cycle with a rig's limits.
 `motor_state` and `plate_state` convert between plate and motors. A `Timeline` determines which
 cycle runs and which one follows.
 """

@@ -32,8 +32,9 @@ class PlateCycle:
     """One motion of the plate in plate_home: knots, and quintic splines between them.
 
     The spline interpolates pose, twist and acceleration at every knot, so its acceleration is
-    continuous. It ends in its initial state, at rest at home, or in another state. In the last case
-    it has a tail, which brings the plate to rest if no cycle follows that begins in this state.
+    continuous. The motion ends in its initial state, at rest at home, or in another state. In the
+    last case, the cycle has a tail, which brings the plate to rest if no cycle follows that begins
+    in this state.
 
     Attributes
     ----------
@@ -141,8 +142,8 @@ class PlateCycle:
         Parameters
         ----------
         times : (k + 1,)
-            Increasing knot times [s], starting at 0. One time may occur twice: the cycle ends there
-            and the following knots are the tail.
+            Increasing knot times [s], starting at 0. One time may occur twice. The cycle ends
+            there, and the following knots are the tail.
         pose, twist, accel : (k + 1, 3)
             State of the plate at the knots.
 
@@ -183,7 +184,7 @@ class PlateCycle:
         cls, times: np.ndarray, states: list[np.ndarray], at_rest: bool = False
     ) -> PlateCycle:
         """Return a motion whose last state is set exactly to its first state or to rest. If
-        `at_rest` is true, it must end at rest."""
+        `at_rest` is true, the motion must end at rest."""
         gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
         size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
         closes = gap[0] <= size[0] and gap[1] <= 1e2 * size[1] and gap[2] <= 1e4 * size[2]
@@ -286,7 +287,8 @@ def _bezier(pieces: int) -> np.ndarray:
     Bezier control points, piece by piece.
 
     In piece j, u = (j + v)/pieces. The control points of v**m are binom(i, m)/binom(5, m), i =
-    0..5. The last point (i = 5) of a piece is omitted, because it is the first of the next one.
+    0..5. The last point (i = 5) of a piece is omitted, because it is the first point of the next
+    piece.
     """
     rows = [
         [

@@ -13,8 +13,8 @@ from ..errors import CycleError
 from ..rig import Rig
 
 CONSISTENCY_TOLERANCE = 5e-6
-"""Maximum inconsistency of the four motor travels [m]. A larger one would bend the plate's
-suspension."""
+"""Maximum inconsistency of the four motor travels [m]. A larger inconsistency would bend the
+plate's suspension."""
 
 
 def motor_state(

@@ -24,9 +24,9 @@ CUTS = 8
 bound to 1/64."""
 
 MAX_PIECES = 4000
-"""Maximum number of parts to examine, in addition to the motion's pieces. If there are more, the
-current bound is returned. It is too high, but this only happens for motions far beyond all limits.
-Other motions need about 20."""
+"""Maximum number of parts to examine, in addition to the motion's pieces. If more parts would be
+needed, the current bound is returned. This bound is too high, but this only happens for motions far
+beyond all limits. Other motions need about 20 parts."""
 
 GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
 """Nodes and weights of Gauss-Legendre quadrature with 6 nodes. It is exact for polynomials up to
@@ -106,8 +106,8 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Polynomial coefficients (k, 6, 4) of the motor forces, in powers of the time since the knot
     [N].
 
-    The forces accelerate the plate's mass. If the rig file describes flexures, they also deflect
-    these. See `Rig.motor_loads`.
+    The forces accelerate the plate's mass. If the rig file describes flexures, the forces also
+    deflect the flexures. See `Rig.motor_loads`.
     """
     pose = cycle.coefficients
     return np.asarray(

@@ -2,7 +2,7 @@
 
 The simulator, the loop without ROS and the environments play cycles by this rule. Planner and
 solver use it to predict the played cycle. The guards of driver and firmware must be independent of
-it, so they do not use it.
+this rule, so they do not use it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ HANDOVER_S = 4e-3
 and the computation of the driver."""
 
 HOLD_CYCLES = 1
-"""Default number of plays of a cycle without a tail if no other cycle follows. A cycle moves each
-part to a target. A second play would move it further, possibly over the edge."""
+"""Default number of plays (executions) of a cycle without a tail if no other cycle follows. A cycle
+moves each part to a target. A second play would move it further, possibly over the edge."""
 
 IDLE_S = 0.1
 """Default length of a cycle at rest [s]: a typical cycle of the solver."""
@@ -96,8 +96,8 @@ class Timeline:
         """Return the timeline after the player has received a cycle.
 
         Normally the new cycle becomes the waiting one. If the present waiting cycle follows the
-        running one and the new one does not, the present one is kept. A cycle at rest always
-        replaces it, because it may be a stop.
+        running one and the new one does not, the present waiting cycle is kept. A new cycle at rest
+        always replaces it, because this may be a stop.
         """
         kept = self.waiting is not None and self.waiting.follows(self.cycle)
         if kept and cycle.moves and not cycle.follows(self.cycle):

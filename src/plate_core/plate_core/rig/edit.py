@@ -82,7 +82,7 @@ def edited(text: str, values: Values) -> str:
 
 
 def _start(mapping: Any, key: str) -> int:
-    """Return the end of a key in a mapping: a block begins on the next line."""
+    """Return the end of a key in a mapping. If the value is a block, it begins on the next line."""
     return int(next(name for name, _ in mapping.value if name.value == key).end_mark.index)
 
 

@@ -16,7 +16,8 @@ ODRIVE_COUNTS = 2**20
 """Number of counts that this project uses for one turn of an ODrive, whose unit is turns."""
 
 STIFFEST = 1e9
-"""Maximum entry of a stiffness or damping matrix [N/m, N s/m, ...]. A larger one means rigid."""
+"""Maximum entry of a stiffness or damping matrix [N/m, N s/m, ...]. A larger entry means a rigid
+connection."""
 
 MOTOR = Section(
     "motors, motor_1 to motor_4",

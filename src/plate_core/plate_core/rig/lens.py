@@ -52,7 +52,7 @@ the image is infinite there."""
 
 ROUNDED = 1.01
 """Maximum radius of a result, relative to the radius at which the radial part of the lens folds.
-It exceeds 1 because tangential terms move the fold."""
+This ratio exceeds 1 because tangential terms move the fold."""
 
 MARGIN = 0.05
 """Border around the plate in which a lens must not fold the image, relative to the plate's length
@@ -197,7 +197,8 @@ class Lens:
         return np.where(shown[..., None], straight, np.nan)
 
     def folds(self, corners_px: np.ndarray, straight: bool = False) -> str:
-        """Return a message if the lens folds the image of a plate. Empty if its map is one to one.
+        """Return a message if the lens folds the image of a plate. Empty if each image point shows
+        one point of the plate.
 
         Parameters
         ----------
@@ -259,8 +260,8 @@ class Lens:
     @cached_property
     def _reach(self) -> float:
         """Radius [focal lengths] of the rays at which the radial part folds the image. Infinite if
-        it never does. An equidistant lens can see beyond 90 degrees, but the undistorted image
-        cannot show this, so the radius is limited by `STEEPEST_RAD`."""
+        it never folds the image. An equidistant lens can see beyond 90 degrees, but the undistorted
+        image cannot show this, so the radius is limited by `STEEPEST_RAD`."""
         if self.model == "equidistant":
             powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
             return float(np.tan(min(np.sqrt(_first_root(powers)), STEEPEST_RAD)))

@@ -1,4 +1,5 @@
-"""Detection of values in a rig file that were not measured: they equal those of a shipped file."""
+"""Detection of values in a rig file that were not measured. Such values equal those of a shipped
+file."""
 
 from __future__ import annotations
 

@@ -87,8 +87,8 @@ def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
 def motor_reach(rig: Rig) -> Reach:
     """Return the maximum acceleration that the motors can continuously give any point of the plate.
 
-    It is the minimum of two limits: that of the peak force, and that of the continuous force in
-    motions whose peak force is `PEAK_OVER_RMS` times the root mean square force.
+    It is the minimum of two limits. One is set by the peak force, the other by the continuous force
+    in motions whose peak force is `PEAK_OVER_RMS` times the root mean square force.
     """
     most, limits = force_per_accel(rig), rig.limits
     motor = rig.motors[int(np.argmax(most))].name

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from shapely import Geometry
 
 MAX_CORNERS = 32
-"""Maximum number of corners of an outline or a hole. A contour with more must be simplified."""
+"""Maximum number of corners of an outline or a hole. A contour with more corners must be
+simplified."""
 
 MAX_HOLES = 8
 """Maximum number of holes of a part."""

@@ -72,7 +72,7 @@ class Friction:
 @dataclass(frozen=True)
 class PartFacts:
     """Data of the parts without a type in `types`: identical discs with this mass [kg], radius [m]
-    and height above the plate [m]. The height is 0 if they are flat or it is unknown."""
+    and height above the plate [m]. The height is 0 if the discs are flat, or if it is unknown."""
 
     mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
     radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
@@ -102,7 +102,7 @@ class Limits:
     heat_rise_k : float
         Temperature of the winding above ambient at the continuous force [K].
     following_error_m : float
-        Following error of a motor that counts as a fault [m]. 0: not checked.
+        Following error of a motor above which a fault occurs [m]. 0 disables the check.
     """
 
     stroke_m: float = measured(
@@ -232,8 +232,9 @@ class Camera:
 class EdgeMargin(NamedTuple):
     """Required distance of a part's centre from the plate's edges [m].
 
-    Below `least_m` the part is lost: the plate can move away under it by the motors' stroke, or the
-    part overhangs the edge. Behind the wall, `wall_m` from the edges, it is safe.
+    Below `least_m`, the part is lost, because the plate can move away under it by the motors'
+    stroke, or because the part overhangs the edge. Behind the wall, at the distance `wall_m` from
+    the edges, the part is safe.
     """
 
     least_m: float

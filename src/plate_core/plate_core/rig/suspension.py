@@ -36,8 +36,8 @@ class Suspension:
         Matrices of the flexures [N s/m, ...] and [N/m, ...], positive semidefinite.
     feedforward : (3,)
         Fractions of the inertial, damping and stiffness forces of the commanded motion that the
-        drive supplies as feedforward. (1, 1, 1) is a perfect model of the plate, (1, 0, 0) that of
-        a free rigid plate, (0, 0, 1) that of flexures without mass.
+        drive supplies as feedforward. (1, 1, 1) is a perfect model of the plate, (1, 0, 0) a model
+        of a free rigid plate, and (0, 0, 1) a model of flexures without mass.
     motor_gain : (4,)
         Actual force of each motor divided by its commanded force.
     motor_bandwidth_hz : float
@@ -116,7 +116,8 @@ def modal_matrices(
     Parameters
     ----------
     frequency_hz, damping_ratio : (3,)
-        Natural frequency [Hz] and damping ratio of x, y and theta, each with the others held.
+        Natural frequency [Hz] and damping ratio of x, y and theta, each while the other two are
+        held at 0.
     """
     diagonal = np.diag(np.array(mass))
     omega = 2 * pi * np.asarray(frequency_hz)

@@ -333,8 +333,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
-        """Call `rest`, release everything, and destroy the node. Also called when the process
-        stops."""
+        """Call `rest`, release everything, and destroy the node. This method is also called when
+        the process stops."""
         try:
             self.close()
         finally:  # also after an exception

@@ -32,12 +32,12 @@ LAST_ROUNDS = 5
 """Number of executor rounds after the nodes are deactivated, to send their last messages."""
 
 POLL_S = 0.1
-"""Maximum delay of the reaction to a signal [s]: Python handles it only when the executor
+"""Maximum delay of the reaction to a signal [s]. Python handles a signal only when the executor
 returns."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a node. SIGHUP, sent when the terminal closes, ends it unless the process
-ignores this signal."""
+"""Signals that end a node. SIGHUP is sent when the terminal closes. It ends a node unless the
+process ignores this signal."""
 
 
 def run_node(

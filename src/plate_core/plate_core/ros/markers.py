@@ -28,7 +28,7 @@ LINE_M = 0.002
 """Width of lines and arrows [m]."""
 
 AHEAD_S = 1.0
-"""Prediction time of velocity arrows [s]: an arrow ends at the part's position after this time."""
+"""Prediction time of velocity arrows [s]. An arrow ends at the part's position after this time."""
 
 FORCE_M = 0.1
 """Length of the arrow of a force equal to a part's sliding friction [m]."""
@@ -85,8 +85,8 @@ def scene_to_msg(
 
 
 def forces_to_msg(rig: Rig, wanted: Wanted, stamp: Time) -> MarkerArray:
-    """Return the forces of a request as arrows. If the request has targets, they are the forces
-    that lead the parts there."""
+    """Return the forces of a request as arrows. If the request has targets, the arrows are the
+    forces that move the parts to their targets."""
     starts = wanted.parts.position
     ends = starts + FORCE_M / rig.force_unit * wanted.forces.force
     pairs = enumerate(zip(starts, ends, strict=True))

@@ -38,8 +38,8 @@ class Spec:
     """Allowed values of one parameter, and when it may change.
 
     A live parameter may change at any time. A fixed one never changes while the process runs. Any
-    other one may change while the node is not active, or never if the node has no lifecycle. The
-    help text lists the parameters of a `group` by name only, after its heading.
+    other parameter may change while the node is not active, or never if the node has no lifecycle.
+    The help text lists the parameters of a `group` by name only, after its heading.
     """
 
     description: str
@@ -111,9 +111,9 @@ def declare(node: Node, kind: type[Options]) -> Options:
 def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) -> None:
     """Refuse parameters that were given at start but are not declared.
 
-    They are spelling mistakes, or parameters of earlier versions. For the latter, `moved` maps the
-    name to its replacement. If only a wildcard section of a parameter file gives a parameter, it
-    may be for other nodes, so only a warning is logged.
+    They are spelling mistakes, or parameters of earlier versions. For parameters of earlier
+    versions, `moved` maps the name to its replacement. If only a wildcard section of a parameter
+    file gives a parameter, it may be for other nodes, so only a warning is logged.
     """
     names = [
         name
@@ -167,7 +167,8 @@ def for_others(words: Sequence[str], node: str) -> set[str]:
 
 
 def _given(read: Any, section: str) -> Iterator[tuple[str, str]]:
-    """Yield the section and the name of each parameter in a file. Both may be nested."""
+    """Yield the section and the name of each parameter in a file. Sections and parameters may be
+    nested."""
     for key, value in read.items() if isinstance(read, dict) else ():
         if key == "ros__parameters":
             yield from ((section, name) for name in _flat(value, ""))

@@ -53,7 +53,7 @@ CALLS = QoSProfile(
 )
 """For services and their clients. With the default depth of 10 of ROS, 90 of 100 simultaneous stop
 requests get no reply. Clients need this depth too, because the replies to all clients pass through
-the queue of each."""
+the queue of each client."""
 
 TRANSFORMS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

@@ -61,7 +61,8 @@ executors.ExitStack = _Handles  # type: ignore[assignment, misc]
 
 
 def can_execute(entity: Any) -> bool:
-    """As `Executor.can_execute` without its lock, for an executor with a single thread."""
+    """Do the same as `Executor.can_execute`, but without the lock, for an executor with a single
+    thread."""
     group = entity.callback_group
     return not entity._executor_event and getattr(group, "_active_entity", None) is None
 
@@ -113,7 +114,7 @@ class RclpyLifecycleNode(LifecycleNode):
         """Reply `success: false` to a request for a transition that the present state lacks.
 
         In rclpy the error of the state machine ends the process (issue 1209, fixed in Rolling by
-        pull request 1319). There is no public method to override.
+        pull request 1319). There is no public method that could be overridden.
         """
         try:
             # mypy does not know mangled names.
@@ -127,8 +128,9 @@ class RclpyLifecycleNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Destroy the node with its state machine.
 
-        rclpy leaves this to the garbage collector, and until then the node stays in the graph. No
-        issue about this is known. Issue 1710 reports the same defect of another object.
+        rclpy leaves this to the garbage collector, and the node stays in the graph until the
+        collection. No issue about this is known. Issue 1710 reports the same defect of another
+        object.
         """
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()

@@ -72,7 +72,7 @@ class Reader:
     held : bytes
         Bytes of an incomplete frame.
     lost : bool
-        Whether the incomplete frame is too long. It is then skipped up to its end.
+        Whether the incomplete frame is too long. If so, it is skipped up to its end.
     refused : int
         Number of damaged frames so far.
     """

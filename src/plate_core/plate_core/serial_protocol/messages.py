@@ -1,7 +1,7 @@
 """Messages between the driver (host) and the motor controller (device), and their encoding.
 
 docs/protocol.md specifies when each message is sent and why. `pack` encodes a message with its
-sequence number, `parse` decodes and checks one.
+sequence number, `parse` decodes and checks a message.
 """
 
 from __future__ import annotations
@@ -166,8 +166,8 @@ class Trigger:
 @dataclass(frozen=True)
 class Begin:
     """Host: announce a table with its number of knots and their CRC-32. At the knot with the time
-    `splice_ticks` [TICK_S], the next table starts if there is one, otherwise the tail. 0: the table
-    has no tail."""
+    `splice_ticks` [TICK_S], the next table starts if there is one, otherwise the tail. If
+    `splice_ticks` is 0, the table has no tail."""
 
     table: int = field(metadata=_wire("H"))
     knots: int = field(metadata=_wire("H"))

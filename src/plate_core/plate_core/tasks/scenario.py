@@ -1,8 +1,8 @@
 """Reading of scenario files, check of a scenario against a rig, and placement of its parts.
 
-`load_scenario` returns a `Scenario`. `check_scenario` refuses one that is impossible on a rig, such
-as targets beyond the edges. `start_positions` returns the given start positions, and random ones
-for the other parts.
+`load_scenario` returns a `Scenario`. `check_scenario` refuses a scenario that is impossible on a
+rig, such as one with targets beyond the edges. `start_positions` returns the given start positions,
+and random ones for the other parts.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
 
 
 def _rig(fields: Fields, folder: Path) -> str:
-    """Return the rig in the form that `load_rig` accepts. Empty if none is given."""
+    """Return the rig in the form that `load_rig` accepts. Empty if no rig is given."""
     text = fields.value(keys.FILE["rig"])
     if text.endswith((".yaml", ".yml")):
         return str(folder / text)
@@ -264,7 +264,8 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
 
 
 def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
-    """Return pairs of a fraction of a lap and the speed there [m/s]. One pair: constant speed."""
+    """Return pairs of a fraction of a lap and the speed there [m/s]. A single pair means a constant
+    speed."""
     if not fields.holds_list("speed_mps"):
         return ((0.0, fields.value(keys.PATH["speed_mps"])),)
     profile = fields.array("speed_mps", (None, 2), 0, keys.FASTEST_MPS)

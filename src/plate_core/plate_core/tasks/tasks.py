@@ -35,8 +35,8 @@ class PartGroup:
 class Side:
     """A side or corner of the plate.
 
-    `x` and `y` are the signs of the coordinates there, 1 or -1, or 0 for any sign. A part is there
-    if it is beyond the goal line along x, along y, or along both.
+    `x` and `y` are the signs of the coordinates there, 1 or -1, or 0 for any sign. A part is in
+    this region if it is beyond the goal line along x, along y, or along both.
     """
 
     x: int
@@ -257,7 +257,8 @@ class Hopper:
     Attributes
     ----------
     fill : int
-        Number of parts on the plate after a refill. It determines how long the hopper stays open.
+        Number of parts on the plate after a refill. This number determines the opening time of the
+        hopper.
     least : int
         The hopper opens when fewer parts than this are on the plate.
     rate : float

@@ -30,14 +30,14 @@ MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 11
 """Bounds of this half width [px]."""
 
 MIN_CORNERS = 6
-"""Minimum number of corners in a picture: a homography needs four."""
+"""Minimum number of corners in a picture. A homography needs four."""
 
 MIN_MARKERS = 4
 """Minimum number of markers for a check of the printed board."""
 
 WORST_MISFIT = 0.4
-"""Maximum misfit of markers to the correct board [marker sides]. A wrong board has 0.7 or more, the
-correct one up to 0.2 with a strongly distorting lens."""
+"""Maximum misfit of markers to the correct board [marker sides]. A wrong board has 0.7 or more. The
+correct board has up to 0.2 with a strongly distorting lens."""
 
 NEAR = 4
 """Number of nearest markers from which a corner is predicted. A local prediction tolerates a
@@ -70,7 +70,8 @@ FIXED = (
     cv2.CALIB_FIX_K5 | cv2.CALIB_FIX_K6,
     cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K5 | cv2.CALIB_FIX_K6,
 )
-"""Flags of OpenCV that set coefficients of a rational polynomial to 0: more with each entry."""
+"""Flags of OpenCV that set coefficients of a rational polynomial to 0. Each entry sets more
+coefficients to 0."""
 
 FOLD_GRID = 33
 """Number of points along each side of the image where folding by the lens is checked."""
@@ -343,7 +344,7 @@ class LensFit:
 
     @property
     def warning(self) -> str | None:
-        """Advice on better pictures; None if there is none."""
+        """Advice on better pictures. None if no advice is needed."""
         if min(self.cover) < MIN_COVER:
             return (
                 f"the board covered {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "

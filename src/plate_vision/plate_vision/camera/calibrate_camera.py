@@ -42,8 +42,8 @@ INCH_M = 0.0254
 
 FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
 """Number of frames of a film, and of pictures of a folder, that are searched one by one. Then the
-same number of every second one is searched, then of every fourth, and so on: 250 of 1000 frames,
-450 of 10,000."""
+same number is searched among every second picture, then among every fourth, and so on. In total,
+250 of 1000 frames or 450 of 10,000 are searched."""
 
 FRAMES_TOLD = 50
 """Number of searched frames between two progress lines, if the output is not a terminal."""

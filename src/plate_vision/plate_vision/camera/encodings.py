@@ -30,7 +30,8 @@ CODES = {
     "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
     **BAYER,
 }
-"""OpenCV's conversion codes from a kind of pixels to blue, green, red; None: no conversion."""
+"""OpenCV's conversion codes from a kind of pixels to blue, green, red. None if no conversion is
+needed."""
 
 CHANNELS = {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "yuv422": 2, "yuv422_yuy2": 2}
 """Number of channels for each kind of pixels with more than one."""
@@ -49,8 +50,8 @@ ENCODINGS = {
 """Encodings of sensor_msgs/Image: kind of pixels, and bytes per number."""
 
 MAX_PIXELS = 50_000_000
-"""Maximum size of an unpacked image [pixels]: 0.15 GB in colour. A small file can declare much
-more."""
+"""Maximum size of an unpacked image [pixels]: 0.15 GB in colour. A small file can declare a much
+larger image."""
 
 PNG_DEPTH = 24
 """Position of the bit depth in a PNG file [bytes]."""
@@ -59,8 +60,8 @@ BRIGHT = 127
 """Maximum grey level that leaves the highest bit unused."""
 
 TAIL = 64
-"""Number of bytes at the end of a file that must contain its end mark: some cameras append
-padding."""
+"""Number of bytes at the end of a file that must contain the end mark. It is not always last,
+because some cameras append padding."""
 
 
 def decode(
@@ -178,7 +179,7 @@ def is_wide(encoding: str) -> bool:
 
 
 def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
-    """Whether a picture's file has 16 bits per number: only PNG can."""
+    """Whether a picture's file has 16 bits per number. Only PNG files can."""
     return bytes(content[: len(PNG)]) == PNG and len(content) > PNG_DEPTH and content[PNG_DEPTH] > 8
 
 

@@ -77,7 +77,7 @@ def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Len
     Raises
     ------
     PlateError
-        If it cannot be written. An existing file then remains unchanged.
+        If the file cannot be written. An existing file then remains unchanged.
     """
     data = {
         "image_width": size_px[0],
@@ -188,7 +188,7 @@ class Pictures:
         return f"{self._path.name}: {number}", np.asarray(pixels)
 
     def skip(self, count: int) -> None:
-        """Skip some pictures; this is faster than reading them."""
+        """Skip some pictures. This is faster than reading them."""
         for _ in range(count):
             if not (self.place < len(self._files) if self._film is None else self._film.grab()):
                 return

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 ORIENTATION = 274
-"""EXIF and TIFF tag for the rotation and mirroring that a viewer applies. 1: none."""
+"""EXIF and TIFF tag for the rotation and mirroring that a viewer applies. The value 1 means
+none."""
 
 WIDTH, HEIGHT = 256, 257
 """TIFF tags of the size."""

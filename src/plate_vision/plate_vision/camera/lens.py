@@ -17,11 +17,11 @@ from plate_core.rig import camera_place, fit_homography, home_pose, lens_of_matr
 from ..errors import CalibrationError
 
 MAX_CONDITION = 1e10
-"""Maximum condition number of a homography. Above it points cannot be mapped back; a useful camera
-has 1e3 to 1e7, depending on the units."""
+"""Maximum condition number of a homography. If it is exceeded, points cannot be mapped back. A
+useful camera has 1e3 to 1e7, depending on the units."""
 
 MIN_AREA_PX2 = 100.0
-"""Minimum area of the plate in an image [px2]. On a smaller one no part is large enough."""
+"""Minimum area of the plate in an image [px2]. On a smaller plate, no part is large enough."""
 
 SLENDER = 1e-4
 """Minimum area of the quadrilateral of four plate points, relative to their extent squared."""
@@ -103,7 +103,7 @@ class Lens:
         Raises
         ------
         CalibrationError
-            If the lens folds it, so that parts would appear at wrong places.
+            If the lens folds the image, so that parts would appear at wrong places.
         """
         if folded := self._formula.folds(corners_px, straight):
             raise CalibrationError(f"{self._begin}{folded}")
@@ -239,7 +239,7 @@ def check_quadrilateral(
     Raises
     ------
     error
-        If it is not; the message names the defect.
+        If the polygon has another form; the message names the defect.
     """
     polygon = np.asarray(polygon, dtype=float)
     if polygon.shape != (4, 2) or not np.all(np.isfinite(polygon)):
@@ -273,7 +273,7 @@ def calibrate_by_matrix(
     Raises
     ------
     CalibrationError
-        If it is not (3, 3), not finite, or has no inverse.
+        If the homography is not (3, 3), not finite, or has no inverse.
     """
     matrix = _finite(image_from_home, (3, 3), "homography")
     condition = float(np.linalg.cond(matrix)) if np.any(matrix) else np.inf
