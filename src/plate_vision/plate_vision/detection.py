@@ -89,8 +89,8 @@ The angle of an outline is that of its longest side to x, 0 to pi. The angle of 
 its mark, 0 without a mark."""
 
 APART = 1.4
-"""Minimum distance of two parts, in radii of the larger one; touching parts have 2. If two are
-nearer, the one with the larger misfit is rejected."""
+"""Minimum distance of the centres of two parts, in radii of the larger part. Touching parts have 2.
+If two parts are nearer, the part with the larger misfit is rejected."""
 
 BETTER = 2.0
 """If one of two overlapping discs has at least this multiple of the other's misfit, the other is
@@ -105,15 +105,16 @@ SIGMAS = 2.2
 is the mean of four pixels, whose noise is half as large."""
 
 ROUGH = 0.25
-"""Fraction of detected parts above which objects that are not, or only roughly, shaped like a part
-start the search for shadows."""
+"""Fraction of detected parts. If more objects than this are not shaped like a part, or only
+roughly, the search for shadows starts."""
 
 FAINT = 2.0
 """Minimum contrast of an object that is not too faint, relative to the minimum contrast of a
 part."""
 
 MIN_ALIKE = 3
-"""Minimum number of similar parts for their radius to be used as the known one."""
+"""Minimum number of similar parts. If there are as many, their radius is used as the known
+radius."""
 
 ALIKE = 0.12
 """Maximum relative deviation from the median radius of similar parts."""
@@ -128,16 +129,17 @@ class DetectorOptions:
     radius_px : float
         Radius of a part [px], 3 to 200.
     radius_tolerance : float
-        Maximum relative deviation from it, 0.05 to 0.6.
+        Maximum relative deviation from `radius_px`, 0.05 to 0.6.
     threshold : float
         Parts are darker than this fraction of the bare plate's brightness, or differ from it by as
-        much because they are brighter or of another colour, 0.1 to 0.97. In noisy images they must
-        differ by more.
+        much because they are brighter or of another colour, 0.1 to 0.97. In noisy images, parts
+        must differ by more.
     class_threshold : float
         Fraction of the bare plate's brightness below which a part is black, above which grey, 0.05
         to 0.95.
     min_plate_grey : float
-        Minimum brightness of the plate [grey levels], 1 to 255. Below it the light counts as off.
+        Minimum brightness of the plate [grey levels], 1 to 255. On a darker plate, the light counts
+        as off.
     margin_px : float
         Maximum distance of a part's centre outside the region [px], 0 to 10, for errors of the
         calibration. Only pixels inside the region are evaluated. If a part is 2 px farther out, too
@@ -239,7 +241,7 @@ class Discs(NamedTuple):
     ----------
     found : (n,) DETECTION
     parts : (n,) SILHOUETTE
-        Their silhouettes.
+        Silhouettes of the parts `found`.
     overlooked : (m,) OVERLOOKED
         Objects on the plate that are rejected as parts. Their x and y are not set.
     shadow : Shadow, optional
@@ -283,8 +285,8 @@ def find_discs(
     The first step finds, in grey levels, parts that are clearly darker than the plate. If anything
     else is on the plate, the second step finds parts by `plate.contrast`: fainter or brighter ones,
     parts of another colour, or with highlights or holes. If many objects are not shaped like a
-    part, the third step searches for a shadow that every part casts. `shadow` is the one of the
-    previous image. `search` permits the search for another one, which takes long.
+    part, the third step searches for a shadow that every part casts. `shadow` is the shadow in the
+    previous image. `search` permits the search for another shadow, which takes long.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
@@ -377,7 +379,8 @@ def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
 
 def _apart(discs: Discs) -> Discs:
     """Remove each disc that overlaps a disc with a smaller misfit. If the misfits are similar,
-    either may be the part: then the kept disc's uncertainty is the distance of both."""
+    either disc may be the part. In this case, the uncertainty of the remaining disc is the distance
+    of both."""
     place, radius = discs.places, discs.parts["radius_px"]
     if not np.any(crowded(place, APART * float(np.max(radius, initial=0)))):
         return discs

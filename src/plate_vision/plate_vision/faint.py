@@ -23,10 +23,10 @@ RING = (2.6, 4.6)
 
 NOISE_FACTOR = 8.0
 """Minimum contrast of a patch to the ring around it, in standard deviations of that contrast over
-the plate. It excludes texture."""
+the plate. This limit excludes texture."""
 
 MIN_CONTRAST = 2.0
-"""Minimum contrast of a patch [grey levels]. It excludes stripes and spots of the light."""
+"""Minimum contrast of a patch [grey levels]. This limit excludes stripes and spots of the light."""
 
 CLEAR = 3.4
 """Distance from parts and other objects within which patches are ignored [part radii], because of
@@ -34,7 +34,7 @@ shadows."""
 
 SPREAD = 0.6
 """Maximum contrast at 1.2 radii from a patch's centre, as a fraction of the contrast in the centre.
-A shade or a stripe is larger than a part and exceeds it."""
+A shade or a stripe is larger than a part and exceeds this limit."""
 
 
 COARSE_PX = 4.0

@@ -57,7 +57,7 @@ planner reports it."""
 
 SPECK_RADIUS = 0.3
 """Objects smaller than this, relative to the smallest part's radius [-], do not count for the
-warning while parts are seen: a tenth of a part's area is dust or a reflection."""
+warning while parts are seen. An object of a tenth of a part's area is dust or a reflection."""
 
 EDGE_REASONS = ("at the edge", "beyond the plate")
 """Objects with these reasons do not count either. A plate that is away from home shows its own
@@ -86,8 +86,8 @@ def may_be_parts(
     inner: np.ndarray,
     centre: np.ndarray,
 ) -> np.ndarray:
-    """Return which objects (n,) OVERLOOKED may be parts: those of a part's size that are on the
-    plate and apart from all parts.
+    """Return which objects (n,) OVERLOOKED may be parts: those that have a part's size, are on the
+    plate and are apart from all parts.
 
     Parameters
     ----------
@@ -128,8 +128,8 @@ def unnamed_things(
     seen : (n,) `shapes.classes.SIGHTING`
         Only sightings with a class of `NAMELESS` count.
     on_plate : (n,)
-        Whether a sighting is on the plate at every motor position, bool. Others do not count: they
-        may be the edge of a plate that is not at home.
+        Whether a sighting is on the plate at every motor position, bool. Other sightings do not
+        count, because they may be the edge of a plate that is not at home.
     radius : (n,)
         Radii of the discs of the same area [m].
     smallest, largest : float

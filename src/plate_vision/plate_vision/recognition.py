@@ -2,8 +2,8 @@
 
 The image is divided into patches that differ from the bare plate (`segment`). Each patch is
 compared with the catalogue of types (`recognise_under`), and groups of touching parts are separated
-(`explain_groups`). The length of the shadows is estimated from the types and the segmentation is
-repeated if it disagrees. Output: `SIGHTING` records.
+(`explain_groups`). The length of the shadows is estimated from the types. If the segmentation used
+another length, it is repeated. Output: `SIGHTING` records.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SIZE_ALONE = 3.0
 
 SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
 """Maximum difference between the shadow length measured with known types and the one measured by
-colours, relative to the latter and [px]. If it is larger, they are not shadows."""
+colours, relative to the latter and [px]. If the difference is larger, the areas are not shadows."""
 
 SCALE = 1000.0
 """Default scale of a photograph [px/m]: one pixel is a millimetre."""
@@ -155,8 +155,8 @@ def _joined(
 ) -> tuple[list[Patch], np.ndarray]:
     """Return patches and their sightings (n,) SIGHTING, after the second recognition `again`.
 
-    A sighting of the second recognition replaces the first ones that it overlaps if it has a type.
-    If it overlaps none, it is added.
+    If a sighting of the second recognition has a type, it replaces the first sightings that it
+    overlaps. If it overlaps no sighting, it is added.
     """
     kept = np.ones(len(patches), bool)
     added = []

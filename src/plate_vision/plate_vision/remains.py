@@ -31,7 +31,8 @@ HOLE = 0.5
 highlight or a hole."""
 
 SMALL, LARGE = 0.6, 1.6
-"""Range of an object's area relative to a part's area; outside it is too small or too large."""
+"""Range of an object's area relative to a part's area. Outside this range, the object is too small
+or too large."""
 
 
 class Remains(NamedTuple):

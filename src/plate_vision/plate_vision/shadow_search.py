@@ -22,15 +22,15 @@ from .plate import LitPlate
 from .remains import Remains
 
 FEWEST = 2
-"""Minimum number of elongated objects in one direction that indicate shadows. A single one may be a
-part of another shape."""
+"""Minimum number of elongated objects in one direction that indicate shadows. A single object may
+be a part of another shape."""
 
 MAX_OBJECTS = 10
 """Maximum number of objects used for the fit. More make it slower, and hardly better."""
 
 PIXELS = 3000.0
-"""Maximum total area of the objects in the fit, divided by pi [px^2]. It reduces the number of
-large objects."""
+"""Maximum total area of the objects in the fit, divided by pi [px^2]. This limit reduces the number
+of large objects."""
 
 SIZE = 1.05, 4.0
 """Range of the area of a part with its shadow, relative to the part's area."""
@@ -58,11 +58,12 @@ GOOD_FIT = 0.1
 """Maximum mean misfit with a shadow."""
 
 BETTER = 0.75
-"""The same, relative to the misfit without a shadow."""
+"""Maximum mean misfit with a shadow, relative to the misfit without a shadow."""
 
 SURE = 0.7
-"""The same, relative to the misfit with a shadow to the opposite side. Above it the side is
-unknown: synthetic shadows that were assigned to the wrong side had 0.76 and more."""
+"""Maximum mean misfit with a shadow, relative to the misfit with a shadow to the opposite side. If
+it is exceeded, the side is unknown. Synthetic shadows that were assigned to the wrong side had 0.76
+and more."""
 
 UNLIKE = 0.15
 """Minimum difference in darkness by which a part is distinguished from its shadow."""
@@ -72,7 +73,7 @@ UNLIKE_FRACTION = 0.3
 
 EQUAL = 1.05
 """A shadow whose length is measured replaces the one whose length is fitted if its misfit is good,
-or less than this multiple of the other's."""
+or less than this multiple of the other shadow's misfit."""
 
 WORST = 0.4
 """Maximum misfit of an object that enters the mean, so that objects that are not parts do not
@@ -235,7 +236,7 @@ def _capsules(
 
 def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> Shadow:
     """Return the shadow with its measured length: where the median darkness over the discs (n,)
-    DISC falls to half of the shadow's."""
+    DISC falls to half of the shadow's darkness."""
     steps, levels = _along(contrast, shadow, discs, parts)
     light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
     end = steps[light[0]] if len(light) else steps[-1]

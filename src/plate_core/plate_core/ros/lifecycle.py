@@ -104,7 +104,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         """Release resources that do not belong to ROS."""
 
     def retune(self) -> None:
-        """Apply `options` after a live one has changed. Called only while the node is configured.
+        """Apply `options` after a live one has changed. This method is called only while the node
+        is configured.
 
         Raise a `PlateError` if the options are inconsistent. The previous options are then kept.
         """

@@ -25,7 +25,8 @@ WIDTH = 100
 
 
 def answered(node: Any, options: type | None, args: Sequence[str] | None) -> bool:
-    """Print the help text if the command line contains `-h` or `--help`. Return whether it does.
+    """Print the help text if the command line contains `-h` or `--help`. Return whether it was
+    printed.
 
     Raises
     ------

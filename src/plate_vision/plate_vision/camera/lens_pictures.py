@@ -20,7 +20,7 @@ NEEDED = 10
 pictures and 0.4 % with ten."""
 
 MOST = 40
-"""Maximum number of pictures. More would make the fit slow and improve it little."""
+"""Maximum number of pictures. More pictures would make the fit slow and improve it little."""
 
 DIFFERS = 0.06
 """Minimum distance of a board from the boards of all kept pictures: root mean square over its four
@@ -39,14 +39,14 @@ CORNERS = {
     "bottom left": (ROWS - 1) * COLUMNS,
     "bottom right": ROWS * COLUMNS - 1,
 }
-"""Cells in which the board must be seen: a lens distorts most there."""
+"""Cells in which the board must be seen, because a lens distorts most there."""
 
 TILTED_RAD = np.radians(12.0)
 """Minimum tilt of a tilted board. With less tilt the fit cannot separate focal length from
 distance."""
 
 TILTS = ("left", "right", "top", "bottom")
-"""Sides of the board: each must be nearer to the camera in at least one picture."""
+"""Sides of the board. Each side must be nearer to the camera in at least one picture."""
 
 GUESSED_FOCAL = 1.2
 """Focal length assumed in the estimate of the tilt, relative to the longer side of the image [-]: a

@@ -34,7 +34,8 @@ SAMPLES = 24
 """Number of profiles across each edge."""
 
 SPAN = (0.15, 0.85)
-"""Range of an edge that is sampled [sides]: its ends are rounded."""
+"""Range of an edge that is sampled [sides]. The ends of an edge are rounded, so they are not
+sampled."""
 
 REACH_PX = 4.0
 """Maximum distance of an edge from its expected place, to both sides [px]."""
@@ -52,7 +53,7 @@ MIN_CROSSINGS = 6
 """Minimum number of crossings for an edge."""
 
 ROUNDS = 2
-"""Number of refinements, each around the edges of the previous one."""
+"""Number of refinements. Each searches around the edges of the previous one."""
 
 
 def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
@@ -199,7 +200,7 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
     """Fit a + b t to crossings (n, 4, s) at t = `at`, without outliers. Return a, b (n, 4, 2); NaN
-    with too few crossings."""
+    if there are too few crossings."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
     line = _fit(at, crossing, weight)

@@ -51,7 +51,7 @@ def judge(
     (m,) int64
         Labels of the parts: 0 black, 1 grey, 2 brighter than the plate.
     (m, 7)
-        Their properties in the order of `NUMBERS`.
+        Properties of the parts, in the order of `NUMBERS`.
     """
     return _kernels.judge(
         numbers(discs), silhouette.numbers(parts), marks, light, region.edges, region.bows, noise,

@@ -1,8 +1,8 @@
 """Marks: a spot off the centre of a part, darker or lighter than the part, shows its angle.
 
-The mark is the region around the pixel that differs most from the part's grey. It is painted over,
-so that the part is then measured like one without a mark. Highlights, which are as bright as the
-plate or brighter, are painted over too, but do not count as marks.
+The mark is the region around the pixel that differs most from the part's grey. The mark is painted
+over, so that the part is then measured like a part without a mark. Highlights, which are as bright
+as the plate or brighter, are painted over too, but do not count as marks.
 """
 
 from __future__ import annotations

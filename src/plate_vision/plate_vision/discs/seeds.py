@@ -21,15 +21,16 @@ COARSE_RADIUS_PX = 3.5
 """Minimum radius of a part on the coarse grid, which skips rows and columns for speed [px]."""
 
 EROSION = 0.5
-"""Width by which dark blobs are eroded [part radii]. It separates parts that touch, and removes the
-thin dark line of a plate that is displaced a little."""
+"""Width by which dark blobs are eroded [part radii]. The erosion separates parts that touch, and
+removes the thin dark line of a plate that is displaced a little."""
 
 MIN_CORE = 0.1
-"""Minimum size of an eroded blob, relative to a whole part's. It accepts a part with almost half of
-its area on the plate, with a quarter in a corner, or with 0.8 of the expected radius."""
+"""Minimum size of an eroded blob, relative to the blob of a whole part. This limit accepts a part
+with almost half of its area on the plate, with a quarter in a corner, or with 0.8 of the expected
+radius."""
 
 MAX_CORE = 1.5
-"""Maximum size of an eroded blob that counts as one part, relative to a whole part's."""
+"""Maximum size of an eroded blob that counts as one part, relative to the blob of a whole part."""
 
 SPREAD = 0.2
 """Half width of the window over which votes are summed [part radii]: the error of the radius."""

@@ -22,7 +22,7 @@ class Shadow:
     darkness : float
         Fraction of the light that is missing in the shadow.
     edge_px : float
-        Half the width of its edge [px].
+        Half the width of the shadow's edge [px].
     """
 
     calibration: Calibration

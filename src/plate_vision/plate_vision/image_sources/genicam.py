@@ -36,8 +36,8 @@ FETCH_S = 0.5
 """Maximum wait for an image before `stop` is checked again [s]."""
 
 OFFSETS = 100
-"""Number of images over which the minimum delay of an image is taken: the device has its own
-clock."""
+"""Number of images over which the minimum delay of an image is taken. It is needed because the
+device has its own clock."""
 
 
 def open_producer(file: str) -> Any:

@@ -50,8 +50,8 @@ AUTO = "auto"
 """Value of the parameter `format`: the node chooses the format."""
 
 CLOCK_READS, CLOCKS_APART_NS = 5, 100_000
-"""Maximum number of attempts to read both clocks together, and the maximum time between the two
-reads of a good attempt [ns]."""
+"""Maximum number of attempts to read both clocks together; and maximum time between the two reads
+of a good attempt [ns]."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _work(self, source: Source, stop: threading.Event, before: threading.Thread | None) -> None:
         """Read and publish images until the end.
 
-        `before` is the previous reader. It may still wait for an image; then it closes the source.
+        `before` is the previous reader. If it still waits for an image, it closes the source
+        itself.
         """
         if before is not None:
             before.join()

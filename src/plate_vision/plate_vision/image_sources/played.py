@@ -30,7 +30,7 @@ POLL_S = 0.1
 
 
 class FilmSource:
-    """A film, a picture or a folder of pictures: each image comes when it is due.
+    """A film, a picture or a folder of pictures. Each image is delivered when it is due.
 
     The stamps are regular. If an image is not ready when it is due, all later ones are delayed, so
     none is lost.
@@ -75,7 +75,7 @@ class FilmSource:
         return frame
 
     def change(self, settings: Settings) -> None:
-        """Ignore the settings: a film has no settings."""
+        """Ignore the settings, because a film has no settings."""
 
     def state(self) -> Mapping[str, object]:
         """Return the kind of the files, and the meaning of the stamps."""

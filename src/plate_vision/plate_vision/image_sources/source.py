@@ -53,7 +53,7 @@ class Settings:
     format : str
         Key of `FORMATS`; empty: the first one with this size and rate.
     exposure_us, readout_us : float
-        Exposure time, 0 leaves it unchanged; time from its end to the stamp [us].
+        Exposure time, 0 leaves it unchanged; time from the exposure's end to the stamp [us].
     gain, white_balance_k, focus : int
         In the device's units; -1 leaves them unchanged (white balance: 0).
     auto_exposure, auto_gain, auto_white_balance, auto_focus : bool
@@ -136,7 +136,7 @@ class Source(Protocol):
         Raises
         ------
         PlateError
-            One sentence with the remedy.
+            If the source cannot be used. The message is one sentence with the remedy.
         """
 
     def read(self, stop: Event) -> Frame | None:

@@ -138,7 +138,7 @@ class V4l2Device:
         return data
 
     def check_free(self) -> None:
-        """Refuse a device whose images another program reads: its format can then not be set.
+        """Refuse a device whose images another program reads, because its format cannot be set.
 
         OpenCV would wait 10 s for such a device.
 

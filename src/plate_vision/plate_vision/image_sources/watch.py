@@ -22,7 +22,7 @@ INTERVALS = 15
 
 REGULAR, NEAR = 0.8, 0.2
 """Lost images are counted only if this fraction of the last intervals differs from the median by
-less than this fraction of it. A triggered camera may be irregular."""
+less than this fraction of the median. A triggered camera may be irregular."""
 
 GAP = 1.5
 """Time between two stamps above which images between them count as lost [image intervals]."""

@@ -1,4 +1,5 @@
-"""The contrast of an image to the bare plate: the same for darker, brighter and coloured parts.
+"""The contrast of an image to the bare plate. It is defined in the same way for darker, brighter
+and coloured parts.
 
 In each channel the deviation of a pixel from the bare plate is
 

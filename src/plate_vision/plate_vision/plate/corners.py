@@ -27,7 +27,7 @@ CORNER_STEP = 0.02
 
 ROUNDS = 3
 """Maximum number of refinements. After a camera moved by 15 % of the plate, an error of 0.05 px
-remains after the second one."""
+remains after the second refinement."""
 
 SETTLED_M = 2e-4
 """Shift of the corners in a refinement below which no further one is needed [m]."""
@@ -49,7 +49,7 @@ def find_plate_corners(
     Returns
     -------
     corners_px : (4, 2)
-        In the order of the rig file [px].
+        Corners in the order of the rig file [px].
     error : float
         Root mean square deviation of the measured edges from a plate with these corners [m].
 

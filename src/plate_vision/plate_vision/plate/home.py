@@ -20,14 +20,16 @@ from ..camera.markers import find_markers, square_corners
 from ..errors import CalibrationError
 
 MIN_SEEN = 2
-"""Minimum number of markers for a pose. One alone gives the angle over a length of only 3 cm."""
+"""Minimum number of markers for a pose. A single marker would give the angle over a length of only
+3 cm."""
 
 WORST_FIT_M = 1e-3
-"""Maximum root mean square deviation of the markers' corners from the rig file [m]: ten times that
-of a good print and a sharp picture."""
+"""Maximum root mean square deviation of the markers' corners from the rig file [m]: ten times the
+deviation of a good print in a sharp picture."""
 
 FOLLOWED_FIT_M = 3e-4
-"""The same limit if markers are tracked by their edges only: stricter, to exclude other objects."""
+"""Maximum root mean square deviation if markers are tracked by their edges only [m]. It is smaller,
+to exclude other objects."""
 
 QUIET = 0.2
 """Width of the bare border around a marker that is painted over with it [sides]."""
@@ -157,8 +159,8 @@ def find_pose(
     """Return the plate's pose (3,) [m, m, rad], plate_home, by the visible markers.
 
     None if fewer than `MIN_SEEN` are visible, or they contradict each other. `last` is a pose
-    within a few pixels. With it the markers' edges are searched first, which takes half the time of
-    a search for markers.
+    within a few pixels. If `last` is given, the markers' edges are searched first, which takes half
+    the time of a search for markers.
     """
     grey = grey_levels(image)
     if last is not None:

@@ -25,7 +25,7 @@ BURNT_GREY = 254
 """Grey level from which a pixel counts as overexposed."""
 
 EVERY = 8
-"""Step between rows and columns that are evaluated for these."""
+"""Step between rows and columns that are evaluated for these two percentiles."""
 
 
 class LitPlate(NamedTuple):

@@ -31,7 +31,7 @@ RECHECK_S = 1.0
 """Minimum time from a finding to the next evaluation [s]. An image takes 20 to 60 ms."""
 
 UNSEEN_S = 10.0
-"""The same if the plate was not visible or moved [s]."""
+"""Minimum time to the next evaluation if the plate was not visible or moved [s]."""
 
 SEARCH = 0.15
 """Distance from the predicted edge within which the edge is searched [smaller side of the plate]. A
@@ -44,13 +44,13 @@ STATION_END = 0.94
 """Fraction of an edge that the profiles span. Corners are often rounded."""
 
 NEAR_M = 3e-3
-"""Tolerated deviation [m]: at a cycle's start the plate is within 2 mm of home."""
+"""Tolerated deviation [m]. At a cycle's start, the plate is within 2 mm of home."""
 
 NEAR_STROKE = 0.3
 """Tolerated deviation as a fraction of the stroke, if that is smaller than `NEAR_M`."""
 
 NEAR_PX = 3.0
-"""Least tolerated deviation [px]: corners measured by hand have errors of 1 to 2 px."""
+"""Minimum tolerated deviation [px]. Corners measured by hand have errors of 1 to 2 px."""
 
 BOW_PX = 1.0
 """Tolerated bow in the middle of an edge [px]. The accuracy of its measurement is 0.2 px."""
@@ -66,14 +66,14 @@ STRETCH = 0.01
 """Tolerated change of size [-]. The accuracy of its measurement is a tenth of this."""
 
 SUPPORT = 0.6
-"""Minimum fraction of an edge's profiles that must agree. Parts on the edge hide some."""
+"""Minimum fraction of an edge's profiles that must agree. Parts on the edge hide some profiles."""
 
 MIN_EDGES = 3
-"""Minimum number of visible edges for a finding. Two do not determine shift and size."""
+"""Minimum number of visible edges for a finding. Two edges do not determine shift and size."""
 
 SMOOTH_PX = 1.0
-"""Standard deviation of the Gaussian filter before profiles are sampled [px]. It reduces noise of
-20 grey levels to 6."""
+"""Standard deviation of the Gaussian filter before profiles are sampled [px]. The filter reduces
+noise of 20 grey levels to 6."""
 
 MIN_STEP = 4.0
 """Minimum step of an edge [grey levels]."""
@@ -102,14 +102,14 @@ SIDE_PX = 5.0, 10.0
 of pen or tape, which is 2 to 4 px wide."""
 
 SHIFT_TEXT_M = 5e-4
-"""Shift below which a message omits it [m]: the error of the measurement with noise and with
-corners rounded to a pixel."""
+"""Shift below which a message does not state the shift [m]: the error of the measurement with noise
+and with corners rounded to a pixel."""
 
 TURN_TEXT_RAD = np.radians(0.2)
-"""The same for the rotation [rad]."""
+"""Rotation below which a message does not state the rotation [rad]."""
 
 STRETCH_TEXT = 0.003
-"""The same for the change of size [-]."""
+"""Change of size below which a message does not state this change [-]."""
 
 FLIPS = {
     "mirrored left to right": (1, -1),
@@ -536,7 +536,8 @@ def judge_outline(
     """Return a finding, None if the outline agrees, and the result as short text.
 
     `radius` [m] is a part's. `bends` is whether a lens is known. `moving` is whether the plate may
-    be away from home by the motors' stroke. `flips` are the flips of the image that make it agree.
+    be away from home by the motors' stroke. `flips` are the flips of the image with which the
+    outline agrees.
     """
     count = int(np.count_nonzero(outline.seen))
     if count < MIN_EDGES:

@@ -22,7 +22,8 @@ SEAM_PX: float = _kernels.SEAM_PX
 [px]."""
 
 BOW_DEGREE = 4
-"""Degree of the polynomial for a bent edge: its error is 0.05 px for a bulge of 20 px."""
+"""Degree of the polynomial for a bent edge. The error of the polynomial is 0.05 px for a bulge of
+20 px."""
 
 SAMPLES = 1200
 """Number of pixels for the fit of the light, on a regular grid. The error of the surface is then
@@ -65,7 +66,8 @@ class Region:
     bows : (4, BOW_DEGREE + 4)
         Edges bent by a lens. Three coefficients of 1, x, y give the place along the straight edge,
         -1 and 1 at its ends. The rest is a polynomial of this place, highest power first: the
-        distance of the bent edge inside the straight one [px]. (0, BOW_DEGREE + 4) if none is bent.
+        distance of the bent edge inside the straight one [px]. (0, BOW_DEGREE + 4) if no edge is
+        bent.
     box : (x0, y0, x1, y1)
         Pixel range [px] that contains the region, half open.
     """

@@ -113,7 +113,7 @@ class Background:
         Whether single pixels are filtered out of images before comparison. Photographs have dust
         and dead pixels that are not on a bare plate.
     learned : bool
-        Whether it was learned from images of the bare plate. If False, it is modelled.
+        Whether the background was learned from images of the bare plate. If False, it is modelled.
     """
 
     lab: np.ndarray
@@ -158,8 +158,8 @@ class Background:
 
     def softened(self, image: np.ndarray, region: Region) -> Background:
         """Return the background with the additional blur of an image (H, W) or (H, W, 3) uint8 in
-        the same light. If the image went out of focus after the bare plate was learned, the plate's
-        edge is wider in it."""
+        the same light. If the camera went out of focus after the bare plate was learned, the
+        plate's edge is wider in the image."""
         usable = region.usable.astype(np.uint8)
         inner = cv2.erode(usable, np.ones((2 * EDGE_PX + 1,) * 2, np.uint8), borderValue=0)
         rows, columns = np.nonzero(usable > inner)
@@ -274,7 +274,7 @@ def _local(
     values: np.ndarray, surface: np.ndarray, kept: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Let a background (n, C) follow slow changes of the colours (n, C) at the pixels that agree
-    with it (`kept` (n,)). Return it, and the pixels that agree in the end."""
+    with it (`kept` (n,)). Return the changed background, and the pixels that agree in the end."""
     width = LOCAL * min(size)
     for _ in range(LOCAL_PASSES):
         rest = np.where(kept[:, None], values - surface, 0).reshape(size[1], size[0], -1)

@@ -21,20 +21,22 @@ POINTS = 24
 """Number of points on the contour of a patch."""
 
 PERCENT = 25
-"""Percentile of the blur at these points: shadow and motion blur only a part of a contour."""
+"""Percentile of the blur at these points. A percentile is used because shadow and motion blur only
+a part of a contour."""
 
 FIRST = 8
 """Number of patches that are measured first."""
 
 SHARP = 0.6
 """Fraction of the maximum blur below which the first patches alone show that the image is sharp. In
-images with too much blur they have at least 0.8 of it."""
+images with too much blur, the first patches have at least 0.8 of the maximum."""
 
 BESIDE_PX = 9.0
 """Maximum length of a profile on each side of the contour [px]."""
 
 BESIDE_RADIUS = 0.6
-"""The same, relative to the radius. The smaller of both is used."""
+"""Maximum length of a profile on each side of the contour, relative to the radius. The smaller of
+both maxima is used."""
 
 STEPS = 13
 """Number of samples of a profile."""

@@ -105,7 +105,7 @@ class Template:
 
     @cached_property
     def mirrored(self) -> Template | None:
-        """The part's other face; None if it looks the same."""
+        """The part's other face. None if both faces look the same."""
         flip = np.array([-1.0, 1.0])
         outline = make_outline([flip * ring for ring in self.outline.rings])
         fit = lay_on(self, outline, 100 / outline.reach)

@@ -39,13 +39,14 @@ FIT_PX = 0.35
 """RMS distance of outlines of one type caused by pixels and noise [px]."""
 
 FIT_REACH = 0.025
-"""The same, caused by perspective, light and manufacture, relative to the part's reach."""
+"""RMS distance of outlines of one type caused by perspective, light and manufacture, relative to
+the part's reach."""
 
 SIZE_PX = 0.6
 """Standard deviation of the apparent size of an outline caused by blur, shadow, threshold [px]."""
 
 SIZE_REACH = 0.025
-"""The same, relative to the part's reach."""
+"""Standard deviation of the apparent size of an outline, relative to the part's reach."""
 
 COLOUR_LAB = 12.0
 """Standard deviation of the colours of one type [Lab]."""
@@ -66,7 +67,8 @@ OTHER_SIZE = 0.45
 type's scatter."""
 
 OTHER_SIZE_PX = 1.0
-"""The same for the difference of the outlines [px]."""
+"""Difference of the outlines [px] beyond which a patch is not of a type, independent of the type's
+scatter."""
 
 UNLIKE = 0.4
 """Distance of forms, see `Outline.form`, above which a type is not tried. Parts of 20 px are up to
@@ -77,11 +79,11 @@ SLACK_PX = 0.5
 
 OTHER_FACE = 1.0
 """Reduction of the squared distance by the mirror image, in variances of an outline, above which a
-part lies on its other face. For a round, ragged part either may fit slightly better."""
+part lies on its other face. For a round, ragged part, either face may fit slightly better."""
 
 HOPELESS = 12.0
-"""Excess over the best score, from size and colour alone, above which a type is not tried: its
-likelihood is 0.2 % of the best one's."""
+"""Excess over the best score, from size and colour alone, above which a type is not tried. Its
+likelihood is then 0.2 % of the likelihood of the best type."""
 
 FILLED_COLOUR = 0.5
 """Weight of the colour of a part whose hole is visible, but not in its outline."""
@@ -99,7 +101,7 @@ cause, such as an unknown height, displaces a part by more than the growth."""
 
 HEIGHT_ERROR_PX = 0.1
 """Standard deviation of a position on the plate along each axis after the correction for height
-[px]: side faces differ in shade from the top."""
+[px]. The cause is that side faces differ in shade from the top."""
 
 FEWEST_NAMED = 3
 """Minimum number of parts with a type for a measurement of shadow length and growth."""

@@ -1,5 +1,5 @@
-"""Decision which pieces of patches are parts: pieces like others in the image, or separated by a
-narrow neck.
+"""Decision which pieces of patches are parts. They are similar to other pieces in the image, or
+separated by a narrow neck.
 
 Most images show several parts of a kind. If a patch alone does not show whether it is one part or
 several, for example brackets that touch along a whole side, similar pieces elsewhere decide.
@@ -60,8 +60,8 @@ DENTED = 0.9
 """Solidity below which a large piece unlike all others counts as a group."""
 
 EDGES_PERCENT = (70, 80, 90)
-"""Percentages of the inner pixels of a piece that are not edges. The one that splits it best is
-used."""
+"""Percentages of the inner pixels of a piece that are not edges. The percentage that splits the
+piece best is used."""
 
 SMALLER = 0.5
 """Minimum area of the kinds into which a piece is split along inner edges, relative to the typical
@@ -75,7 +75,7 @@ COLOUR_WEIGHTS = (0.5, 2.0, 2.0)
 
 STEEP = 4.0
 """Minimum gradient of an inner edge (Sobel), relative to the background's noise limit. An edge of
-twice that limit has it."""
+twice the noise limit has this gradient."""
 
 MIN_INNER = 40
 """Minimum number of inner pixels of a piece in which edges are searched."""
@@ -96,7 +96,8 @@ WORK = 12.0
 half a second. Heaps of 80 parts need that much."""
 
 PLATE_SIZED = 0.5
-"""Fraction of the plate above which a piece is not split: the light or the bare plate is wrong."""
+"""Fraction of the plate above which a piece is not split. In this case, the light or the bare plate
+is wrong."""
 
 
 LABEL_WORK = 0.1
@@ -105,13 +106,13 @@ LABEL_WORK = 0.1
 
 @dataclass
 class Work:
-    """Number of pixels that may still be visited. A count makes results independent of the
-    computer's speed."""
+    """Number of pixels that may still be visited. Because work is counted, results do not depend on
+    the computer's speed."""
 
     left: float
 
     def take(self, pixels: float) -> bool:
-        """Take a number of pixels if that many are left; return whether they are."""
+        """Take a number of pixels if as many are left. Return whether they were taken."""
         enough = pixels <= self.left
         if enough:
             self.left -= pixels
@@ -125,13 +126,13 @@ class Piece:
     Attributes
     ----------
     inside : (h, w) bool
-        Its pixels, with the holes filled.
+        Pixels of the piece, with the holes filled.
     rank : int
         Number of the contour.
     alone : bool
-        Whether it is the whole area, without cuts.
+        Whether the piece is the whole area, without cuts.
     group : bool
-        Whether it seems to be several parts.
+        Whether the piece seems to be several parts.
     """
 
     inside: np.ndarray
@@ -384,7 +385,7 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
 
 def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
     """Return the good pieces of a piece, with the rest assigned to the nearest of them. A rest as
-    large as they are is a group."""
+    large as the good pieces is a group."""
     nearest = _nearest([one.inside for one in good])
     rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)

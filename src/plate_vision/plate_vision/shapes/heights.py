@@ -83,7 +83,7 @@ def footprint(
     Returns
     -------
     Outline or None
-        None if nothing remains: the part is lower, or its shadow shorter.
+        None if nothing remains because the part is lower or its shadow is shorter.
     """
     rings = outline.rings
     seen = [rings]

@@ -31,7 +31,7 @@ SEEN = 0.3
 [standard deviations]."""
 
 UNSEEN = 2.0
-"""The same if it looks like both."""
+"""Penalty of such a hole if it looks like the plate and like the part [standard deviations]."""
 
 SPARSE = 16
 """Step between rows and columns that are evaluated for the typical noise."""

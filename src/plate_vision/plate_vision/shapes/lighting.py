@@ -25,8 +25,8 @@ LIGHTNESS_0: float = _kernels.LIGHTNESS_0
 """L + 41 is proportional to the cube root of the light: the offset 16 of CIE's L (0 to 100)."""
 
 FACTORS = (0.2, 5.0)
-"""Range of the light relative to that of the known plate. Below it parts are as dark as the plate;
-above it the image is overexposed."""
+"""Range of the light relative to the light on the known plate. With less light, the plate is as
+dark as parts. With more light, the image is overexposed."""
 
 MIN_SHOWN = 0.15
 """Minimum visible fraction of the plate. Parts may cover 60 %, shadows some of the rest."""
@@ -55,8 +55,8 @@ its pixels [L]; 0: the limit of the plate's noise. The first two passes cover a 
 side."""
 
 STEADY = 0.6
-"""Fraction of the plate that agrees with the last light, above which no other light is searched: no
-other light can explain more."""
+"""Fraction of the plate that agrees with the last light, above which no other light is searched,
+because no other light can explain more."""
 
 STEADY_LIMIT = 0.6
 """A pixel agrees below this fraction of the plate's noise limit. If the light has changed slightly,

@@ -23,7 +23,7 @@ POINTS = 64
 """Number of points on the contour of a patch: 1 px apart for a part of 20 px."""
 
 MIN_HOLE = 0.02
-"""Minimum area of a hole, relative to the part. A highlight may look like a smaller one."""
+"""Minimum area of a hole, relative to the part. A highlight may look like a smaller hole."""
 
 FEWEST_POINTS = 12
 """Minimum number of points on a hole's contour."""

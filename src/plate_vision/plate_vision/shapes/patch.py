@@ -19,14 +19,14 @@ MAX_SHIFT_PX = 1.5
 """Maximum distance between the edge of the mask and the outline [px]."""
 
 SMOOTH_PX = 0.8
-"""Blur applied before the outline is located [px]. The slope of a sharp part's edge is then that
-between neighbouring pixels."""
+"""Blur applied before the outline is located [px]. The slope of a sharp part's edge is then the
+slope between neighbouring pixels."""
 
 MARGIN_PX = 4
 """Width of the margin around a patch in its window [px]."""
 
 MIN_HOLE_PX2 = 6.0
-"""Minimum area of a hole that is reported [px2]. Smaller ones are noise."""
+"""Minimum area of a hole that is reported [px2]. Smaller holes are noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Patch:
     whole : bool
         Whether the patch is complete: not cut by the border of the image or region.
     group : bool
-        Whether it seems to consist of several parts that were not separated.
+        Whether the patch seems to consist of several parts that were not separated.
     """
 
     mask: np.ndarray
@@ -62,7 +62,7 @@ class Patch:
         return np.s_[y0 : y0 + height, x0 : x0 + width]
 
     def overlaps(self, other: Patch) -> bool:
-        """Whether it shares pixels with another patch."""
+        """Whether the patch shares pixels with another patch."""
         ends = [np.add(one.corner, one.mask.shape[::-1]) for one in (self, other)]
         low, high = np.maximum(self.corner, other.corner), np.minimum(*ends)
         if np.any(high <= low):

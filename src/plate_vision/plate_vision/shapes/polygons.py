@@ -24,13 +24,13 @@ FINE_PX = 0.5
 """Tolerance of the first polygon [px]."""
 
 FINE = 0.012
-"""The same, relative to the reach. The larger of both is used."""
+"""Tolerance of the first polygon, relative to the reach. The larger of both tolerances is used."""
 
 PLAIN_PX = 0.14
 """RMS deviation up to which a polygon with fewer corners is preferred [px]."""
 
 PLAIN = 0.006
-"""The same, relative to the reach."""
+"""RMS deviation up to which a polygon with fewer corners is preferred, relative to the reach."""
 
 WORSE = 1.1
 """Maximum deviation of a polygon with fewer corners, relative to that of the first polygon [-]."""

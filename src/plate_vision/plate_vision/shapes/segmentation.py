@@ -25,21 +25,21 @@ MIN_AREA_PX2: float = _kernels.MIN_AREA_PX2
 """Minimum area of a part: a disc of 3 px radius."""
 
 MAX_PATCHES = 250
-"""Maximum number of patches that are evaluated, the largest ones. More are noise, or texture that
-has moved."""
+"""Maximum number of patches that are evaluated. They are the largest ones. Further patches are
+noise, or texture that has moved."""
 
 MIN_DEPTH_PX = 1.8
 """Minimum distance of the inside of a part from its contour [px]. A scratch is thinner."""
 
 MIN_HOLE_PX2 = 6
-"""Minimum area of a hole. A smaller one is a speck on the part."""
+"""Minimum area of a hole. A smaller area is a speck on the part."""
 
 NEAR_PX = 12
 """Distance over which the level of a part's inside is extended to its contour [px]."""
 
 HOLE = 0.35
-"""Maximum deviation of a hole from the plate, relative to the part's contrast. A highlight has
-more."""
+"""Maximum deviation of a hole from the plate, relative to the part's contrast. A highlight has a
+larger deviation."""
 
 NOISE_STEP = 16
 """Step between rows and columns that are evaluated for the typical noise."""
@@ -307,7 +307,7 @@ class Window(NamedTuple):
     amount : (h, w) float32
         Fraction of each pixel that is part, with the holes filled.
     cover : (h, w) float32
-        The same, without the holes.
+        Fraction of each pixel that is part, without the holes.
     enclosed : (h, w) bool
         Pixels of holes and gaps, and of objects inside them.
     """

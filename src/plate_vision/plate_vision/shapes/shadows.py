@@ -85,7 +85,7 @@ SPREAD = 0.35
 
 DEEP = 30.0
 """Minimum deviation of a shadow whose length is subtracted [L]: a fifth of the light. A fainter or
-softer one surrounds a part on all sides, and is recognised by its softness."""
+softer shadow surrounds a part on all sides, and is recognised by its softness."""
 
 MIN_PX = 1.0
 """Minimum length of a shadow that is subtracted [px]."""
@@ -95,7 +95,7 @@ FACE = 0.9
 so that the dark side counts as side faces. The rest is noise."""
 
 FACE_SLACK_PX = 1.5
-"""Maximum distance of the top beyond the shift by its height [px]: blur."""
+"""Maximum distance of the top beyond the shift by its height [px]. Blur causes this distance."""
 
 
 class Sides(NamedTuple):

@@ -1,8 +1,8 @@
 """Touching parts: a patch is split where it is narrow between two wide areas.
 
 The width is measured by the distance to the patch's contour. Between two wide areas this distance
-has a saddle, the neck. They are two parts if the neck is clearly narrower than the narrower area (a
-watershed of the distance transform).
+has a saddle, the neck. The areas are two parts if the neck is clearly narrower than the narrower
+area (a watershed of the distance transform).
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ NECK = 0.78
 a bracket or a screw is as wide as its arm."""
 
 MIN_DROP_PX = 0.6
-"""Minimum difference between half widths of a part and the neck [px]. Less is noise."""
+"""Minimum difference between half widths of a part and the neck [px]. A smaller difference is
+noise."""
 
 LEVEL = 0.8
-"""Minimum cover of a pixel that counts for the width. The gap between blurred parts has less."""
+"""Minimum cover of a pixel that counts for the width. The gap between blurred parts has a smaller
+cover."""
 
 LEVELS_PX = 16
 """Number of steps of the distance per pixel by which pixels are sorted."""

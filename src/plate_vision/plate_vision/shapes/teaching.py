@@ -39,7 +39,7 @@ from .polygons import simplified
 from .segmentation import find_patches
 
 MAX_PICTURES = 5
-"""Maximum number of pictures of one type: more have little effect."""
+"""Maximum number of pictures of one type. More pictures have little effect."""
 
 RIM_POINTS = 256
 """Number of points on the outline of an example."""
@@ -547,7 +547,7 @@ def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> 
     Raises
     ------
     TeachError
-        If it would need too many corners or holes.
+        If the type would need too many corners or holes.
     """
     rings = mean.rings
     if len(rings) > MAX_HOLES + 1:

@@ -17,8 +17,8 @@ from scipy.optimize import linear_sum_assignment
 from .track import Prediction, Sighting, Track
 
 MISSED_RATE, FALSE_RATE = 0.05, 0.02
-"""Fraction of parts that an image does not show; number of false detections per part. Only their
-logarithms enter: a factor of three changes little."""
+"""Fraction of parts that an image does not show; number of false detections per part. Only the
+logarithms of both are used, so a factor of three changes little."""
 
 CROWD = 200.0
 """Parts per square metre of a full plate; times FALSE_RATE, the density of false detections."""
@@ -38,7 +38,7 @@ SWING_M = 2e-3
 """Additional standard deviation half way to the prediction, because parts oscillate in a cycle."""
 
 MAX_FRACTION = 2.0
-"""Maximum fraction of a predicted displacement that is applied. Above 1 it is an extrapolation
+"""Maximum fraction of a predicted displacement that is applied. A fraction above 1 extrapolates
 beyond the instant of the prediction."""
 
 GATES, DRIFT, TURNED_RATE = 3.0, 0.3, 0.2

@@ -68,8 +68,8 @@ class Track:
     hits : int
         Number of images with a detection.
     angles : tuple of (stamp [s], angle [rad])
-        The same for the angle, unwrapped: it does not jump by 2 pi or by the angle of its
-        symmetry.
+        Angles in the same images. They are unwrapped, so they do not jump by 2 pi or by the angle
+        of the part's symmetry.
     quality : tuple of 3 float
         Quality of the last detection, see `Tracker.quality`.
     votes : tuple of str

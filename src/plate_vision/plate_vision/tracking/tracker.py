@@ -22,8 +22,8 @@ from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
 UNKNOWN_MISSED = 30
-"""Minimum number of consecutive images that an object of the class `unknown` may be missed. It is
-at the limit of detection, and must not need a new confirmation each time."""
+"""Minimum number of consecutive images that an object of the class `unknown` may be missed. Such an
+object is at the limit of detection, and must not need a new confirmation each time."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,12 @@ class TrackerOptions:
         Number of consecutive images that a part may be missed before its id is given up, 0 to 1000.
     confirm : int
         Number of consecutive images in which a new part must be detected before it gets an id, 1 to
-        100. Parts in the first image get it at once. With 2 a single false detection gets no id.
+        100. Parts in the first image get their ids at once. If `confirm` is 2 or more, a single
+        false detection gets no id.
     velocity_frames : int
         Number of images over which the drift is measured, 1 to 100. With 1 it is the drift of the
-        last cycle, without delay, as the planner controls it. Its noise is that of two positions,
-        0.014 mm per cycle. More images smooth and delay it.
+        last cycle, without delay, as the planner controls it. The noise of the drift is the noise
+        of two positions, 0.014 mm per cycle. More images smooth and delay the drift.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
