@@ -138,8 +138,8 @@ def find_types_under(
     patches, found = seen.segments.patches, seen.found
     whole = seen.segments.doubtful(is_named(found))
     if whole is not None:
-        # The light side of this patch may not be a shadow, because a moving part has soft edges
-        # too.
+        # The light side of this patch is possibly not a shadow, because a moving part has soft
+        # edges too.
         more = segment(image, background, region, whole=whole).patches
         again = recognise(image, more, catalogue, calibration, seen.conditions)
         patches, found = _joined(patches, found, more, again)

@@ -292,7 +292,7 @@ class CycleLog:
         The stamp may be early by up to `SNAP` of a cycle, and late by up to the rest of a cycle. If
         the plate is at rest, the stamp is returned.
         """
-        # The start of the following cycle may not be reported yet.
+        # The start of the following cycle is possibly not reported yet.
         ahead = (self.end, self.runs[-1][1])
         for begin, cycle in (ahead, *reversed(self.runs)):
             taken = begin + phase * cycle.period

@@ -27,7 +27,7 @@ namespace plate::contacts {
 constexpr double KEPT = 5e-6;
 
 // Maximum number of impulse iterations of a collision. If friction acts off the line of centres,
-// one iteration may not suffice.
+// more than one iteration can be necessary.
 constexpr int REBOUNDS = 20;
 
 // A closing speed below this fraction of the first one counts as 0.

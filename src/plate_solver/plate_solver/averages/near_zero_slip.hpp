@@ -34,7 +34,7 @@ constexpr double FADED = 17.0;
 // through three squared samples, divided by its second difference.
 constexpr double NEAR = 14.0, STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
-// Distance [steps] from a dip within which a second dip may not be a minimum of the samples.
+// Distance [steps] from a dip within which a second dip is possibly not a minimum of the samples.
 constexpr double CLOSE = 4.0;
 
 // Maximum number of Newton steps to a zero. From a minimum of the samples, three steps are usual.

@@ -43,8 +43,8 @@ def find_seeds(
     radius_px: float,
     silhouettes: Silhouettes,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the places (n, 2) [px] of dark blobs, some of which may not be parts. Also return the
-    silhouettes (n,) SILHOUETTE of a part there.
+    """Find the places (n, 2) [px] of dark blobs. Some of them are possibly not parts. Also return
+    the silhouettes (n,) SILHOUETTE of a part there.
 
     Parameters
     ----------

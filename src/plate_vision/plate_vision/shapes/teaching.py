@@ -93,8 +93,8 @@ HIGHEST = 0.5
 """Maximum of these heights, relative to that of the camera [-]."""
 
 BETTER, BETTER_PX = 2.0, 0.05
-"""A part may not be flat if a height reduces the difference of its examples, at equal size, by more
-than the first factor, and the difference of flat parts is above the second [px]. In synthetic
+"""A part is possibly not flat if a height reduces the difference of its examples, at equal size, by
+more than the first factor, and the difference of flat parts is above the second [px]. In synthetic
 images at 0.43 m none of 48 sets of flat parts caused a warning, but 6, 9 and 11 of 12 sets of four
 examples of parts 4, 6 and 8 mm high did; at 0.91 m half of those of 8 mm."""
 
