@@ -127,13 +127,14 @@ class Setup:
         Disturbances of the simulated world.
     planner : PlannerOptions
     exposure_s, readout_s : float or None
-        Replacements for those of the rig's camera [s]. None: the rig's.
+        Replacements for the values of the rig's camera [s]. None to use the rig's values.
     camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
         If one of them is given, `view_from` moves the camera, with its defaults for the others.
     rig_height_m : float or None
-        Height of all parts in the rig that all stages use [m]. None: the rig file's.
+        Height of all parts in the rig that all stages use [m]. None to use the rig file's height.
     image_age_s : float or None
-        Image latency that the planner assumes [s]. None: the planner estimates it.
+        Image latency that the planner assumes [s]. If it is None, the planner estimates the
+        latency.
     effort : mapping of str to int
         `iterations` and `restarts` of the solver, if they differ from the defaults of `Controller`.
     own_planner : str
@@ -536,7 +537,7 @@ def run(
 
 def predicted(wanted: Wanted, state: PlannerState) -> Prediction | None:
     """Return the positions of the parts that the planner predicts for the next start of a cycle.
-    None if its request contains no prediction."""
+    None if the planner's request contains no prediction."""
     if wanted.start is None:
         return None
     return Prediction(wanted.parts.ids, state.estimator.next_start, wanted.start[:, :2])
@@ -579,7 +580,7 @@ def _true_errors(
         place = {target.id: target.place for target in task.targets}
         goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
         return np.hypot(*(true_parts.position - goal).T), none
-    if not isinstance(task, FollowTask) or state.memory.leading:  # the path has not begun
+    if not isinstance(task, FollowTask) or state.memory.leading:  # the paths have not begun
         return none, none
     reference = Follower(task, rig).reference(state.memory, t)
     seen = dict(zip(parts.ids, parts.position, strict=True))
@@ -641,9 +642,10 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         errors.append(moment.error_m)
     stay = isinstance(task, PoseTask) and all(pose.place is None for pose in task.poses)
     all_along = stay or isinstance(task, FollowTask)
-    error = np.concatenate(errors) if all_along else errors[-1]  # else only the end counts
+    # Otherwise only the error at the end counts.
+    error = np.concatenate(errors) if all_along else errors[-1]
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
-    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # without the first, which makes tables
+    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # omit the first cycle, which makes tables
     steps = 1e3 * np.array(step_s[1:] or [0.0])
     most = np.max(shares, axis=0).tolist()
     return {

@@ -176,7 +176,7 @@ class Production:
     ----------
     parts_per_min : float
         Number of parts picked after the first one, divided by the time since the first pick
-        [1/min]. If there was only one, it is divided by the whole time.
+        [1/min]. If only one part was picked, the number is divided by the whole time.
     waiting : float
         Fraction of the time since the first pick in which the robot waited for a part [-]. 1 if
         there was no second pick.
@@ -185,9 +185,9 @@ class Production:
     picks, failed : int
         Numbers of successful and failed grips.
     lost, discharged : int
-        Numbers of parts that left the plate by other means. Lost parts fell over an edge, or were
-        requested ones that fell over the chute's edge. Discharged parts are the others that fell
-        over the chute's edge.
+        Numbers of parts that left the plate by other means. Lost parts fell over an edge, or they
+        were requested and fell over the chute's edge. Discharged parts are all other parts that
+        fell over the chute's edge.
     error_mm, error_deg : (median, 95 %, worst)
         Errors of the reported positions and angles of parts at the grip.
     cpu : float
@@ -259,7 +259,8 @@ class FeederCell:
     def __init__(self, task: FeedTask, rig: Rig, cycle_s: float) -> None:
         self.feeder, self.robot, self.tally = Feeder(task, rig), Robot.ready(cycle_s), Tally()
         self.simulation: Simulation | None = None
-        self._id, self._has = "", False  # id of the robot's part, and whether it holds it
+        # Id of the robot's part, and whether the robot holds this part.
+        self._id, self._has = "", False
 
     def act(self, simulation: Simulation, now: float) -> None:
         """Perform all actions of the robot that are due at `now` [s]."""
@@ -286,7 +287,7 @@ class FeederCell:
         self.feeder.hear(status_of(report), now)
         output = self.feeder.step(now)
         if output.open_s is not None and self.simulation is not None:
-            with suppress(PlateError):  # raised for a full plate, as with the node
+            with suppress(PlateError):  # raised if the plate is full, as in the node
                 self.simulation.open_hopper(output.open_s)
         for _, reply in output.replies:
             self._hear(reply, now)

@@ -28,7 +28,7 @@ __all__ = ["Row", "page", "qualified"]
 
 AS_GOOD = 0.99
 """Fraction of the maximum parts per minute that the best fill must reach. The best fill is the
-smallest one that does."""
+smallest fill that reaches this fraction."""
 
 CYCLE_S, MINUTES = (0.2, 60.0), (0.05, 60.0)
 """Allowed ranges of the robot's cycle [s] and of the duration of one production [min]."""
@@ -255,7 +255,8 @@ def main() -> None:
 
 
 class Progress:
-    """Reports the progress of the runs of a fill on stderr. On a terminal it uses one line."""
+    """Reports the progress of the runs of a fill on stderr. On a terminal, the progress uses one
+    line."""
 
     def __init__(self, fill: int, seeds: int, time_s: float) -> None:
         self._fill, self._seeds, self._time_s = fill, seeds, time_s

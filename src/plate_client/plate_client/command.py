@@ -35,7 +35,7 @@ OTHERS = {
 
 def main() -> None:
     """Run the command line; exit code 0: done, 1: failed, 2: wrong arguments or files."""
-    signal.signal(signal.SIGINT, _interrupted)  # while modules are imported
+    signal.signal(signal.SIGINT, _interrupted)  # handle signals while modules are imported
     from plate_core import PlateError, ScenarioError, ends
 
     from .messages import defer_signals
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:
-    """Exit at once: an exception inside an import might be converted to another one."""
+    """Exit at once, because an exception inside an import might be converted to another one."""
     os.write(sys.stderr.fileno(), b"plate: interrupted\n")
     os._exit(128 + number)
 

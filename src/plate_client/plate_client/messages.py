@@ -26,8 +26,9 @@ def spin_until(
 ) -> bool:
     """Process messages until a condition holds, or until a timeout [s]. Return whether it holds.
 
-    Ctrl-C raises KeyboardInterrupt between two messages. Within one, a reply would be lost, for
-    example the handle of a running task, without which the task cannot be canceled.
+    Ctrl-C raises KeyboardInterrupt between two messages. If it were raised while a message is
+    processed, a reply could be lost, for example the handle of a running task. Without this handle,
+    the task could not be canceled.
 
     Raises
     ------

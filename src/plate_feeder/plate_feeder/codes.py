@@ -6,7 +6,8 @@ from enum import IntEnum
 
 
 class Code(IntEnum):
-    """2xx: done. 4xx: the request must be changed. 5xx: the feeder cannot do it at present."""
+    """2xx: done. 4xx: the request must be changed. 5xx: the feeder cannot execute the request at
+    present."""
 
     DONE = 200
     BAD_LINE = 400

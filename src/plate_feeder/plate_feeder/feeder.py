@@ -74,14 +74,14 @@ SEEN_ANEW_S = 1.0
 are gone now [s]: the tracker keeps a missing part for some images."""
 
 SILENT_S = 1.0
-"""Maximum time between two statuses of a running task [s]: ten typical cycles."""
+"""Maximum time between two statuses of a running task [s]. It is ten typical cycles."""
 
 START_S = 10.0
 """Maximum time from a command to the first status of its task [s]."""
 
 SETTLED = 2
-"""Number of statuses at rest before the plate counts as settled. In the first one a part may have
-moved since the previous image, and therefore not be ready."""
+"""Number of statuses at rest before the plate counts as settled. In the first status at rest, a
+part may have moved since the previous image, so it is not ready."""
 
 FALLEN_S = 1.0
 """Delay after the hopper closes until all dropped parts are visible [s]."""
@@ -93,11 +93,11 @@ MAX_FAILURES = 3
 """Number of failed picks at one place after which a part is not offered."""
 
 MOVED_M = 0.002
-"""Distance from that place above which a part counts as moved [m]; larger than the camera's
-error."""
+"""Distance from the place of the failed pick above which a part counts as moved [m]. It is larger
+than the camera's error."""
 
 SPREADS = 2.0
-"""Maximum distance of falling parts from the hopper's place [its spread]."""
+"""Maximum distance of falling parts from the hopper's place [the hopper's spread]."""
 
 WAITS = "stopped until a person calls resume_feeding: "
 """Beginning of the text of a stop; the reason follows."""
@@ -114,7 +114,8 @@ class _Task(Enum):
 
 @dataclass(frozen=True)
 class _Request:
-    """Request of a command: a class, or any (""), and optionally another pick than the recipe's."""
+    """Request of a command: a class, or "" for any class, and optionally a pick that replaces the
+    recipe's."""
 
     label: str = ""
     pick: Pick | None = None
@@ -160,7 +161,7 @@ class Feeder:
         self._status: FeedStatus | None = None
         self._ended = False  # whether the task was stopped, or has failed
         self._stop = ""  # reason why nothing starts before `resume`
-        self._task, self._since = _Task.IDLE, -math.inf  # time of the command or the last status
+        self._task, self._since = _Task.IDLE, -math.inf  # time of the last command or status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
         self._rested = 0  # number of statuses since the plate rests by order
         self._content = False  # whether the planner came to rest by itself since the last part
@@ -171,9 +172,11 @@ class Feeder:
         self._held: dict[str, float] = {}  # newest stamp at the end of the reservation, by id
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
-        self._taken = self._discharged = self._lost = 0  # the last two: by tasks that have ended
-        self._unreported = 0  # reservations that ended without a report whether the part was taken
-        self._opened: int | None = None  # number of parts that had come before it was opened
+        # Discharged and lost parts of tasks that have ended.
+        self._taken = self._discharged = self._lost = 0
+        self._unreported = 0  # number of reservations that ended without a report on the pick
+        # Number of parts that had come before the hopper was opened.
+        self._opened: int | None = None
         self._evaluate_at, self._barren = -math.inf, 0
 
     # Inputs
@@ -275,9 +278,9 @@ class Feeder:
         ----------
         client : hashable
         part : str
-            Its id; empty: the part reserved for this client. A part whose client has disconnected
-            is reported with its id. A part whose validity has ended may still be reported, until
-            the next one is reserved.
+            Id of the part. Empty: the part reserved for this client. A part whose client has
+            disconnected is reported with its id. A part whose validity has ended may still be
+            reported, until the next one is reserved.
         taken : bool
             Whether the robot has the part. If False, it is still there.
         """
@@ -336,7 +339,8 @@ class Feeder:
                 self._end()
 
     def gone(self, client: Hashable) -> None:
-        """Remove a client and withdraw its command. Its part remains reserved, without an owner."""
+        """Remove a client and withdraw its command. The part reserved for this client remains
+        reserved, without an owner."""
         self.cancel(client)
         self._reserved, self._late = (
             replace(each, client=None) if each is not None and each.client == client else each
@@ -351,7 +355,7 @@ class Feeder:
             self._give_up()
         if self._waiting is not None:
             self._answer(self._waiting, now)
-        if self._task is _Task.REQUESTED and self.silence(now):  # it must not start later
+        if self._task is _Task.REQUESTED and self.silence(now):  # the task must not start later
             self._end()
         open_s = self._open(now)
         self._decide()
@@ -447,7 +451,7 @@ class Feeder:
     def _begin(self, now: float) -> None:
         self._barren = min(self._barren, MAX_OPENINGS - 1)
         if self._task is _Task.IDLE:
-            if now >= self._evaluate_at:  # the parts may have changed since
+            if now >= self._evaluate_at:  # the parts may have changed since the last opening
                 self._opened = None
             self._task, self._since, self._ended = _Task.REQUESTED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
@@ -511,7 +515,8 @@ class Feeder:
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
-        if purging and not left and self._opened is None:  # no more parts fall
+        # No more parts fall once the hopper is settled.
+        if purging and not left and self._opened is None:
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()
         elif now >= waiting.until:
@@ -549,7 +554,8 @@ class Feeder:
         )
 
     def _sees_all(self) -> bool:
-        """Whether the newest image shows all parts. A robot hides some during a reservation."""
+        """Whether the newest image shows all parts. During a reservation, a robot hides some
+        parts."""
         newest = -math.inf if self._status is None else self._status.stamp
         return self._reserved is None and all(
             newest >= since + LATE_S for since in self._held.values()
@@ -581,7 +587,7 @@ class Feeder:
         )
 
     def _is_fallen_on(self, part: ReadyPart) -> bool:
-        """Whether parts may fall on it, or may have fallen on it since the image."""
+        """Whether dropped parts may fall on this part, or may have fallen on it since the image."""
         hopper = self.task.hopper
         if hopper is None or self._opened is None:
             return False
@@ -627,7 +633,8 @@ class Feeder:
             return FeedMode.PURGE
         if waiting is not None:
             stopping = self._sent.mode is FeedMode.REST and self._rested < SETTLED
-            ready = stopping or self._offers(waiting.request)  # wait for a status at rest
+            # If the plate is stopping, wait for a status at rest.
+            ready = stopping or self._offers(waiting.request)
             return FeedMode.REST if ready else FeedMode.FEED
         offers = [part.label for part in self._offers(self._prepared or _Request())]
         wanted = {pick.label: pick.ready for pick in self.task.picks}

@@ -14,7 +14,7 @@ from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
 from .interface import ReadyPart
 
 MAX_RESIDUAL_M = 1e-3
-"""Maximum residual of a point [m]. A larger one means a measurement error."""
+"""Maximum residual of a point [m]. A larger residual means a measurement error."""
 
 MIN_BASE_M = 0.05
 """Minimum extent of the points on the plate [m]. Nearer points do not determine the angle."""
@@ -74,7 +74,7 @@ class HandEye:
         """Transform a part from plate_home to this frame."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         covariance = part.covariance
-        if covariance[0] >= 0:  # known
+        if covariance[0] >= 0:  # a negative value means that the covariance is unknown
             turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
             turned = turn @ np.reshape(covariance, (3, 3)) @ turn.T
             covariance = tuple(turned.ravel().tolist())

@@ -39,7 +39,7 @@ class ReadyPart:
 
     @property
     def label(self) -> str:
-        """Its class."""
+        """Class of the part."""
         return part_class(self.id)
 
     @property
@@ -93,7 +93,7 @@ class Reply:
     part : ReadyPart or None
         Part for the robot.
     valid_until : float
-        End of its reservation [s, the clock of `now`].
+        End of the part's reservation [s, the clock of `now`].
     left : int
         Number of parts on the plate after a purge.
     """

@@ -115,7 +115,7 @@ def answer_line(code: Code, text: str) -> bytes:
     """Return the reply line for a command."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
     line = f"{code:d} {plain}"
-    if len(line) > MAX_ANSWER:  # cut at a space: half a number would be a wrong number
+    if len(line) > MAX_ANSWER:  # cut at a space, because half a number would be a wrong number
         line = line[: MAX_ANSWER + 1].rpartition(" ")[0]
     return line.encode() + b"\r\n"
 
@@ -144,4 +144,4 @@ def help_text() -> str:
 
 
 def _rounded(value: float) -> str:
-    return f"{round(value, 2) + 0.0:.2f}"  # never -0.00
+    return f"{round(value, 2) + 0.0:.2f}"  # adding 0.0 avoids -0.00

@@ -113,8 +113,9 @@ class FeederNode(SafeLifecycleNode[Options]):
     def __init__(self) -> None:
         super().__init__("feeder", Options)
         self._server: RobotServer | None = None
-        self._inbox: deque[Callable[[], None]] = deque()  # filled by the server's thread
-        self._results: dict[bytes, tuple[Reply, Part | None]] = {}  # not yet fetched, by goal
+        self._inbox: deque[Callable[[], None]] = deque()  # calls from the server's thread
+        # Results that are not fetched yet, by goal.
+        self._results: dict[bytes, tuple[Reply, Part | None]] = {}
         self._enabled_at: Any = None  # last known time at which the motors were enabled
         self._stopped = ""  # reason of a stop that was active at deactivation
         self.report(self._find, self._values)

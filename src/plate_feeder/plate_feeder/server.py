@@ -23,11 +23,12 @@ from .lines import MAX_LINE, WAITING, Command, LineError, answer_line, help_text
 MAX_CLIENTS = 8
 
 MAX_WAITING = 4
-"""Maximum number of commands of one client that wait for the previous one; more are refused."""
+"""Maximum number of commands of one client that wait for the previous one. Further commands are
+refused."""
 
 MAX_ANSWERS = 100
-"""Maximum number of lines of one client that wait for replies, including refused ones. With more
-the client is disconnected."""
+"""Maximum number of lines of one client that wait for replies, including refused ones. If there are
+more, the client is disconnected."""
 
 IDLE_S = 3600.0
 """Idle time after which a client is disconnected [s]."""
@@ -36,7 +37,7 @@ LINE_S = 5.0
 """Maximum time from the first byte of a line to its end [s]."""
 
 SENT_S = 5.0
-"""Maximum time for a client to accept a reply; then it is disconnected [s]."""
+"""Maximum time for a client to accept a reply [s]. After that, the client is disconnected."""
 
 LAST_S = 0.5
 """Time in which the last commands of a client are executed after it has closed its side [s]."""
@@ -49,13 +50,15 @@ PAUSE_S = 0.01
 thread."""
 
 KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
-"""TCP keepalive: a robot that was switched off or unplugged is disconnected within a minute."""
+"""TCP keepalive. With it, a robot that was switched off or unplugged is disconnected within a
+minute."""
 
 CHUNK = 4096
 """Maximum number of bytes read at once."""
 
 WEB = b" http/"
-"""Part of a browser's first line. Web pages must not send commands, so they are disconnected."""
+"""Part of a browser's first line. Web pages must not send commands, so browsers are
+disconnected."""
 
 Answer = Callable[[Code, str], None]
 Ask = Callable[[int, Command, Answer], None]
@@ -187,7 +190,7 @@ class _Client:
         )
         try:
             await asyncio.wait((reading, doing, stop), return_when=asyncio.FIRST_COMPLETED)
-            if not doing.done():  # execute its last commands
+            if not doing.done():  # execute the client's last commands
                 reading.cancel()
                 drained = asyncio.ensure_future(self._queue.join())
                 await asyncio.wait((drained, doing), timeout=LAST_S,
@@ -268,7 +271,7 @@ class _Client:
         answered: asyncio.Future[tuple[Code, str]] = loop.create_future()
 
         def answer(code: Code, text: str) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop was closed
+            with contextlib.suppress(RuntimeError):  # the event loop was closed
                 loop.call_soon_threadsafe(take, code, text)
 
         def take(code: Code, text: str) -> None:

@@ -29,8 +29,8 @@ KNOWN = (
     "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",
     "order",
 )  # fmt: skip
-"""Keys of `info` that an agent gets: those available on a real plate, and the references of
-paths."""
+"""Keys of `info` that an agent receives. They are available on a real plate, except the references
+of paths, which are also given."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,12 @@ class Brief:
 
 class Agent(Protocol):
     """Interface of agents for `evaluate`: one is made for each episode, with a brief and a random
-    seed. Of `info` it gets the keys `KNOWN`.
+    seed. The agent receives only the keys `KNOWN` of `info`.
 
     Attributes
     ----------
     action, observation : str
-        Kinds of action and observation that it needs.
+        Kinds of action and observation that the agent needs.
     """
 
     action: str
@@ -120,10 +120,10 @@ class Ours:
         self._ids = tuple(info.get("ids", self._ids))
         self._state = self._planner.started(self._state, running, time, True)
         parts = self._parts(observation, time)
-        if not len(parts):  # no observation yet
+        if not len(parts):  # there is no observation yet
             return running if running.closes else PlateCycle.rest(IDLE_S)
         self._state = self._planner.see(self._state, parts, time)
-        if "order" in info and self._state.memory is not None:  # order of the feeder
+        if "order" in info and self._state.memory is not None:  # pass on the feeder's order
             self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
         if isinstance(follow, FollowMemory):  # use the judge's references
@@ -147,7 +147,7 @@ class Ours:
 
 
 class MethodA(Ours):
-    """The same with Method A, rotations about a few centres."""
+    """This project's planner with Method A, rotations about a few centres."""
 
     method = "rotations"
 

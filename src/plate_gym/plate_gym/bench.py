@@ -250,7 +250,8 @@ def episodes(
     try:
         with ProcessPoolExecutor(workers, get_context("spawn"), error) as pool:
             try:
-                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # not for the workers
+                # Block SIGINT while the workers start, so that they do not receive it.
+                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
                 found = [pool.submit(run, seed) for seed in seeds]
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
                 for number, row in enumerate(found):
@@ -346,7 +347,7 @@ def check(
         made = (result["versions"] | {"sources": result["sources"]}).get(name)
         if made != own:
             tell(f"{name}: {made} in the result, {own} here")
-    wrong, chance = [], np.random.default_rng()  # unpredictable choice of seeds
+    wrong, chance = [], np.random.default_rng()  # the choice of seeds must be unpredictable
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
         tell(f"{task}: the result has seeds {ranges(sorted(rows))}")
@@ -389,7 +390,7 @@ def read(path: Path) -> Any:
     """
     try:
         return json.loads(path.read_text("utf-8"))
-    except (ValueError, RecursionError) as problem:  # also for huge numbers or deep nesting
+    except (ValueError, RecursionError) as problem:  # raised also for huge numbers or deep nesting
         raise PlateError(f"{path} is not JSON: {problem}") from problem
 
 
@@ -427,7 +428,8 @@ def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
         raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
     for key, kind in kinds.items():
         value = found[key]
-        number = type(value) in (int, float) and abs(value) < HUGE  # False for NaN
+        # This condition is False for NaN.
+        number = type(value) in (int, float) and abs(value) < HUGE
         if not (number if kind is float else type(value) is kind):
             allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
             raise PlateError(f"{where}: {key} is {value!r}, allowed: {allowed}")
@@ -527,7 +529,8 @@ def main() -> int:
                 args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
         if args.json:
-            args.json.open("a").close()  # fail now, not after hours
+            # If the file cannot be written, fail now and not after hours.
+            args.json.open("a").close()
         evaluate(
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
             args.world or "nominal", args.workers, tell, keep,
@@ -558,7 +561,9 @@ def seed_range(text: str) -> range:
 
 
 if __name__ == "__main__":
-    if not ALIKE.items() <= os.environ.items():  # restart: libraries read them only at start
+    # Restart, because libraries read these variables only at their start.
+    if not ALIKE.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # end workers, as with Ctrl-C
+    # On SIGTERM, end the workers as with Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())

@@ -59,7 +59,7 @@ class Classic:
         weight, _ = solve_weights(matrix, force.T.ravel(), MAX_GAIN)
         share = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
         nearest = self._library.clearance(place)
-        order = np.argsort(-share / nearest, kind="stable")  # 3.1.4
+        order = np.argsort(-share / nearest, kind="stable")  # priority by section 3.1.4
         out = np.sign(weight)[order, None] * self._library.twist[order] / RETURN
         share = share[order] / max(1.0, float(np.sum(share)))
         spent = np.outer(share, [RETURN, 1.0]).ravel() / (RETURN + 1)

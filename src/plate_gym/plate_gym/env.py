@@ -258,7 +258,7 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
     for action in actions:
         try:
             given = np.asarray(action)
-        except ValueError:  # rows of different lengths
+        except ValueError:  # NumPy raises it for rows of different lengths
             given = np.array(None)
         if fits(given, space.shape):
             close = np.clip(given, low, high)
@@ -338,7 +338,7 @@ class Window:
     def __init__(self) -> None:
         self._root: Any = None
         try:
-            import tkinter  # optional in Python
+            import tkinter  # tkinter is an optional part of Python
         except ImportError as problem:
             return gym.logger.warn(NO_WINDOW.format(problem))
         try:

@@ -42,7 +42,8 @@ ROBOT_S = 2.0
 """Cycle time of the robot that is fed [s]."""
 
 MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
-"""Maximum number of parts that this robot can take; it requests the first one at the beginning."""
+"""Maximum number of parts that this robot can take. The robot requests the first part at the
+beginning."""
 
 ENOUGH = 0.9
 """Fraction of these parts with which feeding is successful."""
@@ -142,7 +143,7 @@ class Score(NamedTuple):
         Distance of each part from its target [m]; for paths: root mean square distance from its
         reference so far.
     turn_error : (N, M)
-        Error of its angle [rad]; 0 without a target angle.
+        Error of each part's angle [rad]; 0 without a target angle.
     there : (N, M)
         Whether each part fulfils the task; for feeding (N, 1): number of picked parts.
     to_go : (N,)
@@ -166,7 +167,7 @@ class Score(NamedTuple):
 class Judge:
     """Evaluates one task as the planner's supervision does, but by the true positions.
 
-    Errors of `SIGHT_M` and `SIGHT_RAD`, those of the camera, are added to the tolerances.
+    The camera's errors `SIGHT_M` and `SIGHT_RAD` are added to the tolerances.
 
     Attributes
     ----------
@@ -259,7 +260,7 @@ class Judge:
         shape = len(states), len(names)
         error, turn = np.zeros(shape), np.zeros(shape)
         near_m, near_rad = SIGHT_M, np.inf
-        if isinstance(rules, Sorter):  # all plates at once
+        if isinstance(rules, Sorter):  # evaluate all plates at once
             place = np.concatenate([state.position for state in states])
             to_go = rules.to_go(Parts.make(names * len(states), place))
             error = np.where(np.isnan(to_go), 0.0, to_go).reshape(shape)
@@ -309,8 +310,8 @@ def _fed(rules: Feeder, memories: list[Memory]) -> Score:
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
-    """Return the input of the planner's rules: parts at a time [s] at which a cycle begins. It
-    lasts for a period; the plate rests after a further tail [s]."""
+    """Return the input of the planner's rules: parts at a time [s] at which a cycle begins. The
+    cycle lasts for a period. If the plate then stops, it rests after a further tail [s]."""
     return Situation(
         parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
         motion_known=True, latency_known=True, predicted=parts.position,

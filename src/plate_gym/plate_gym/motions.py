@@ -53,11 +53,12 @@ class Motions:
         ----------
         actions : (N, size)
             Values from -1 to 1 for x, y and theta of each function of time. A single value of 1
-            uses a limit completely. If they exceed the limits together, all are scaled down.
+            uses a limit completely. If the values together exceed the limits, all are scaled down.
         """
         own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
-        while (beyond := used > CERTAIN).any():  # typically twice: rotations enter quadratically
+        # Usually two rounds, because rotations enter quadratically.
+        while (beyond := used > CERTAIN).any():
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
         return self.basis.cycles(own), used

@@ -1,5 +1,5 @@
 """Plates with a task each: simulation of cycles, observations, rewards. The environments of one and
-of many plates are views of it."""
+of many plates use this module."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ ACTIONS = ("motion", "forces", "progress", "cycle")
 OBSERVATIONS = ("parts", "image")
 
 CENTRE_NOISE_M, ANGLE_NOISE = 3e-5, 3.5e-3
-"""Standard deviation of places [m] and angles [rad] in `parts`: that of this project's vision in
-noisy images (sort_10 and align_6, 30 images each)."""
+"""Standard deviation of places [m] and angles [rad] in `parts`. It is measured for this project's
+vision in noisy images (sort_10 and align_6, 30 images each)."""
 
 REST = PlateCycle.rest(IDLE_S)
-"""Shared by all plates: separate cycles are not equal, but equal seeds must give equal `info`."""
+"""Cycle at rest that all plates share. Separate cycles are not equal objects, but equal seeds must
+give equal `info`."""
 
 GAP = 0.5
 """Minimum distance between the edges of two moving parts, in `progress` [part radii]."""
@@ -90,7 +91,7 @@ class Plate:
         self.done = False
         self.dropped, self.to_go, self.first = 0, 0.0, 0.0
         self.limit_share, self.scaled = 0.0, False
-        self.solving_s = np.zeros(2)  # total time of this project's solver: see `clocks`
+        self.solving_s = np.zeros(2)  # total time of this project's solver, see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
         self.timeline = Timeline(REST, filling=True)
@@ -103,12 +104,12 @@ class Plate:
 
     @property
     def running(self) -> PlateCycle:
-        """The running cycle; it began at the last observation."""
+        """The running cycle. It began at the last observation."""
         return self.timeline.cycle
 
     @property
     def time(self) -> float:
-        """When the running cycle began, since the reset [s]."""
+        """Start of the running cycle, since the reset [s]."""
         return self.timeline.begin
 
     @property
@@ -132,7 +133,7 @@ class Plate:
         """End the running cycle, and begin the next one."""
         if isinstance(self.memory, Feeding) and self.memory.rests:
             cycle = REST
-        if self._shared.action == "motion":  # from rest to rest
+        if self._shared.action == "motion":  # motions of this action go from rest to rest
             self.timeline = Timeline(cycle, self.timeline.end)
         else:
             self.timeline = self.timeline.send(cycle).next()
@@ -344,7 +345,8 @@ class Plates:
         plate.done = plate.time - plate.met_since >= self.judge.hold_s - ROUNDING_S
 
     def _spoilt(self, plate: Plate) -> bool:
-        """Whether a lost part ends the episode. For feeding it does not: the hopper adds others."""
+        """Whether a lost part ends the episode. In feeding, a lost part does not end the episode,
+        because the hopper adds other parts."""
         return plate.dropped > 0 and not self.judge.feeds
 
     def _labels(self) -> tuple[str, ...]:

@@ -38,7 +38,7 @@ class CycleSpace(spaces.Space):
 
     @property
     def is_np_flattenable(self) -> bool:
-        """False: a motion cannot be converted to a row of numbers."""
+        """False, because a motion cannot be converted to a row of numbers."""
         return False
 
 

@@ -34,8 +34,8 @@ class AnswerSchedule:
     def is_new(self, cycle: PlateCycle, begin: float) -> bool:
         """Record that the plate began a cycle at `begin` [s, the time of the stamps].
 
-        Return False for a repeated report, which must not delay the request: it has the same knots,
-        and 0 <= begin - last begin < SNAP T with the cycle's length T.
+        Return False for a repeated report, because it must not delay the request. A repeated report
+        has the same knots, and 0 <= begin - last begin < SNAP T with the cycle's length T.
         """
         repeats = 0 <= begin - self._begin < SNAP * cycle.period
         if repeats and np.array_equal(cycle.knot_pose, self._cycle.knot_pose):

@@ -276,7 +276,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._request(NOTHING, msg.header.stamp)
 
     def _record_image(self, msg: Parts) -> CoreParts | None:
-        """Return the parts of an image, and record its other objects. None if it is invalid."""
+        """Return the parts of an image, and record the other objects in the image. None if the
+        image is invalid."""
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:

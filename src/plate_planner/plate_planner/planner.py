@@ -341,7 +341,7 @@ class Planner:
         return tuple(group.label for group in self.scenario.parts)
 
     def _mine(self, ids: Sequence[str]) -> set[str]:
-        """Return the ids except those of objects that do not belong to the task."""
+        """Return the ids without the ids of objects that do not belong to the task."""
         return {name for name in ids if not is_bystander(name, self._labels)}
 
     def _on_plate(self, parts: Parts) -> Parts:

@@ -9,7 +9,7 @@ from typing import Any
 from .commands import Command
 
 OLD_S = 2.0
-"""Age above which a waiting command is refused [s]: its sender may have changed its mind."""
+"""Age above which a waiting command is refused [s]. Its sender possibly no longer wants it."""
 
 
 class Inbox:

@@ -27,7 +27,7 @@ FRAME_S = 0.04
 """Minimum time between two messages of a kind to the browsers [s]."""
 
 SLOW_S = 0.5
-"""The same for slow data [s]."""
+"""Minimum time between two messages of a kind with slow data [s]."""
 
 
 SWITCH_S = 0.0005
@@ -104,7 +104,7 @@ class PageNode(SafeLifecycleNode[Options]):
         if self._replay is not None:
             self._replay.seek(self._replay.begin)
         else:
-            self._frames.cancel()  # until there is a browser
+            self._frames.cancel()  # the timer runs only while a browser is connected
         self.get_logger().info(f"page at {self._server.url}")
 
     def rest(self) -> None:

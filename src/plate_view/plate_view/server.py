@@ -1,8 +1,8 @@
 """The page's server: HTTP and a websocket, on a separate thread that cannot delay the graph.
 
-Each browser has an outgoing queue. Of data that is sent repeatedly it holds the newest message, of
-other messages the last `MAX_QUEUE`. A slow browser misses frames; one that accepts nothing is
-disconnected.
+Each browser has an outgoing queue. Of data that is sent repeatedly, the queue holds the newest
+message. Of other messages, it holds the last `MAX_QUEUE`. A slow browser misses frames. A browser
+that accepts nothing is disconnected.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ MAX_OPEN = 50
 """Maximum number of commands of one browser without a reply. Others are refused, except stops."""
 
 MAX_TOTAL = 200
-"""The same of all browsers."""
+"""Maximum number of commands of all browsers without a reply."""
 
 PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
 """Costs of commands that are frequent while a person drags; others cost `DEAR`."""

@@ -34,8 +34,8 @@ SMOOTH_PX = 1.0
 """Standard deviation of the Gaussian filter before the gradient [px], against noise."""
 
 MIN_CONTRAST = 4.0
-"""Minimum standard deviation of the grey levels for a measurement of sharpness. Noise alone, as
-with a covered lens, has about 2."""
+"""Minimum standard deviation of the grey levels for a measurement of sharpness. Noise alone, for
+example with a covered lens, causes about 2."""
 
 BINS = 64
 """Bins of the histogram, four grey levels each."""
@@ -261,8 +261,8 @@ class Focus:
 
     @property
     def change(self) -> float:
-        """Relative change during the last `LATELY_S`: mean of the second half divided by that of
-        the first, minus one [-]; NaN if a half has no value."""
+        """Relative change during the last `LATELY_S`: mean of the second half divided by the mean
+        of the first half, minus one [-]; NaN if a half has no value."""
         if not self.values:
             return math.nan
         age = self.values[-1][0] - np.array([stamp for stamp, _ in self.values])

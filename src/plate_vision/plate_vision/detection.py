@@ -85,8 +85,8 @@ DETECTION = np.dtype(
 as seen; class; confidence, 0 to 1; method; standard deviation of the centre along each axis caused
 by noise and misfit [px]; misfit, the deviation from a part's silhouette (0: none).
 
-The angle of an outline is that of its longest side to x, 0 to pi. The angle of a disc is that of
-its mark, 0 without a mark."""
+The angle of an outline is the angle from x to its longest side, 0 to pi. The angle of a disc is the
+angle of its mark, 0 without a mark."""
 
 APART = 1.4
 """Minimum distance of the centres of two parts, in radii of the larger part. Touching parts have 2.

@@ -412,8 +412,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._aiming.add_image(came, stamp)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
-        """Refuse an image whose stamp equals that of a different previous image, and a single image
-        older than the previous one. A second older image means that the clock was set back."""
+        """Refuse an image whose stamp equals the stamp of a different previous image. Also refuse a
+        single image that is older than the previous one. A second older image means that the clock
+        was set back."""
         last, early = self._tracker.stamp, self._early
         self._early = None
         if last is None or stamp > last:

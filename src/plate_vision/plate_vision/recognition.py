@@ -43,8 +43,9 @@ SIZE_ALONE = 3.0
 """Types that differ only in size, and by fewer standard deviations than this, cause a warning."""
 
 SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
-"""Maximum difference between the shadow length measured with known types and the one measured by
-colours, relative to the latter and [px]. If the difference is larger, the areas are not shadows."""
+"""Maximum difference between the shadow length measured with known types and the shadow length
+measured by colours, relative to the second length and [px]. If the difference is larger, the areas
+are not shadows."""
 
 SCALE = 1000.0
 """Default scale of a photograph [px/m]: one pixel is a millimetre."""
@@ -191,7 +192,7 @@ class _Seen:
     @property
     def agrees(self) -> bool:
         """Whether the length of the shadows, measured with the sizes of known types, agrees with
-        that of the segmentation."""
+        the length in the segmentation."""
         if self.lamp is None or self.conditions.lamp is None:
             return True
         length, first = (

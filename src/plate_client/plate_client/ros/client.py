@@ -135,7 +135,7 @@ class Task:
 
     def _on_result(self, future: Any) -> None:
         status = future.result().result.status
-        if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):  # a default result
+        if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):  # this is a default result
             status.state, status.text = TaskStatus.ABORTED, "the planner no longer knows the goal"
         self.status = status
 
@@ -287,7 +287,7 @@ class PlateClient:
             except KeyboardInterrupt:  # the caller has no handle of the task yet
                 raise TaskError(self.cancel(task)) from None
             if not task.accepted:
-                task.cancel()  # in case that the goal still arrives
+                task.cancel()  # cancel the goal in case it still arrives
                 raise PlateError("the planner does not answer the goal: does it hang?")
             if task.status is None or task.status.reason not in REFUSED:
                 return task

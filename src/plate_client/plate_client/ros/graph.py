@@ -51,7 +51,7 @@ class Graph(Services):
 
     def __init__(self, namespace: str) -> None:
         super().__init__(namespace)
-        self._texts: dict[str, str] = {}  # by topic
+        self._texts: dict[str, str] = {}  # last texts, by topic
 
     def run(self, args: argparse.Namespace) -> str:
         """Execute a command, and return its output.
@@ -120,7 +120,7 @@ class Graph(Services):
         return plate.start(scenario, waiting=waiting)
 
     def _cancel_all(self) -> str:
-        """Cancel all goals: the zero id and stamp mean every goal (action_msgs/CancelGoal)."""
+        """Cancel all goals. A zero id and stamp mean every goal (action_msgs/CancelGoal)."""
         self._find_nodes()
         count = sum(
             len(self._call(CancelGoal, f"{name}/_action/cancel_goal", CancelGoal.Request())
@@ -149,7 +149,8 @@ class Graph(Services):
             answer = self._call(MeasureFriction, "measure_friction", start, once=True)
             if answer.success:
                 self._await_friction(received, drivers, answer.started)
-        except (KeyboardInterrupt, OSError, SilentError):  # OSError: the output is closed
+        except (KeyboardInterrupt, OSError, SilentError):
+            # An OSError means that the output is closed.
             self._call(MeasureFriction, "measure_friction", end)
             raise
         if not answer.success:
@@ -231,8 +232,8 @@ class Graph(Services):
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _silent(self, reports: dict[str, Report]) -> list[str]:
-        """Return the nodes that have a publisher of diagnostics, but no report yet: they start, or
-        hang."""
+        """Return the nodes that have a publisher of diagnostics, but no report yet. These nodes are
+        starting, or they hang."""
         topic = self.node.resolve_topic_name("diagnostics")
         there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
         return sorted(there & set(self._seen()) - reports.keys())
@@ -251,7 +252,7 @@ class Graph(Services):
         Raises
         ------
         PlateError
-            If it does not run. The message lists the running nodes.
+            If the node does not run. The message lists the running nodes.
         """
         self._find_nodes()
         self._until(lambda: name in self._seen(), DISCOVERY_S)
@@ -308,7 +309,7 @@ class Graph(Services):
             if isinstance(before, float) and type(value) is int:
                 value = float(value)
             allowed = type(value) is kind
-        except (yaml.YAMLError, ValueError):  # ValueError: an invalid date
+        except (yaml.YAMLError, ValueError):  # a ValueError means an invalid date
             allowed = False
         if not allowed:
             raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")

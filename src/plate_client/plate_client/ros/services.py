@@ -34,7 +34,7 @@ SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
 """Valid names of services."""
 
 CALLS = QoSProfile(depth=1000)
-"""Same as in plate_core.ros, whose import takes too long."""
+"""The same profile as in plate_core.ros, whose import takes too long."""
 
 NAME = "plate_command"
 
@@ -115,7 +115,7 @@ class Services:
         Raises
         ------
         PlateError
-            If they are not ready, with the reason.
+            If the motors do not become ready. The message gives the reason.
         """
         from plate_core.ros import LATCHED
         from plate_interfaces.msg import DriverStatus
@@ -209,7 +209,8 @@ def no_graph_text() -> str:
     if others:
         listed = ", ".join(map(str, others))
         text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID="
-        text += listed if len(others) == 1 else "that of yours"  # some may be of other users
+        # Some of these graphs may be of other users.
+        text += listed if len(others) == 1 else "that of yours"
     return text
 
 

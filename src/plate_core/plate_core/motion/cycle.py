@@ -226,8 +226,8 @@ class PlateCycle:
         pose : (n, 3)
             Poses [m, m, rad] at t = 0, period/n, 2 period/n, ...
         twist, accel : (n, 3), optional
-            Derivatives at the same times. By default, they are those of the periodic quintic spline
-            that interpolates the poses.
+            Derivatives at the same times. By default, the derivatives of the periodic quintic
+            spline through the poses are used.
 
         Raises
         ------

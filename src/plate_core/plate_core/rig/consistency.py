@@ -391,7 +391,8 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
 
 
 def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, float]:
-    """Return the misfit between the view and that of the plate's rectangle [-], and its tilt [rad].
+    """Return the misfit between this view and a view of the plate's rectangle [-], and the tilt of
+    the view [rad].
 
     With the camera matrix K and the homography H, the first two columns of K^-1 H are the plate's
     axes times a common scale. They must have equal lengths and be orthogonal. If K is unknown, the

@@ -27,7 +27,8 @@ BRAKE = 0.4
 acceleration of the first slip."""
 
 RAMP = 0.12
-"""Duration of the first ramp relative to that of the acceleration, long enough for the motors."""
+"""Duration of the first ramp relative to the duration of the acceleration. It is long enough for
+the motors."""
 
 STROKE_USED = 0.8
 """Maximum fraction of the motors' stroke that a push uses."""

@@ -89,7 +89,7 @@ def _full(count: int) -> Knots:
 
 
 ROUND_BYTES = frame_bytes(Heartbeat(0)) + frame_bytes(Pulse(0, 0))
-"""Length of a heartbeat's frame plus that of its pulse [bytes]."""
+"""Length of a heartbeat's frame plus the length of the pulse's frame [bytes]."""
 
 ANSWER_BYTES = frame_bytes(Acknowledgement(0, Status.DONE))
 

@@ -17,8 +17,8 @@ END_S = 5.0
 """Maximum wait for a planner to end a canceled task [s]."""
 
 ANSWER_S = 1.0
-"""Time without a reply after which a goal is sent again [s]: the planner was killed or stalled, or
-the reply was lost. The goal keeps its id, so the planner executes it once."""
+"""Time without a reply after which a goal is sent again [s]. The planner was killed or has stalled,
+or the reply was lost. The goal has the same id, so the planner executes it only once."""
 
 
 class FeedGoal:
@@ -34,7 +34,7 @@ class FeedGoal:
     Attributes
     ----------
     runs : bool
-        Whether the planner has accepted it.
+        Whether the planner has accepted the goal.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class FeedGoal:
         self._goal, self._ended = goal, ended
         self._client = ActionClient(node, FeedParts, "feed_parts")
         self._handle: Any = None
-        self._number = 0  # of the requested goal; replies to others are ignored
+        self._number = 0  # number of the requested goal; replies to other goals are ignored
         self._id, self._tries = new_goal_id(), 0
         self._sent = self.runs = self._seen = False
         self._answer_by = 0.0
@@ -71,7 +71,7 @@ class FeedGoal:
         running = status.state == TaskStatus.RUNNING and status.task == "feed"
         if self.runs and self._seen and not running:
             reason = status.reason
-            if status.state == TaskStatus.RUNNING:  # another task
+            if status.state == TaskStatus.RUNNING:  # another task has replaced this one
                 reason = TaskStatus.PREEMPTED
             text = f"the planner's task has ended: {status.text}"
             self._over(TaskStatus(reason=reason, text=text))

@@ -43,7 +43,8 @@ PUSHED_SIGMA = 6.0
 push is assumed. The filter is then reset to the measured position, with the initial covariance."""
 
 FRICTION_RANGE = np.log(3.0)
-"""The estimated friction is limited to between 1/3 and 3 times that of the part's type [log]."""
+"""The estimated friction is limited to between 1/3 and 3 times the friction of the part's type
+[log]."""
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
 """Offsets (6, 5) of the state and its five neighbours for the finite differences."""

@@ -1,7 +1,7 @@
 """State machine of a task: its phase, and the time and reason of its end.
 
 Done, stuck, lost part and aborted are final phases. Only a new start leaves them. All functions are
-pure: they take a state and return the new one.
+pure. They take a state and return the new one.
 """
 
 from __future__ import annotations

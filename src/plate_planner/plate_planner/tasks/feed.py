@@ -412,8 +412,8 @@ class Aims:
         """Return the targets of the parts, with a minimum gap [m].
 
         The weight scales the longest distance with full weight to `FULL_DISTANCE_M`, separately for
-        leaving and for other parts. If a part must get ready at an angle, its own distance is
-        scaled instead.
+        leaving and for other parts. If a part must get ready at an angle, the distance of this part
+        is scaled instead.
         """
         left = self.left
         counts, offset = np.zeros(len(left)), np.column_stack([left, 0 * left])

@@ -185,7 +185,8 @@ class FollowMemory:
         return self.progress + since * self.scaling[0 if since < 0 else 1]
 
     def pace(self, t: float) -> float:
-        """Return the mean speed of the references until t [s], relative to that of their paths."""
+        """Return the mean speed of the references until t [s], relative to the speed of their
+        paths."""
         return self.path_time(t) / (t - self.began) if t > self.began else 1.0
 
 

@@ -65,7 +65,8 @@ def match_by_cost(
     labels: Sequence[str], cost: np.ndarray, parts: Parts, most: float = np.inf
 ) -> tuple[str, ...]:
     """Match parts to P targets of their class with the minimum sum of costs (P, M) [m2]. Pairs that
-    cost more than `most` are not matched. The result is that of `match_targets`."""
+    cost more than `most` are not matched. The result has the form of the result of
+    `match_targets`."""
     match = [UNMATCHED] * len(labels)
     if not len(parts) or not labels:
         return tuple(match)

@@ -155,7 +155,7 @@ def part_colours(
     types: Sequence[PartType], colour: bool, greys: Mapping[str, float] = GREY_OF_CLASS
 ) -> np.ndarray:
     """Return the grey values (M,), or blue, green and red (M, 3), of parts of these types at full
-    light. If a type has no colour, its grey value is that of its name in `greys`, or by default
+    light. If a type has no colour, the grey value for its name in `greys` is used, or by default
     `UNKNOWN_GREY`.
     """
     known = [greys.get(part.name, UNKNOWN_GREY) for part in types]
@@ -572,8 +572,8 @@ def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
 
 
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return `value` as an array, checked for its shape and for finite numbers. The first axis is
-    that of the parts."""
+    """Return `value` as an array, checked for its shape and for finite numbers. The first axis
+    counts the parts."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape != shape:
         raise PlateError(f"{name}: shape is {array.shape}, allowed: {shape}")

@@ -58,8 +58,8 @@ RANGES: dict[str, tuple[float, float]] = {
 """Allowed range of each disturbance."""
 
 FLICKER_HZ = 97.0
-"""Default frequency of flicker [Hz]: close to that of mains light, but not a multiple of the image
-rate."""
+"""Default frequency of flicker [Hz]. It is close to the frequency of mains light, but not a
+multiple of the image rate."""
 
 SLOWEST_RATE = 1.0
 """Minimum image rate of a free-running camera [1/s]. If it is slower, the next image counts as

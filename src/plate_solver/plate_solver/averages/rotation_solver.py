@@ -34,7 +34,7 @@ them."""
 
 @dataclass(frozen=True)
 class RotationForceOptions(RotationOptions):
-    """Options of `RotationSolver`: those of `RotationOptions`, and
+    """Options of `RotationSolver`: all options of `RotationOptions`, and
 
     Attributes
     ----------

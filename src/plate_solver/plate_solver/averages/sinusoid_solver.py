@@ -43,7 +43,7 @@ MAX_STARTS = 200
 
 @dataclass(frozen=True)
 class SinusoidForceOptions(SinusoidOptions):
-    """Options of `SinusoidSolver`: those of `SinusoidOptions`, and
+    """Options of `SinusoidSolver`: all options of `SinusoidOptions`, and
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """One descent of a sinusoidal motion on the cycle map, computed in C++.
 
-One call runs the Levenberg-Marquardt method on the coefficients of the motion. The errors are those
-of the parts' ends (`goal.ends`) and the limit violations. Input is a `Problem` and initial
+One call runs the Levenberg-Marquardt method on the coefficients of the motion. The errors are the
+errors of the parts' ends (`goal.ends`) and the limit violations. Input is a `Problem` and initial
 parameters; output is a `Fit`. A single call avoids Python overhead, because each evaluation takes
 about ten microseconds.
 """
@@ -90,7 +90,7 @@ class Problem(NamedTuple):
 def descend(problem: Problem, theta: np.ndarray, tolerance: float, iterations: int) -> Fit:
     """Improve the parameters (3 h,) until no error exceeds `tolerance` [m] or progress stalls.
 
-    The errors of the result are those of the ends, followed by the limit violations.
+    The errors of the result are the errors of the ends, followed by the limit violations.
     """
     motions, settling, start, ends, coast, most = problem
     return Fit(

@@ -89,7 +89,7 @@ class Caller:
         last = 0.0
 
         def answered(future: Any) -> None:
-            if future not in sent:  # there was a reply before
+            if future not in sent:  # an earlier reply has ended the call
                 return
             self.pollers.discard(tick)
             for each in sent:

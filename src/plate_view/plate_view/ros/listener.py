@@ -47,7 +47,8 @@ from .aim import aim_scene
 from .values import plain, state_names
 
 SAME_CLOCK_S = 10.0
-"""Maximum difference of a stamp from this node's clock [s]. A larger one is from another clock."""
+"""Maximum difference of a stamp from this node's clock [s]. If the difference is larger, the stamp
+is from another clock."""
 
 LATENCIES = 200
 """Number of setpoint messages over which the latency is measured."""
@@ -191,7 +192,7 @@ class Listener:
         for topic, msg in newest.items():
             try:
                 TOPICS[topic].take(self, msg)
-            except (PlateError, ValueError) as error:  # ValueError: NaN in JSON
+            except (PlateError, ValueError) as error:  # a ValueError means NaN in JSON
                 warn = self._node.get_logger().warning
                 warn(f"{topic}: {error}", throttle_duration_sec=WARN_S)
 
@@ -228,7 +229,7 @@ class Listener:
 
     def _show_image(self, msg: Image) -> None:
         if not any(map(self._server.wants, TOPICS["image_raw"].watched)):
-            return  # from a recorded run
+            return  # a recorded run also delivers images that nobody wants
         image, stamp = image_to_array(msg), seconds(msg.header.stamp)
         image = image[..., ::-1] if msg.encoding == "rgb8" else image
         now = time.monotonic()

@@ -54,17 +54,17 @@ MOVE_TOLERANCE_M = 0.001
 """Distance at which a dragged part counts as arrived [m]."""
 
 MOVE_TOLERANCE_RAD = 0.05
-"""The same of its angle [rad]."""
+"""Angle error at which a dragged part counts as arrived [rad]."""
 
 MAX_SQUARES = 255
 """Maximum number of squares along a side of a board in TakeLensPictures. The detector allows
 fewer."""
 
 FOLLOW_ERROR_M = 0.02
-"""Maximum distance of a part from its drawn path [m]; beyond it the task ends."""
+"""Maximum distance of a part from its drawn path [m]. If it is exceeded, the task ends."""
 
 FOLLOW_LIMIT_S = 600.0
-"""Maximum time for a drawn path [s]; then the task ends."""
+"""Maximum time for a drawn path [s]. After that, the task ends."""
 
 SECRET = ("operator_token", "viewer_token")
 """Parameters that are not sent to browsers."""
@@ -99,7 +99,7 @@ class Operator:
         self._actions = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
         self._caller = Caller(node)
         self._call = self._caller.call
-        self._goal: Goal | None = None  # of the task that the page has started
+        self._goal: Goal | None = None  # goal of the task that the page has started
         # Goal to send when that task has ended:
         self._next: tuple[PendingCommand, str, Any] | None = None
         self._waiting: dict[str, dict[str, Any]] | None = None  # targets until the task runs
@@ -320,7 +320,7 @@ class Operator:
             handle = future.result()
             if not handle.accepted:
                 never_began("the planner refused the goal")
-            elif own.ended:  # accepted too late
+            elif own.ended:  # the goal was accepted too late
                 handle.cancel_goal_async()
             else:
                 own.handle = handle

@@ -15,7 +15,8 @@ from plate_core import PlateError
 from plate_core.files import check_file
 
 BEFORE_S = 1.5
-"""After a seek the last messages within this time are shown [s]; latched topics at any age."""
+"""Maximum age of messages that are shown after a seek [s]. Messages of latched topics are shown at
+any age."""
 
 LATCHED_TOPICS = ("task_status", "driver_status", "part_targets")
 
@@ -51,7 +52,7 @@ class Replay:
     rate : float
         Recorded seconds per second.
     problem : str
-        Why it stopped before the end; empty if it did not.
+        Reason why the replay stopped before the end. Empty if it did not stop.
 
     Raises
     ------
@@ -84,7 +85,7 @@ class Replay:
         self._played_at = time.monotonic()
         latched = [each for each in self._chosen if self._name(each) in LATCHED_TOPICS]
         self._latched: list[Any] = []
-        with contextlib.suppress(PlateError):  # read up to a damaged place
+        with contextlib.suppress(PlateError):  # the bag is read up to a damaged place
             self._latched.extend(self._messages(latched) if latched else ())
         self.seek(self.begin)
 
@@ -170,13 +171,13 @@ class Replay:
     def _messages(self, chosen: list[Any], *interval: int) -> Iterator[Any]:
         try:
             yield from self._reader.messages(chosen, *interval)
-        except Exception as error:  # the library raises any kind for a damaged file
+        except Exception as error:  # the library raises any exception for a damaged file
             raise _damaged(error) from None
 
     def _pass_on(self, name: str, data: bytes) -> None:
         try:
             msg = deserialize_message(bytes(data), self._kinds[name])
-        except Exception as error:  # from rmw, without a public name
+        except Exception as error:  # rmw raises an error that has no public name
             raise _damaged(error) from None
         self._receive(name, msg)
 

@@ -205,7 +205,7 @@ def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarr
     Raises
     ------
     ImageError
-        If it declares no pixels or too many. This is checked before unpacking.
+        If the file declares no pixels or too many. This is checked before unpacking.
     """
     header = header or read_header(content)
     if header is None:

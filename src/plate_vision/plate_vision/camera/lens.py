@@ -265,8 +265,8 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def calibrate_by_matrix(
     image_from_home: np.ndarray, lens: Lens | None = None, place: np.ndarray | None = None
 ) -> Calibration:
-    """Return the calibration for a known homography (3, 3) from plate_home [m] to the image [px],
-    the one without distortion if there is a lens.
+    """Return the calibration for a known homography (3, 3) from plate_home [m] to the image [px].
+    If there is a lens, this is the image without distortion.
 
     The camera's place (3,) [m, plate_home] follows from the lens. Without a lens it may be given.
 
@@ -309,7 +309,7 @@ def lens_keys(lens: Lens) -> dict[str, str]:
 
 
 def rig_lens(rig: Rig) -> Lens | None:
-    """Return the lens of the rig file; None if it has none."""
+    """Return the lens of the rig file. None if the file has no lens."""
     lens = rig.camera.lens
     return None if lens is None else Lens(lens.matrix, np.array(lens.distortion), lens.model)
 

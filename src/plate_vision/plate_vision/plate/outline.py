@@ -226,7 +226,7 @@ class Outline:
 def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = None) -> Outline:
     """Measure the plate's edges in an image (H, W) or (H, W, 3) uint8.
 
-    `limit` is the maximum distance from the predicted edges [m]; None: that of the grid.
+    `limit` is the maximum distance from the predicted edges [m]. None to use the grid's.
     """
     smooth = cv2.GaussianBlur(contrasted(image, grid), (0, 0), SMOOTH_PX)
     edges = np.full((4, 3), np.nan)
@@ -618,8 +618,8 @@ def _percent(change: float) -> str:
 
 
 def fitting_flips(image: np.ndarray, grid: OutlineGrid) -> tuple[str, ...]:
-    """Return those of `FLIPS` with which the outline in an image (H, W) or (H, W, 3) agrees on all
-    four edges; empty if the image agrees as it is."""
+    """Return the flips of `FLIPS` with which the outline in an image (H, W) or (H, W, 3) agrees on
+    all four edges; empty if the image agrees as it is."""
     if np.all(measure_outline(image, grid, grid.near).within(grid.near)):
         return ()
     names = []

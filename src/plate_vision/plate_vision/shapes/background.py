@@ -67,7 +67,7 @@ TEXTURE_PERCENT = 98
 """Percentage of a photograph's background pixels whose deviation is texture."""
 
 TEXTURE = 1.25
-"""Factor between this deviation and that of parts."""
+"""Factor between this deviation and the deviation of parts."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
 """Candidates of the blur of an image, in addition to that of the bare plate's images [px]."""
@@ -350,7 +350,7 @@ def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:
 
 
 def _chroma_weight(labs: np.ndarray, bare: np.ndarray) -> float:
-    """Return the weight of a and b that equalises their noise with that of L."""
+    """Return the weight of a and b with which their noise equals the noise of L."""
     if bare.shape[2] == 1:
         return CHROMA[1]
     noise = np.mean((labs.astype(np.float32) - bare) ** 2, axis=(0, 1, 2))

@@ -92,8 +92,8 @@ MOSTLY = 0.5
 
 
 WORK = 12.0
-"""Maximum number of pixels that all cuts within pieces may visit, relative to those of the plate:
-half a second. Heaps of 80 parts need that much."""
+"""Maximum number of pixels that all cuts within pieces may visit, relative to the number of the
+plate's pixels. This takes half a second. Heaps of 80 parts need as much."""
 
 PLATE_SIZED = 0.5
 """Fraction of the plate above which a piece is not split. In this case, the light or the bare plate
@@ -101,7 +101,7 @@ is wrong."""
 
 
 LABEL_WORK = 0.1
-"""Work per pixel of a piece's own window, relative to that of a cut."""
+"""Work per pixel of a piece's window, relative to the work per pixel of a cut."""
 
 
 @dataclass

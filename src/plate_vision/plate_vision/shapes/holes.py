@@ -24,7 +24,8 @@ DARKEST = 0.4
 """Minimum lightness of a hole, relative to the plate [L + 41]."""
 
 CHROMA_LIMIT = 1.5
-"""Maximum deviation of a hole's chroma from the plate's, relative to that of the plate's noise."""
+"""Maximum deviation of a hole's chroma from the plate's chroma, relative to the deviation by the
+plate's noise."""
 
 SEEN = 0.3
 """Penalty of a hole that is missing in the outline if it looks like the plate and unlike the part

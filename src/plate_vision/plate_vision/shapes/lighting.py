@@ -63,13 +63,13 @@ STEADY_LIMIT = 0.6
 the full limit would cut off half of the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
-"""Surfaces of a light equal to that of the background."""
+"""Surfaces of a light that equals the light on the background."""
 EVEN[0, 0] = 1
 EVEN.setflags(write=False)
 
 RIDGE = 0.002
-"""Weight of a constant surface, relative to that of all pixels, in case the plate is visible in one
-corner only."""
+"""Weight of a constant surface, relative to the weight of all pixels. It is needed if the plate is
+visible in only one corner."""
 
 
 AMBIGUOUS = 0.3
@@ -89,7 +89,7 @@ its root by a gamma of 2.2."""
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """The light of an image on the plate, relative to that of a background.
+    """The light of an image on the plate, relative to the light of a background.
 
     Attributes
     ----------

@@ -33,7 +33,8 @@ PLAIN = 0.006
 """RMS deviation up to which a polygon with fewer corners is preferred, relative to the reach."""
 
 WORSE = 1.1
-"""Maximum deviation of a polygon with fewer corners, relative to that of the first polygon [-]."""
+"""Maximum deviation of a polygon with fewer corners, relative to the deviation of the first polygon
+[-]."""
 
 BULGE_PX = 0.35
 """Maximum distance of the outline from the polygon's edges [px]."""

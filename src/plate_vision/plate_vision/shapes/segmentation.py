@@ -55,7 +55,7 @@ FILLED = 0.3
 """Fraction of the area enclosed by a ring that objects inside must fill to be one part with it."""
 
 DUST = 0.04
-"""Area of dust, relative to that of a typical part."""
+"""Area of dust, relative to the area of a typical part."""
 
 MIN_SIDE_PX = 8
 """Minimum side of an image [px]. Smaller images show no complete part."""
@@ -186,8 +186,8 @@ def segment(
 def _cover(
     away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return the fraction of each pixel that is part (H, W) float32: its deviation relative to that
-    of the part around it; 0 outside of parts."""
+    """Return the fraction of each pixel that is part (H, W) float32: its deviation relative to the
+    deviation of the part around it; 0 outside of parts."""
     slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     contrast, steepest = np.empty((2, count), np.float32)
     bright = np.empty(count, np.bool_)
@@ -384,7 +384,7 @@ def _window(
 
 
 def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
-    """Return one patch in its own window; None if it is thinner than a part."""
+    """Return one patch in its own window; None if the patch is thinner than a part."""
     left, top, width, height = cv2.boundingRect(piece.inside.astype(np.uint8))
     x0, y0 = max(left - 1, 0), max(top - 1, 0)
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]

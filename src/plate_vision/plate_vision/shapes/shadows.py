@@ -19,8 +19,9 @@ import numpy as np
 from .. import _kernels
 
 SOFT = (1.25, 0.8, 1.7)
-"""Minimum width of a shadow's edge, relative to that of sharp edges: if several patches have a
-shadow; if they also have it on the same side; if only one patch has it."""
+"""Minimum width of a shadow's edge, relative to the width of sharp edges. The values are for three
+cases: several patches have a shadow; these shadows are also on the same side; only one patch has a
+shadow."""
 
 FEWEST = 3
 """Minimum number of patches that count as several."""
@@ -41,7 +42,7 @@ WIDE_PERCENT = 80
 """Percentile of the parts' edge widths that is the width of an image's edges."""
 
 LIGHTER: float = _kernels.LIGHTER
-"""Maximum deviation of a shadow, relative to that of the part that casts it."""
+"""Maximum deviation of a shadow, relative to the deviation of the part that casts the shadow."""
 
 AGREE = 0.25
 """Fraction of patches with a shadow above which all are assumed to have one."""
@@ -56,8 +57,8 @@ WIDE_PX = 25.0
 """Edge width above which a patch is always a shadow [px]."""
 
 THICK = 0.6
-"""Minimum thickness of a part, relative to that of its shadow. A thin dark side is a side face of a
-high part seen obliquely, and the light side is its top."""
+"""Minimum thickness of a part, relative to the thickness of its shadow. A thin dark side is a side
+face of a high part seen obliquely, and the light side is its top."""
 
 MIN_AREA_PX2 = 30
 """Minimum area of a patch whose edges are evaluated."""

@@ -90,7 +90,7 @@ HEIGHTS = (0.25, 0.5, 0.75, 1.0, 1.5)
 """Heights that are tried for a part assumed flat, relative to its reach [-]."""
 
 HIGHEST = 0.5
-"""Maximum of these heights, relative to that of the camera [-]."""
+"""Maximum of these heights, relative to the height of the camera [-]."""
 
 BETTER, BETTER_PX = 2.0, 0.05
 """A part is possibly not flat if a height reduces the difference of its examples, at equal size, by
@@ -202,14 +202,14 @@ def learn_type(
 ) -> Lesson:
     """Learn one part type with a height [m]; other parameters as in `teach`.
 
-    If the camera's position is known, the outline is that of the part's base, without its side
-    faces and the shift of its top.
+    If the camera's position is known, the outline is the outline of the part's base, without the
+    side faces and the shift of the top.
 
     Raises
     ------
     TeachError
-        If there is no example, or none with complete parts that do not touch; if examples differ
-        too much; or if the outline needs more corners than are allowed.
+        If there is no example, or no example with complete parts that do not touch; if examples
+        differ too much; or if the outline needs more corners than are allowed.
     """
     if not 1 <= len(examples) <= MAX_PICTURES:
         count = len(examples) or "no"

@@ -153,8 +153,9 @@ def update(
 ) -> Tracker:
     """Update the tracks with the detections of one image.
 
-    If the stamp is the same as before, nothing changes: it is the same image. An earlier stamp
-    means that the clock was set back (a simulator was restarted): all parts are then new.
+    If the stamp is the same as before, this is the same image, and nothing changes. An earlier
+    stamp means that the clock was set back, because a simulator was restarted. All parts are then
+    new.
 
     Parameters
     ----------
