@@ -17,8 +17,8 @@ picture = parser.parse_args().picture
 rig = load_rig()
 
 # Two parts are pushed in different directions. The third one gets no mean force.
-position = np.array([[-0.15, 0.05], [0.15, 0.05], [0.0, -0.08]])  # [m]
-force = np.array([[0.15, 0.0], [0.0, 0.15], [0.0, 0.0]])  # [mu m g]
+position = np.array([[-0.15, 0.05], [0.15, 0.05], [0.0, -0.08]])  # positions of the parts [m]
+force = np.array([[0.15, 0.0], [0.0, 0.15], [0.0, 0.0]])  # requested mean forces [mu m g]
 
 solution = SinusoidSolver(rig, harmonics=3).solve(position, force)
 print(f"success {solution.success}: {solution.message}")

@@ -50,7 +50,8 @@ class OwnPlanner:
 
         tolerance = np.zeros_like(force)
         in_lane = goal[:, 1] == parts.position[:, 1]
-        tolerance[in_lane, 1] = self._rig.force_unit  # within the lane any force along y will do
+        # Within the lane, any force along y is accepted.
+        tolerance[in_lane, 1] = self._rig.force_unit
         return Wanted.make(parts, force, tolerance, period=period)
 
 

@@ -26,8 +26,8 @@ pose[:, 0] = 0.002 * (np.sin(w * t) + 0.25 * np.sin(2 * w * t))
 cycle = PlateCycle.from_samples(period, pose)
 
 # Three parts: one at rest, two with initial velocities along x and y.
-position = np.array([[0.0, -0.05], [0.0, 0.0], [0.0, 0.05]])  # [m]
-velocity = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # [m/s]
+position = np.array([[0.0, -0.05], [0.0, 0.0], [0.0, 0.05]])  # positions of the parts [m]
+velocity = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # velocities of the parts [m/s]
 path = simulate(cycle, position, velocity, rig.friction.mu, cycles=20)
 
 drift = (path.position[-1] - path.position[0]) / path.time[-1]

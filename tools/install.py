@@ -35,7 +35,8 @@ def settings() -> dict[str, str]:
     does."""
     said = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
     found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # all indexes have the same priority
-    for line in said.stdout.splitlines():  # settings of the environment are first, and win
+    # Settings of the environment come first and have priority.
+    for line in said.stdout.splitlines():
         name, _, value = line.partition("=")
         key = name.rpartition(".")[2]
         if key in FROM_PIP:

@@ -86,7 +86,7 @@ def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> np.ndarra
         px, py, _, vx, vy, spin = state
         ux = twist[0] - twist[2] * (py + y - pose[1]) - (vx - spin * y)
         uy = twist[1] + twist[2] * (px + x - pose[0]) - (vy + spin * x)
-        size = np.maximum(np.hypot(ux, uy), 1e-9)  # [m/s], avoids a division by 0
+        size = np.maximum(np.hypot(ux, uy), 1e-9)  # the minimum of 1e-9 m/s avoids a division by 0
         fx, fy = ux / size, uy / size
         turn = MU_G * float(np.mean(x * fy - y * fx)) / (RADIUS**2 / 2)
         return [vx, vy, spin, MU_G * float(fx.mean()), MU_G * float(fy.mean()), turn]

@@ -198,7 +198,7 @@ def touching(
         heading = rng.uniform(0, 2 * np.pi)
         group = [moved(any_part(types, rng), rng.uniform((60, 60), np.array(SIZE_PX) - 60))]
         count = int(rng.integers(3, 6))
-        any_part(types, rng)  # draws random numbers, so that the scenes are the same as ever
+        any_part(types, rng)  # this call draws random numbers, so that later scenes do not change
         for _ in range(count - 1):
             base = group[0] if around else group[-1]
             part = attached(any_part(types, rng), base, group, heading, bend, rng)

@@ -111,7 +111,7 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
         }
         for name, find in finders.items():
             if not times[name]:
-                find()  # warm-up
+                find()  # the first call is a warm-up
             found, seconds = timed(find)
             times[name].append(seconds)
             add(tallies[name], as_seen(found), parts)

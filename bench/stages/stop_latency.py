@@ -100,7 +100,7 @@ class Bench(Listener):
         self.stop = self.node.create_client(Trigger, "emergency_stop")
         self.enable = self.node.create_client(SetBool, "enable")
         self.plate = PlateClient(self.node, self.until)
-        if period_s is not None:  # otherwise only the solver publishes cycles
+        if period_s is not None:  # if `period_s` is None, only the solver publishes cycles
             cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
             table = shaking(64, 5e-4)
 

@@ -69,7 +69,8 @@ def measure(quick: bool) -> Result:
         case: [(*case, *TRIALS[trial], value.get(trial)) for trial in trials]
         for case, trials in names.items()
     }
-    found = by_case(tried, cases, cache, 1)  # parallel runs would slow each other down
+    # Use one process, because parallel runs would slow each other down.
+    found = by_case(tried, cases, cache, 1)
     runs = {case: dict(zip(names[case], found[case], strict=True)) for case in cases}
     rows = []
     for scenario, own in counts.items():

@@ -124,7 +124,8 @@ def mirrored(goal: Goal, motion: np.ndarray, signs: np.ndarray) -> tuple[Goal, n
 def taught(solved: Solved) -> dict[str, Propose]:
     """Return functions that propose starts, by name. They have learned from the solved goals and
     their mirror images."""
-    from sklearn.neural_network import MLPRegressor  # imported here, because only this needs it
+    # Imported here, because only this function needs it.
+    from sklearn.neural_network import MLPRegressor
 
     mirrors = [np.array(signs) for signs in itertools.product((1, -1), repeat=2)]
     pairs = [mirrored(*each, signs) for each in solved for signs in mirrors]

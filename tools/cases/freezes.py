@@ -57,7 +57,8 @@ class Judge(Listener):
         self.oldest_s = 0.0
         self.wrong: list[str] = []
         self.away: list[str] = []  # nodes of the last freeze
-        self.ends: list[tuple[int, int]] = []  # publication time [ns], last answered stamp [ns]
+        # Pairs of publication time [ns] and last answered stamp [ns].
+        self.ends: list[tuple[int, int]] = []
         self.stopped_ns = self._seen_ns = 0
         listen: Any = self.node.create_subscription
         listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)

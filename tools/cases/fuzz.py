@@ -176,7 +176,7 @@ def topics_of(node: Any) -> list[tuple[str, type, Any]]:
 
         def take_bytes(msg: Any, take: Any = take) -> None:
             data = serialize_message(msg)
-            if crc32(data) % 5 == 0:  # sometimes a truncated message
+            if crc32(data) % 5 == 0:  # sometimes send a truncated message
                 data = data[: len(data) // 2]
             take(data, len(data), b"")
 

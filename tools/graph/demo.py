@@ -127,7 +127,7 @@ def demo(args: argparse.Namespace) -> int:
     except Interrupted as interrupt:
         print(f"\ndemo: {interrupt}, all nodes are stopped", flush=True)
         return 128 + interrupt.number
-    except (PlateError, OSError) as error:  # OSError: for example a full disk
+    except (PlateError, OSError) as error:  # an OSError is raised, for example, if the disk is full
         print(f"\ndemo: {error}", file=sys.stderr, flush=True)
         return 1
 
@@ -164,7 +164,8 @@ def checked(args: argparse.Namespace) -> Plan:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed with --camera: 0")
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed with --lockstep: 0")
-    Disturbances(image_rate=args.image_rate)  # raises if the rate is out of range
+    # `Disturbances` raises an error if the rate is out of range.
+    Disturbances(image_rate=args.image_rate)
     within("picks", args.picks, 1, MAX_PICKS)
     within("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
@@ -177,7 +178,8 @@ def checked(args: argparse.Namespace) -> Plan:
                 "port or camera with a task of kind feed, allowed: neither (the robot is simulated)"
             )
         check_robot(scenario.task, args.robot_cycle)
-    for doubt in Planner(rig, scenario).warnings():  # raises if the task does not fit on the plate
+    # `Planner` raises an error if the task does not fit on the plate.
+    for doubt in Planner(rig, scenario).warnings():
         print(f"demo: warning: {doubt}", flush=True)
     # This raises if the parts do not fit on the plate.
     start_positions(scenario, rig, np.random.default_rng(args.seed))
@@ -208,7 +210,8 @@ def checked(args: argparse.Namespace) -> Plan:
         rig_file=absolute(rig_file),
         autostart=False,
         one_process=args.one_process,
-        view=not (args.no_view or args.one_process),  # in one process it would slow down the nodes
+        # In one process, the page would slow down the nodes.
+        view=not (args.no_view or args.one_process),
         robot_port=0,
     )
     domain = args.domain

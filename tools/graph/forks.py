@@ -197,7 +197,7 @@ def serve(modules: Iterable[str]) -> None:
     for module in list(sys.modules.values()):
         for kind in list(getattr(module, "__dict__", {}).values()):
             if isinstance(kind, type) and hasattr(kind, "__import_type_support__"):
-                kind.__import_type_support__()  # of a ROS message
+                kind.__import_type_support__()  # load the type support of the ROS message
     sys.stdout.flush()  # otherwise each fork would print the buffered output again
     gc.collect()
     gc.freeze()  # otherwise a node's first garbage collection would copy all shared pages
@@ -224,14 +224,15 @@ def _become(
             time.sleep(1e-3)
         end_with_parent()
         os.setsid()
-        os.write(answers, f"{os.getpid()}\n".encode())  # raises if the program has ended
+        # This call raises an error if the program has ended.
+        os.write(answers, f"{os.getpid()}\n".encode())
         os.close(answers)
         said = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         for number in (1, 2):
             os.dup2(said, number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
-        faulthandler.enable()  # a crash prints its traceback
+        faulthandler.enable()  # with it, a crash prints its traceback
         for stream in (sys.stdout, sys.stderr):
             assert isinstance(stream, TextIOWrapper)
             stream.reconfigure(line_buffering=True)

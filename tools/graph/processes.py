@@ -176,7 +176,7 @@ class Processes:
             words = [*prefix.get(name, []), *words, *ROS_ARGS, str(config_path("nodes.yaml"))]
             remap = ["-r", ":=".join(remaps[name])] if name in remaps else []
             self._commands[name] = [*words, "--params-file", str(file), *remap]
-        traced = {"PYTHONFAULTHANDLER": "1"}  # a crash prints its traceback
+        traced = {"PYTHONFAULTHANDLER": "1"}  # with this variable, a crash prints its traceback
         self._environment = os.environ | traced | ros_environment(domain) | dict(environment or {})
         self._running: dict[str, Fork | subprocess.Popen[bytes]] = {}
 

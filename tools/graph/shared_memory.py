@@ -21,7 +21,8 @@ def remove_leftovers() -> None:
     file younger than `AGE_S` may not be locked yet.
     """
     for lock in FOLDER.glob(f"fastrtps_{16 * '[0-9a-f]'}_el"):
-        with suppress(OSError), lock.open("rb") as file:  # raises if in use, or of another user
+        # Opening or locking raises an error if the file is in use or belongs to another user.
+        with suppress(OSError), lock.open("rb") as file:
             if time.time() - lock.stat().st_mtime < AGE_S:
                 continue
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

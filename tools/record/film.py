@@ -113,7 +113,7 @@ def develop(record: Record, rig: Rig) -> Film:
     images, pictures = [], []
     for data in record.images.items:
         image = deserialize_message(data, Image)
-        with suppress(PlateError):  # an invalid image, which the detector has also refused
+        with suppress(PlateError):  # the image is invalid, and the detector has also refused it
             pictures.append(image_to_array(image))
             images.append(image)
 

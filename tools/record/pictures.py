@@ -469,7 +469,7 @@ def from_above(
     ]
     if views[0].ndim == 2:
         views = [view[..., None] for view in views]
-    views = [view[..., ::-1] for view in views]  # from blue, green, red to red, green, blue
+    views = [view[..., ::-1] for view in views]  # convert blue, green, red to red, green, blue
     bare = np.percentile(views[:: max(1, len(views) // 31)], BRIGHT, axis=0).astype(np.uint8)
     parts = [np.any(cv2.absdiff(view, bare).reshape(view.shape) > SAME, axis=2) for view in views]
     return np.ascontiguousarray(np.broadcast_to(bare, (*bare.shape[:2], 3))), views, parts

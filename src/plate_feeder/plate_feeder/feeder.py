@@ -515,7 +515,7 @@ class Feeder:
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
-        # No more parts fall once the hopper is settled.
+        # No opening is pending, so no more parts fall.
         if purging and not left and self._opened is None:
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()

@@ -370,7 +370,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        # No new table: the last one is repeated, or its tail is played.
+        # If there is no new table, the last one is repeated, or its tail is played.
         tail_alone = before.waiting is None and cycle is before.cycle.tail
         alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone

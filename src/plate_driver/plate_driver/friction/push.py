@@ -151,7 +151,8 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     step = np.diff(t)[:, None]
     most, held = grip * step, np.abs(np.diff(plate))[:, None] <= hold * step
     v, stuck, speed = np.zeros_like(grip), np.ones(grip.shape, bool), [np.zeros_like(grip)]
-    # Only dependent steps are inside the loop. With few parts each takes microseconds.
+    # The loop contains only the operations that depend on the previous step. With few parts, each
+    # operation takes microseconds.
     for after, change, holds in zip(plate[1:], most, held, strict=True):
         rides = stuck & holds
         v = np.where(rides, after, v + np.minimum(np.maximum(after - v, -change), change))

@@ -6,8 +6,8 @@
 // energy norm, and the elastic one is its mirror image. Then friction acts at each point: an
 // impulse of up to mu_c times the normal impulse reduces the tangential speed and never reverses
 // it. Impulses act on both parts at one place and one time, so momentum and angular momentum are
-// conserved. This time is that of the contact, within the step. An overlap that remains in a crowd
-// is removed by a displacement without a change of velocity.
+// conserved. This time is the time of the contact, within the step. An overlap that remains in a
+// crowd is removed by a displacement without a change of velocity.
 //
 // For two discs see the simpler discs.hpp.
 #pragma once

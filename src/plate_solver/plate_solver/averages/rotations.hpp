@@ -1,7 +1,8 @@
 // Sequences of rotations on the averaged map: kernels of rotations.py.
 //
-// The derivatives combine those of sequence.hpp with those of the mean over steps. The contribution
-// of each step to the forces is propagated directly to the knots of its segment.
+// The derivatives combine the derivatives in sequence.hpp with the derivatives of the mean over
+// steps. The contribution of each step to the forces is propagated directly to the knots of its
+// segment.
 #pragma once
 #include "averages/mean_force.hpp"
 #include "fit/levenberg_marquardt.hpp"

@@ -167,8 +167,9 @@ private:
         return all;
     }
 
-    // Runs a descent from a start on equal steps. If the result is good there, it is evaluated with
-    // corrected dips and, if necessary, improved further. `least` is the minimum cost so far.
+    // Runs a descent from a start on equal steps. If the result is good on equal steps, it is
+    // evaluated with corrected dips and, if necessary, improved further. `least` is the minimum
+    // cost so far.
     Attempted attempted(const std::vector<double>& start, int number, double least) {
         const double tolerance = request.tolerance;
         const bool known = number == FIRST && is_warm;

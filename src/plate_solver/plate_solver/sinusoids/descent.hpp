@@ -204,7 +204,7 @@ private:
 };
 
 // Improves the parameters (3 h,) until no error exceeds `tolerance` [m] or progress stalls. The
-// errors of the result are those of the ends, followed by the limit violations.
+// errors of the result are the errors of the ends, followed by the limit violations.
 inline FitOf<float> descend(const Problem& problem, std::vector<double> theta, double tolerance,
                    int iterations, Room& room) {
     Descent descent(problem, room);

@@ -38,7 +38,7 @@ inline std::vector<double> depths(View<const double, 2> edges, View<const double
 
 // Measure discs (n,) from first guesses of their places (n, 2) [px] and their silhouettes (n,)
 // there. Set `alone` (n,) for discs measured by moments, and the places of `marks` (n, 2) [px].
-// `noise` is that of the image, relative to the bare plate.
+// `noise` is the noise of the image, relative to the bare plate.
 inline void measure_dark(LitPlate plate, double noise, View<const double, 2> edges,
                          View<const double, 2> bows, View<const double, 2> seeds,
                          const Silhouette* parts, Disc* discs, View<double, 2> marks, bool* alone) {

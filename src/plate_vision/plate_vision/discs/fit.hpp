@@ -52,8 +52,8 @@ constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 // The misfit is measured within this distance [px] beyond the edge's own width, on both sides.
 constexpr double CONTOUR_PX = 1.0;
 
-// Range of the side faces' darkness, relative to that of the top. If the side faces are hardly
-// visible, the fit does not determine their darkness.
+// Range of the side faces' darkness, relative to the darkness of the top. If the side faces are
+// hardly visible, the fit does not determine their darkness.
 constexpr double SIDE_RANGE[] = {0.3, 3.0};
 
 // Maximum error of a pixel in the misfit, as a fraction of the darkness. A local defect of the edge

@@ -51,9 +51,9 @@ struct Parts {
     std::vector<Judged> found;
 };
 
-// Select the parts among discs. Input: their silhouettes (n,), the places of their marks (n, 2)
-// [px] (NaN without a mark), their brightness relative to the plate (n,), and their distance from
-// its edge (n,) [px].
+// Select the parts among discs. Input: the discs' silhouettes (n,), the places of their marks (n,
+// 2) [px] (NaN without a mark), their brightness relative to the plate (n,), and their distance
+// from the plate's edge (n,) [px].
 inline Parts judge(const Disc* discs, const Silhouette* parts, View<const double, 2> marks,
                    const double* light, const double* depth, const Limits& limits) {
     Parts kept;

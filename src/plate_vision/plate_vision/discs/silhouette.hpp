@@ -27,7 +27,7 @@ struct Silhouette {
     // For the image of a flat part, an ellipse with half axes a, b: (a^2 - b^2) / (a^2 + b^2) times
     // the cosine and the sine of twice the direction of a.
     std::array<double, 2> flatness() const {
-        // Its second moments are those of A^-1 A^-T with A = `across`.
+        // The second moments of the ellipse are those of A^-1 A^-T with A = `across`.
         const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
         const double xx = d * d + b * b, yy = a * a + c * c, xy = -(c * d + a * b);
         return {(xx - yy) / (xx + yy), 2 * xy / (xx + yy)};

@@ -47,7 +47,7 @@ struct LitPlate {
     int width() const { return grey.size(1); }
 };
 
-// Brightness of the bare plate [grey levels] at a pixel; `light` is that of `LitPlate`.
+// Brightness of the bare plate [grey levels] at a pixel; `light` is the field of `LitPlate`.
 [[gnu::always_inline]] inline float bare(const float* light, float x_px, float y_px) {
     const float u = (x_px - light[6]) * light[8], v = (y_px - light[7]) * light[8];
     return u * (light[1] + light[3] * u) + (light[0] + v * (light[2] + light[5] * v)) +

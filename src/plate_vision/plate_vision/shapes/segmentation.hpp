@@ -15,7 +15,7 @@ constexpr double MIN_AREA_PX2 = 30;
 // Minimum contrast of a part, relative to the maximum deviation of the background.
 constexpr double STRONG = 1.2;
 
-// Minimum contrast of a part's second colour, relative to that of its main colour.
+// Minimum contrast of a part's second colour, relative to the contrast of its main colour.
 constexpr double WEAKER = 0.35;
 
 // Minimum relative contrast of a second colour on the other side of the plate's lightness. The halo

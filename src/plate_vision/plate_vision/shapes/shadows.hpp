@@ -18,7 +18,7 @@ constexpr double DARKEST = 0.45;
 // Minimum number of even pixels of a part and of a shadow.
 constexpr int MIN_UNIFORM = 12;
 
-// Maximum deviation of a shadow, relative to that of the part that casts it.
+// Maximum deviation of a shadow, relative to the deviation of the part that casts the shadow.
 constexpr double LIGHTER = 0.8;
 
 // Fraction of the even pixels of a patch that are darker than the level of its dark side.
@@ -87,7 +87,8 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
 }
 
 // For each patch (count,) compute the deviation that separates its light side from its dark side, 0
-// if it has only one; the deviation of the light side; and that of the dark side or of all.
+// if it has only one side; the deviation of the light side; and the deviation of the dark side or
+// of all.
 //
 // The even pixels are separated by the method of Otsu (1979).
 inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
