@@ -7,7 +7,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 
-from english import PATTERNS, findings, main
+from english import PATTERNS, check, findings
 
 BAD = (
     "What is missed is missed.",
@@ -43,7 +43,7 @@ def test_each_pattern_is_found_with_its_line(tmp_path, advice, sentence):
 def test_docstrings_and_messages_are_checked(tmp_path, capsys):
     file = tmp_path / "module.py"
     file.write_text(f'"""{BAD[0]}"""\n\n\ndef check():\n    raise ValueError("{BAD[3]}")\n')
-    assert main([str(file)]) == 1
+    assert check([str(file)]) == 1
     assert [line.split(":")[1] for line in capsys.readouterr().out.splitlines()] == ["1", "5"]
 
 
@@ -51,4 +51,4 @@ def test_docstrings_and_messages_are_checked(tmp_path, capsys):
 def test_plain_sentences_pass(tmp_path, sentence):
     file = tmp_path / "page.md"
     file.write_text(f"{sentence}\n\n```\n{BAD[0]}\n```\n\n| {BAD[1]} |\n")
-    assert main([str(file)]) == 0
+    assert check([str(file)]) == 0

@@ -239,9 +239,9 @@ def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
     for name in ("results.md", f"results/{QUICK}.csv", "results/measured.json"):
         assert (tmp_path / "docs" / name).read_text() == (drawn / "docs" / name).read_text()
     told = capfd.readouterr().err
-    assert "left out chart sim: of older code, its rows lack 'case'" in told
+    assert "omitted chart sim: of older code, its rows lack 'case'" in told
     assert "omitted chart vision: not measured" in told
-    assert f"drawn from {tmp_path / 'docs/results'}: {QUICK}\n" in told
+    assert f" from {tmp_path / 'docs/results'}: {QUICK}\n" in told
 
 
 def test_what_is_not_committed_is_not_published(monkeypatch, capsys):

@@ -298,7 +298,7 @@ def _bench(program, tmp_path):
 
 def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     board = bench.board
-    bench.start()
+    bench.start("hold_cycles:=2")  # so that the next cycle begins before the plate rests
     bench.tells(OFF)
     assert bench.until(lambda: len(bench.states) > 2)
     assert bench.states[-1].name == [motor.name for motor in RIG.motors]

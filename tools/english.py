@@ -9,6 +9,7 @@ was found. Each finding is printed as file, line, pattern and text.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import re
 import subprocess
@@ -74,7 +75,17 @@ def findings(path: Path) -> list[tuple[int, str, str]]:
     ]
 
 
-def main(names: list[str]) -> int:
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="tools/english.py",
+        description="Find sentences that readers do not understand at the first reading.",
+    )
+    parser.add_argument("files", nargs="*", help="files to check (all files of the repository)")
+    return check(parser.parse_args().files)
+
+
+def check(names: list[str]) -> int:
     """Check files, print the findings, and return the exit code."""
     if not names:
         listed = subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True)
@@ -93,4 +104,4 @@ def _is_checked(name: str) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

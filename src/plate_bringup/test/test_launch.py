@@ -190,8 +190,16 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
             r"is 'scenaro' \(did you mean scenario\?\), allowed: scenario, lock",
         ),
         ("hardware", "image_topc", r"is 'image_topc' \(did you mean image_topic\?\), allowed: "),
-        ("closed_loop", "port", r"is 'port', of hardware\.launch\.py, allowed: scenario, "),
-        ("hardware", "lockstep", r"is 'lockstep', of closed_loop\.launch\.py, allowed: "),
+        (
+            "closed_loop",
+            "port",
+            r"is 'port' \(an argument of hardware\.launch\.py\), allowed: ",
+        ),
+        (
+            "hardware",
+            "lockstep",
+            r"is 'lockstep' \(an argument of closed_loop\.launch.*, allowed: ",
+        ),
         ("closed_loop", "zoom", r"is 'zoom', allowed: scenario, .*rig_fi"),
     ],
 )

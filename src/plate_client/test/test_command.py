@@ -269,7 +269,10 @@ def test_nobody_is_there(graph, view):
     assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
 
 
-@pytest.mark.parametrize(("others", "end"), [({5}, "=5"), ({5, 9}, "r graph)"), ({0}, "0")])
+@pytest.mark.parametrize(
+    ("others", "end"),
+    [({5}, "=5"), ({5, 9}, "of yours"), ({0}, "0")],
+)
 def test_a_domain_is_recommended_only_where_it_can_be_no_other(monkeypatch, others, end):
     """The next command may be an enable."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")

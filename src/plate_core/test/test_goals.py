@@ -64,7 +64,7 @@ def spoilt(change):
         (lambda g: setattr(g.parts[0], "count", 0), "count is 0, allowed"),
         (lambda g: g.parts.append(PartCount(type="black", count=1)), "each class once"),
         (lambda g: setattr(g, "regions", g.regions[:1]), "grey is missing"),
-        (lambda g: g.regions.append(Region(type="black", side="top")), "black stands twice"),
+        (lambda g: g.regions.append(Region(type="black", side="top")), "black occurs twice"),
         (lambda g: setattr(g.regions[0], "side", "lfet"), "black is 'lfet', allowed: one of left"),
         (lambda g: setattr(g.regions[0], "side", ""), "bin_m"),
         (lambda g: g.regions.append(Region(type="red", side="top")), "red"),

@@ -239,7 +239,7 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     # Nobody sends a cycle any more, though a task runs: it rests by itself, and says so.
     peer.tasks.publish(TaskStatus(state=TaskStatus.RUNNING))
     peer.until(lambda: peer.level == DiagnosticStatus.STALE)
-    assert "no plate_cycle for 0.6 s: the plate rests" in peer.output
+    assert "no plate_cycle for 0.3 s: the plate rests" in peer.output
     assert change("deactivate")
     peer.rests()
     assert change("cleanup")

@@ -9,6 +9,7 @@ from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.motion import motor_state, plate_state, usage
+from plate_core.serial_protocol import TICK_S
 from plate_driver.cycle_starts import CycleStarts
 from plate_driver.setpoints import Guard, MotorTable, SetpointStream, knots, prepare, refined
 from plate_driver.setpoints.guard import SENT_KEPT
@@ -491,9 +492,25 @@ def test_a_stream_goes_on_in_motion_or_with_the_tail(pair):
     wanted = [*refined(first), *refined(second)[1:], *refined(second.tail)[1:]]
     assert [k.position for k in (*sent, *more)][:-1] == [k.position for k in wanted]
     ended, rest = begun.until(50.0)
-    assert ended.time == pytest.approx(PERIOD + TAIL + 0.01)
+    assert ended.time == pytest.approx(0.2)  # devices refuse shorter streams
     judge(sampled([*sent, *more]))
     judge(sampled([*sent, *rest]))
+
+
+@pytest.mark.parametrize("period", [0.01, 0.1, 0.19, 0.195, 0.25])
+def test_a_short_stream_rests_until_the_device_accepts_its_length(rng, period):
+    size = 0.05 * SIZE * period**2
+    wave = np.sin(np.pi * np.arange(12) / 12)[:, None] ** 4 * size * rng.normal(size=3)
+    table = prepare(RIG, PlateCycle.from_samples(period, wave), 1)[0]
+    stream, sent = SetpointStream.of(table, 1).until(50.0)
+    assert stream.ended
+    assert stream.time == pytest.approx(max(period + 0.01, 0.2))
+    times = np.array([k.ticks for k in sent]) * TICK_S
+    assert times[-1] == pytest.approx(stream.time)
+    assert len(sent) == stream.sent
+    assert np.all(np.diff(times) > 0)
+    assert np.max(np.diff(times)) <= 0.04 + 1e-9
+    assert not any(any(k.velocity) or any(k.acceleration) for k in sent[-1:])
 
 
 def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):

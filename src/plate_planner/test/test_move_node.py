@@ -81,7 +81,7 @@ def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
     graph.begin(100.0, play())
     many = [Target(id=f"black_{k}") for k in range(101)]
     assert "101 targets, allowed: at most 100" in refused(Targets(targets=many))
-    assert "grey_1 stands twice" in refused(Targets(targets=[right, right]))
+    assert "grey_1 occurs twice" in refused(Targets(targets=[right, right]))
     assert "frame is 'map'" in refused(Targets(header=Header(frame_id="map"), targets=[right]))
     assert not heard[-1].targets
     wrong = Target(id="black_7", x=0.0, y=0.0, angle=np.nan)

@@ -151,7 +151,7 @@ def spoilt(name, row, value):
             "tolerance of black_1 is -0.5, allowed: 0 to inf",
         ),
         (Wanted.make(moving(), torque=[0, np.inf]), "torque of grey_1 is inf, allowed: -1e"),
-        (spoilt("low", (1, 0), np.nan), "low end of the target of grey_1 is nan, allowed: -1e"),
+        (spoilt("low", (1, 0), np.nan), "lower bound of the target of grey_1 is nan, allowed: -1e"),
         (spoilt("high", (0, 1), -0.5), "width of the target of black_1 is -0.5, allowed: 0 to"),
         (
             spoilt("weight", (0, 1), 2e9),

@@ -120,9 +120,9 @@ def test_a_trigger_takes_the_place_of_the_rate():
     ("settings", "words"),
     [
         ({"exposure_us": 1e5}, r"ExposureTime is 100000.0, allowed by the camera: 20.0 to 10000.0"),
-        ({"format": "MJPG"}, "format is MJPG, allowed of GenICam: GREY, Y10, Y12"),
+        ({"format": "MJPG"}, "format is MJPG, allowed for GenICam: GREY, Y10, Y12"),
         ({"format": "Y10"}, "PixelFormat is Mono10, allowed by the camera: Mono8, Mono12"),
-        ({"device": "genicam:x.cti#18"}, "no such device; cameras that are there: 17"),
+        ({"device": "genicam:x.cti#18"}, "no such device; available cameras: 17"),
     ],
 )
 def test_what_the_camera_cannot_do_is_said_with_what_it_can(settings, words):

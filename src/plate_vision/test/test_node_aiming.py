@@ -82,7 +82,7 @@ def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, corne
         assert msg.home.startswith("not found: fiducials: 0, 1, 2, 3 not detected")
         assert called(graph, "find_home").success
         msg, _ = aimed.show(image(plate.take([0, 0, 0], rng), 2.0))
-        assert msg.home.startswith("found, corners of the markers fit within 0.")
+        assert msg.home.startswith("found, error of the markers' corners 0.")
         found = graph.detector._aiming._corners
         assert msg.home.endswith(f"; corners_px: {[list(corner) for corner in found]}")
         written = called(graph, "save_home")

@@ -60,7 +60,7 @@ def test_ids_that_end_are_reported(draw, rng):
         black = draw(CENTRE_PX[:1], ["black"], rng, radius=7.9)
         for k in range(8):
             graph.answer(image(black, 2.0 + 0.1 * k))
-        assert "grey_1 has been seen as another class since: it is black_1" in graph.notes
+        assert "grey_1 has changed its class: its id is now black_1" in graph.notes
         assert graph.detector._values()["ids_renamed"] == 1
     finally:
         graph.close()

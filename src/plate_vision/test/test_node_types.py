@@ -59,7 +59,7 @@ def test_parts_of_taught_types(rig_with_types, draw_types, rng):
         answer = called(graph, "learn_plate")
         assert answer.success
         assert (
-            "next 5 images are taken for the bare plate; 3 things lie on it now" in answer.message
+            "next 5 images are used for the bare plate; 3 objects are on it now" in answer.message
         )
         for k in range(5):
             graph.answer(shown([], 1.2 + 0.2 * k))
@@ -82,7 +82,7 @@ def test_a_modelled_plate_is_not_learned_by_a_rest(rig_with_types, draw_types, r
             return image(frame if encoding == "bgr8" else frame[:, :, 1], stamp_s, encoding)
 
         def warned():
-            return "modelled" in graph.detector._find(0.0).message
+            return "estimated" in graph.detector._find(0.0).message
 
         graph.images.publish(shown(LYING, 1.0))
         graph.until(lambda: graph.parts)

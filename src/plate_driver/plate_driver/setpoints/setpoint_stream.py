@@ -4,6 +4,7 @@ format, at most `MAX_S` apart."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,10 @@ TICKS = 2**32
 REST_TICKS = 1_000_000
 """Time from a cycle's end, at home with zero speed, to zero acceleration [TICK_S]: 10 ms. The
 quintic in between does not exceed the acceleration at the cycle's end."""
+
+MIN_TICKS = 20_000_000
+"""Minimum duration of a stream [TICK_S]: 0.2 s. Devices refuse shorter ones, because they could not
+brake within it. A shorter stream is extended by rest."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,8 @@ class SetpointStream:
         Index of the next knot to send.
     begin : int
         Start of `playing` relative to the start of the stream [TICK_S].
-    ended : bool
-        Whether the final setpoint at rest was sent.
+    rest : int
+        Duration of the rest at the end [TICK_S]. 0 until the stream has ended.
     """
 
     playing: MotorTable
@@ -60,7 +65,7 @@ class SetpointStream:
     sent: int = 0
     at: int = 0
     begin: int = 0
-    ended: bool = False
+    rest: int = 0
 
     @classmethod
     def of(cls, table: MotorTable, repeats: int) -> SetpointStream:
@@ -78,8 +83,12 @@ class SetpointStream:
     @property
     def time(self) -> float:
         """Time of the last setpoint sent [s]."""
-        rest = REST_TICKS if self.ended else 0
-        return (self.begin + self.knots[max(0, self.at - 1)].ticks + rest) * TICK_S
+        return (self.begin + self.knots[max(0, self.at - 1)].ticks + self.rest) * TICK_S
+
+    @property
+    def ended(self) -> bool:
+        """Whether the final setpoints at rest were sent."""
+        return self.rest > 0
 
     def followed_by(self, table: MotorTable, repeats: int) -> SetpointStream:
         """Return the stream that continues with another table. An ended stream stays ended.
@@ -103,9 +112,11 @@ class SetpointStream:
             if stream.at == len(stream.knots):
                 after = stream._after()
                 if after is None:
-                    ticks = (stream.begin + stream.knots[-1].ticks + REST_TICKS) % TICKS
-                    knots.append(Knot(ticks, (0.0,) * 4, (0.0,) * 4, (0.0,) * 4))
-                    stream = replace(stream, sent=stream.sent + 1, ended=True)
+                    end = stream.begin + stream.knots[-1].ticks
+                    rests = _rests(end)
+                    zero = (0.0,) * 4
+                    knots += [Knot((end + rest) % TICKS, zero, zero, zero) for rest in rests]
+                    stream = replace(stream, sent=stream.sent + len(rests), rest=rests[-1])
                     continue
                 stream = after
             knot = stream.knots[stream.at]
@@ -134,6 +145,14 @@ class SetpointStream:
 def knots(table: MotorTable) -> tuple[Knot, ...]:
     """Return the knots of a motor table, and of its tail, in the precision of the protocol."""
     return _rounded(table.cycle.knots[0], table.q, table.qd, table.qdd)
+
+
+def _rests(end: int) -> list[int]:
+    """Return the times of the setpoints at rest after the end of the motion [TICK_S], relative to
+    it. `end` is relative to the start of the stream [TICK_S]."""
+    last = max(REST_TICKS, MIN_TICKS - end)
+    steps = math.ceil((last - REST_TICKS) * TICK_S / MAX_S)
+    return [round(t) for t in np.linspace(REST_TICKS, last, steps + 1)]
 
 
 def refined(table: MotorTable) -> tuple[Knot, ...]:
