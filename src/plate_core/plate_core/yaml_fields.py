@@ -351,7 +351,7 @@ class Fields:
         if key not in self._data:
             spare = [str(name) for name in self._data if name not in self._used]
             near = difflib.get_close_matches(key, spare, n=1)
-            instead = f" (did you mean {near[0]}?)" if near else ""
+            instead = f" (the file has {near[0]})" if near else ""
             raise self._error(f"{self._where}: {key} is missing, expected {allowed}{instead}")
         return self._data[key]
 

@@ -179,7 +179,7 @@ def test_an_unknown_name_lists_the_available_ones():
         (SORT, "goal_fraction: 0.6", "goal_fraction: 0.9", r"goal_fraction is 0.9, allowed"),
         (SORT, "time_limit_s: 10", "time_limit_s: .nan", r"time_limit_s is nan, allowed"),
         (SORT, "time_limit_s: 10", "", r"time_limit_s is missing"),
-        (SORT, "time_limit_s", "time_limits", r"time_limit_s is missing, .*did you mean time_lim"),
+        (SORT, "time_limit_s", "time_limits", r"time_limit_s is missing, .*the file has time_lim"),
         (SORT, "[[0.1, 0.0]]", "[[0.1, 0.0]], count: 1", r"count and positions_m are given"),
         (SORT, "[[0.1, 0.0]]", "[0.1, 0.0]", r"positions_m is \[0.1, 0.0\], allowed: n x 2"),
         (FOLLOW, "closed: true", "closed: 1", r"closed is 1, allowed: true or false"),

@@ -94,7 +94,7 @@ def test_the_nearest_known_key_is_asked_for():
     assert f.number("a", 0, 1) + f.number("hold_s", 0, 1, default=0) == 1
     with pytest.raises(FileError, match=r"key hold \(did you mean hold_s\?\), allowed: a, "):
         f.finish()
-    with pytest.raises(FileError, match=r"hold_s is missing, .* \(did you mean hold\?\)"):
+    with pytest.raises(FileError, match=r"hold_s is missing, .* \(the file has hold\)"):
         fields(a=1, hold=2).number("hold_s", 0, 1)
     optional = fields(makred=True)
     assert not optional.has("marked")
