@@ -239,7 +239,7 @@ def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
     for name in ("results.md", f"results/{QUICK}.csv", "results/measured.json"):
         assert (tmp_path / "docs" / name).read_text() == (drawn / "docs" / name).read_text()
     told = capfd.readouterr().err
-    assert "omitted chart sim: of older code, its rows lack 'case'" in told
+    assert "omitted chart sim: its older rows lack 'case'" in told
     assert "omitted chart vision: not measured" in told
     assert f" from {tmp_path / 'docs/results'}: {QUICK}\n" in told
 

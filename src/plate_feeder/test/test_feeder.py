@@ -447,9 +447,9 @@ def test_after_a_stop_nothing_begins_before_a_person_says_so():
     assert "aborted: stopped" in told.text
     for command in ("get_part", "prepare_part", "purge"):
         for client in ("robot", "other"):
-            assert getattr(feeder, command)(client, now=cell.t) == replace(
-                told, left=10 if command == "purge" else 0
-            )
+            reply = getattr(feeder, command)(client, now=cell.t)
+            expected = replace(told, left=10 if command == "purge" else 0)
+            assert repr(reply) == repr(expected)  # its NaN is unequal to itself
         cell.run(2)
         assert not cell.output.run
     feeder.task_ended("the planner is gone")  # what comes after it does not lift it
